@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from pytest_pafot.model.instructions import LaneInstruction as LaneInstruction
     from pytest_pafot.model.instructions import Manoeuvre as Manoeuvre
     from pytest_pafot.model.instructions import PositionInstruction as PositionInstruction
+    from pytest_pafot.model.instructions import Recorded as Recorded
     from pytest_pafot.model.instructions import ScenarioError as ScenarioError
     from pytest_pafot.model.instructions import Step as Step
+    from pytest_pafot.model.instructions import Track as Track
     from pytest_pafot.model.scenario import Chromosome as Chromosome
     from pytest_pafot.model.scenario import Scenario as Scenario
     from pytest_pafot.model.trace import Collision as Collision
@@ -86,6 +88,7 @@ _HOMES = {
     "Perception": "world",
     "Planned": "world",
     "PositionInstruction": "model.instructions",
+    "Recorded": "model.instructions",
     "Run": "oracle.run",
     "SavedScenario": "campaign.saved_scenario",
     "Scenario": "model.scenario",
@@ -94,6 +97,7 @@ _HOMES = {
     "Step": "model.instructions",
     "TRUCK": "model.vehicle_type",
     "Trace": "model.trace",
+    "Track": "model.instructions",
     "Traffic": "model.driving_style",
     "VAN": "model.vehicle_type",
     "VehicleType": "model.vehicle_type",

@@ -14,6 +14,7 @@ speeds; crossing NPCs shrink towards a slot of 0.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 from typing import Any
 
 from pytest_pafot.model.driving_style import Traffic
@@ -31,7 +32,9 @@ from pytest_pafot.model.instructions import (
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
+    Recorded,
     Step,
+    Track,
     checked_driver,
 )
 from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
@@ -51,6 +54,8 @@ def _register() -> None:
     strategies.register_type_strategy(Step, lambda _: steps())
     strategies.register_type_strategy(Manoeuvre, lambda _: manoeuvres())
     strategies.register_type_strategy(Free, lambda _: free_npcs())
+    strategies.register_type_strategy(Track, lambda _: tracks())
+    strategies.register_type_strategy(Recorded, lambda _: recorded())
     strategies.register_type_strategy(Scenario, lambda _: scenarios())
 
 
@@ -63,9 +68,11 @@ __all__ = [
     "lane_instructions",
     "manoeuvres",
     "position_instructions",
+    "recorded",
     "scenarios",
     "scenarios_in",
     "steps",
+    "tracks",
 ]
 
 
@@ -192,6 +199,35 @@ def _placed(
         raise ValueError(f"{name}: expected {expected}, received {lanes!r} and {max_distance!r}")
     distances = (_tenths(10, most) | _tenths(-most, -10)).filter(bool)
     return {"beside": st.sampled_from(lanes), "ahead": distances, "speed": speeds}
+
+
+def tracks(*, max_seconds: float = 5.0, max_speed: float = PAPER_SPEED_LIMIT) -> SearchStrategy[Track]:
+    """Return a strategy for tracks that begin within 100 m and two lanes of the ego, with a steady change of speed.
+
+    Args:
+        max_seconds: the longest duration [s].
+        max_speed: the highest speed [m/s].
+    """
+
+    def track(rate: int, rows: int, along: float, across: float, aside: float, ends: tuple[float, float]) -> Track:
+        begin, end = ends
+        speeds = [begin + (end - begin) * row / (rows - 1) for row in range(rows)]
+        places = accumulate([along, *(speed / rate for speed in speeds[:-1])])
+        lines = [f"{x} {across + aside * row / rows} 0 {speeds[row]}" for row, x in enumerate(places)]
+        return Track("\n".join([f"rate {rate}", *lines]))
+
+    speeds = _tenths(0, round(10 * max_speed))
+    rows, rates = st.integers(2, round(max_seconds * 10) + 1), st.integers(10, 15)
+    return st.builds(
+        track, rates, rows, _tenths(-1000, 1000), _tenths(-80, 80), _tenths(-10, 10), st.tuples(speeds, speeds)
+    )
+
+
+def recorded() -> SearchStrategy[Recorded]:
+    """Return a strategy for NPCs that drive as recorded, or with changes of the recording."""
+    changes = {"later": _tenths(-50, 50), "pace": st.integers(80, 120).map(lambda share: share / 100)}
+    chains = st.lists(steps(), max_size=3).map(tuple)
+    return st.builds(Recorded, track=tracks(), **changes, shift=_tenths(-300, 300), steps=chains)
 
 
 def _tenths(low: int, high: int) -> SearchStrategy[float]:

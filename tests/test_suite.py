@@ -23,6 +23,7 @@ OF_ONE_NAME = {
     "crossing": "what an NPC that crosses is told, and how it drives",
     "events": "what a campaign of generations yields, and what a whole search tells",
     "plan": "the scenarios of one search in their order, and the searches of a comparison",
+    "recorded": "what an NPC that drives as recorded is told, and how it drives",
     "run": "a finished run as checks read it, and a run of the world that proceeds",
 }
 """The reasons why modules of different rooms have the same name."""

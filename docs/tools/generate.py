@@ -51,6 +51,7 @@ from pytest_pafot.model.instructions import (
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
+    Recorded,
     Step,
 )
 from pytest_pafot.model.scenario import Scenario
@@ -103,6 +104,8 @@ MARKER_TEXTS: Mapping[str, str] = {
     'among them, one NPC in six is another one of them. `"car"`: all are cars.',
     "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs): `"idm"`, `"mobil"`, `"policy"`, '
     'a list of these, or a mapping such as `{"last": LastVersion, "idm": "idm"}` with values as of `ads`.',
+    "around": "[The recording](../guide/recordings.md#search-around-a-recording) of which all scenarios are changes, "
+    "or a scenario of it.",
     "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
     "title": "What the requirement asks for; by default the first line of the docstring.",
     "owner": "Who answers for the test.",
@@ -120,6 +123,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "instructions": '`"both"`, or `"cells"`',
     "vehicles": "all that fit the road; cars for the other algorithms and manoeuvres",
     "drivers": "none, so no NPC is free",
+    "around": "none",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
     "requirement": "none",
@@ -144,7 +148,11 @@ FILE_TEXTS: Mapping[str, str] = {
     "`{name, length, width, ...}`. All NPCs after the last one are cars; without it, all are.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
     "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, one manoeuvre "
-    "`{beside, ahead, speed, steps}`, or for a free NPC `{beside, ahead, speed, driver}`. Speeds are in m/s.",
+    "`{beside, ahead, speed, steps}`, for a free NPC `{beside, ahead, speed, driver}`, or one [recorded "
+    "track](scenarios.md#recorded-tracks) `{track, later, pace, shift, steps}`. Speeds are in m/s. A track is a block "
+    "with a line for each tenth of a second, or after the line `rate 15` for each fifteenth: x [m], y [m], heading "
+    "[rad] and speed [m/s].",
+    "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
     "name of the check; for any other exception, its statement or the first line of its message, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
@@ -245,6 +253,7 @@ def sections() -> dict[str, str]:
         "manoeuvre": _fields_table(Manoeuvre),
         "free": _fields_table(Free),
         "step": _fields_table(Step),
+        "recorded-track": _fields_table(Recorded),
         "map-command": _command_table(add_map_arguments),
         "sweep": _fields_table(Sweep)
         + "\nProperties: `preventable`, `unavoidable`, `avoided`, `errors`, `not_as_asked` (numbers of "

@@ -85,7 +85,7 @@ def _fitted(scenario: Scenario, space: SearchSpace, world: BaseWorld) -> Scenari
     """Return a scenario with the start of the space that is nearest to its own; None if it fits with no start."""
     if not all(gene.is_drawn_in(space) for chain in scenario.npcs for gene in chain):
         return None
-    if not set(scenario.all_vehicles) <= {*space.vehicles}:
+    if space.around is None and not set(scenario.all_vehicles) <= {*space.vehicles}:  # a recording has its own
         return None
     lanes = space.ego_lanes or (space.ego_lane,)
     slowest, fastest = space.ego_speeds or (space.ego_speed, space.ego_speed)

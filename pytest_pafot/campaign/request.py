@@ -63,6 +63,8 @@ SLICE = 3.0
 """The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
+MOST_OF_SCENARIO = 8
+"""The largest number of NPCs in any scenario."""
 BLAMES = ("any", "ego", "preventable", "avoidable")
 
 
@@ -87,6 +89,7 @@ class SearchArguments(TypedDict, total=False):
     instructions: str
     vehicles: str | VehicleType | Sequence[str | VehicleType]
     drivers: str | Sequence[str] | Mapping[str, Any]
+    around: Any
     ads: Any
     arg: str
     fitness: str | Weights | Callable[[Trace], float]
@@ -143,6 +146,7 @@ class Request:
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
     # The drivers of free NPCs by name: a factory, the name of a fixture, or for those of the plugin their own name.
     drivers: Mapping[str, str | Callable[..., Any]] = field(default_factory=dict)
+    around: Any = None  # the recording, or the scenario of recorded NPCs, that is searched around
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
@@ -164,7 +168,8 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         algorithm = resolve_algorithm(settings.algorithm)
     except ValueError as error:
         raise RequestError(str(error)) from error
-    own = {name: arguments[name] for name in ("ads", "arg", "blame", "decision_limit", "world") if name in arguments}
+    names = ("ads", "arg", "blame", "decision_limit", "world", "around")
+    own = {name: arguments[name] for name in names if name in arguments}
     if isinstance(own.get("ads"), str) and ":" in own["ads"]:
         try:
             own["ads"] = factory_named(own["ads"])
@@ -321,6 +326,8 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         RequestError: if an argument is out of range, if no scenario can be made, or if the world cannot be built.
     """
     world, given = base_world(world), ", ".join(request.space)
+    if request.around is not None:
+        return _space_around(request, world)
     try:
         if "acts" in request.space and world.crossings is None:
             raise request.error(
@@ -405,6 +412,44 @@ def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
             "expected no 'policy' in a world whose policy has the environment's observations and actions, which only "
             "the ego has; name idm, mobil or a planner in SI units, or give pafot.World planner_hz=",
         )
+
+
+def _space_around(request: Request, world: BaseWorld) -> SearchSpace:
+    """Return the space of changes of a recording, which begins with the recording itself."""
+    given, argument = request.around, "around=..."
+    if others := [*request.space, *(["drivers"] if request.drivers else [])]:
+        problem = f"expected no arguments of scenarios beside it, received {', '.join(others)}; leave them out"
+        raise request.error(argument, problem)
+    if "manoeuvres" not in request.algorithm.instructions:
+        problem = f"expected an algorithm that varies manoeuvres, received {request.algorithm.name}"
+        raise request.error(argument, f"{problem}; leave the algorithm out")
+    scenario = given.scenario() if callable(getattr(given, "scenario", None)) else given
+    if not isinstance(scenario, Scenario) or not any(chain[0].follows_track for chain in scenario.npcs):
+        problem = "expected pafot.recorded(...), or a scenario that its scenario() returns, received"
+        raise request.error(argument, f"{problem} {given!r:.100}")
+    road = world.straight_road
+    try:
+        if road is None or not all(chain[0].keeps_start for chain in scenario.npcs):
+            raise ScenarioError("expected a straight road, and NPCs with tracks and manoeuvres")
+        world.check_fits(scenario)
+        count = len(scenario.npcs)
+        space = SearchSpace(
+            npcs=count,
+            least_npcs=count,
+            genes=1,
+            gene_seconds=scenario.gene_seconds,
+            speed_limit=float(world.speed_limit),
+            ego_lane=scenario.ego_lane,
+            ego_speed=scenario.ego_speed,
+            traffic=scenario.traffic,
+            lanes=road.lane_count,
+            first=(scenario,),
+            around=scenario,
+        )
+    except (ValueError, WorldError) as error:
+        raise request.error(argument, error) from None
+    room = _with_room(space, world, is_number_given=True).room
+    return replace(space, room=room, most_npcs=(min(count + 1, MOST_OF_SCENARIO),))
 
 
 def _with_room(space: SearchSpace, world: BaseWorld, is_number_given: bool) -> SearchSpace:

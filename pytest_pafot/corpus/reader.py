@@ -41,6 +41,7 @@ from pytest_pafot.model.instructions import (
     KINDS,
     Instruction,
     Step,
+    Track,
 )
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
@@ -70,7 +71,7 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
 """The keys of ``limits`` in a world."""
 
-SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles"))
+SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles", "ego_track"))
 """The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
 
 EGO = Keys(("lane", "speed"))
@@ -102,7 +103,10 @@ SIGNED = frozenset(
         "beside",
         "gap",
         "headway",
+        "recorded_gap",
         "offset",
+        "later",
+        "shift",
     }
 )
 """The fields of dataclasses whose numbers may be negative."""
@@ -315,6 +319,8 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
         return field.number(-MAX_NUMBER if is_signed else 0.0)
     if kind in _SIMPLE:
         return _SIMPLE[kind](field)
+    if kind is Track:
+        return _track(field)
     if kind is Instruction:
         kind = _kind_of(field)
     value = _record(field, kind, **own)
@@ -344,8 +350,13 @@ def _scenario(field: Field) -> Scenario:
         "gene_seconds": _given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
         "traffic": _given(fields, "traffic", _traffic, PAPERS),
         "vehicles": _given(fields, "vehicles", lambda inner: tuple(map(_vehicle, inner.items())), ()),
+        "ego_track": _given(fields, "ego_track", _track),
     }
     return _made(field, Scenario, values)
+
+
+def _track(field: Field) -> Track:
+    return _made(field, Track, {"text": field.text()})
 
 
 def _traffic(field: Field) -> Traffic:

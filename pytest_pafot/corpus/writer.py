@@ -155,10 +155,17 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
         yield f"  traffic: {_flow(scenario.traffic.plain())}"
     if scenario.vehicles:
         yield from _filled("  vehicles: ", [each.plain() for each in scenario.vehicles])
+    if scenario.ego_track is not None:
+        yield from _block({"ego_track": scenario.ego_track.text}, 2)
     yield "  npcs:"
     for chain in scenario.npcs:
         for gene, each in enumerate(chain):
-            entry = ("    - - " if gene == 0 else "      - ") + _flow(each.in_file())
+            begin, told = "    - - " if gene == 0 else "      - ", each.in_file()
+            if _has_lines(told):
+                first, *others = _block(told, len(begin))
+                yield from (begin + first.lstrip(), *others)
+                continue
+            entry = begin + _flow(told)
             yield f"{entry:{COMMENT_COLUMN}}# {each.remark}" if each.remark else entry
 
 
@@ -167,19 +174,31 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     values = asdict(expect)  # in the order of the dataclass
     if expect.check is not None:
         values["check"] = {name: value for name, value in values["check"].items() if value not in (None, "")}
+    if expect.departure is not None:
+        values["departure"] = {name: value for name, value in values["departure"].items() if value is not None}
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
-    if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
+    if not _has_lines(entries):
         yield from _filled("expect: ", entries)
         return
     yield "expect:"
+    yield from _block(entries, 2)
+
+
+def _block(entries: Mapping[str, Any], column: int) -> Iterator[str]:
+    """Yield the lines of a mapping without braces; a text of several lines is a block as well."""
+    room = " " * column
     for key, value in entries.items():
         if isinstance(value, str) and _fits_literal(value):
-            yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
-            yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
+            yield f"{room}{key}: |" if value.endswith("\n") else f"{room}{key}: |-"
+            yield from (f"{room}  {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
         else:
-            yield f"  {key}: {_flow(value)}"
+            yield f"{room}{key}: {_flow(value)}"
+
+
+def _has_lines(entries: Mapping[str, Any]) -> bool:
+    return any(isinstance(value, str) and "\n" in value for value in entries.values())
 
 
 def _fits_literal(text: str) -> bool:

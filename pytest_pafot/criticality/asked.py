@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pytest_pafot.criticality.zones import passages, times_expected
 from pytest_pafot.model.instructions import Instruction, Step
-from pytest_pafot.model.trace import ACCELERATION, SPEED, FloatArray, Trace, Y
+from pytest_pafot.model.trace import ACCELERATION, SPEED, FloatArray, Trace, X, Y
 
 GAP, HEADWAY, SPEED_OFF, EGO_SPEED_OFF, SLOT = 1.0, 0.1, 1.0, 1.0, 0.3
 """The tolerances of a gap [m], a headway [s], an NPC's speed and the ego's speed [m/s], and a slot [s]."""
@@ -79,9 +80,56 @@ class Asked:
 
 def gap_at(trace: Trace, npc: int, tick: int) -> float:
     """Return the gap between the ego and an NPC along the road [m]; negative if the NPC is behind the ego."""
-    distance = trace.road.distance(npc, tick)
+    return _between_bumpers(trace, npc, trace.road.distance(npc, tick))
+
+
+def _between_bumpers(trace: Trace, npc: int, distance: float) -> float:
     room = abs(distance) - float(trace.sizes[0, 0] + trace.sizes[npc + 1, 0]) / 2
     return math.copysign(max(room, 0.0), distance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """Where an NPC stopped driving as recorded, because its track ended, its step began, or the ego drove otherwise.
+
+    Attributes:
+        npc: index of the NPC.
+        time: when it did [s].
+        gap: the gap between the ego and the NPC along the road then [m]; negative if the NPC was behind.
+        recorded_gap: the same in the recording; None if the recorded ego or the NPC was no longer there.
+    """
+
+    npc: int
+    time: float
+    gap: float
+    recorded_gap: float | None = None
+
+    @property
+    def gaps(self) -> str:
+        """The gaps in words: ``with a gap of 9 m instead of 14 m``."""
+        was = "" if self.recorded_gap is None else f" instead of {abs(self.recorded_gap):.0f} m"
+        return f"with a gap of {abs(self.gap):.0f} m{was}"
+
+    @property
+    def words(self) -> str:
+        """The departure in words: ``leaves the recording after 1.2 s, with a gap of 9 m instead of 14 m``."""
+        return f"leaves the recording after {self.time:.1f} s, {self.gaps}"
+
+
+def departures(trace: Trace) -> tuple[Departure, ...]:
+    """Return where the NPCs of a run left their recordings, in the order of time; empty if none did."""
+    found, ego = [], trace.scenario.ego_track
+    for npc, tick in enumerate(trace.handed_over):
+        if tick is None:
+            continue
+        time, recorded_gap = tick / trace.physics_hz, None
+        track: Any = trace.scenario.npcs[npc][0]
+        if ego is not None and time <= min(ego.seconds, track.track.seconds):
+            distance = float(track.track.at([time])[0, X] - ego.at([time])[0, X])
+            recorded_gap = round(_between_bumpers(trace, npc, distance), 1)
+        gap = round(gap_at(trace, npc, tick), 1)
+        found.append(Departure(npc=npc, time=round(time, 3), gap=gap, recorded_gap=recorded_gap))
+    return tuple(sorted(found, key=lambda each: each.time))
 
 
 def asked(trace: Trace) -> tuple[Asked, ...]:
@@ -149,7 +197,7 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Instruction, *, has_time: bool) -
     done = trace.arrivals[npc][0] if npc < len(trace.arrivals) and trace.arrivals[npc] else None
     is_broken_off = _is_broken_off(trace)
     found: list[Asked] = []
-    speed = manoeuvre.speed
+    speed = manoeuvre.speed if manoeuvre.holds_speed else None
     for number, (step, begin) in enumerate(zip(manoeuvre.steps, begun, strict=False)):
         gap = gap_at(trace, npc, begin)
         if step.gap is not None:
@@ -159,7 +207,9 @@ def _of_npc(trace: Trace, npc: int, manoeuvre: Instruction, *, has_time: bool) -
             time = gap / max(float(trace.states[begin, rear, SPEED]), 0.1)
             found.append(Asked(npc, number, "headway", step.headway, time, HEADWAY + SHARE * abs(step.headway), "s"))
         was = float(trace.states[begin, npc + 1, SPEED])
-        if number == 0 or not step.is_by_distance:  # else it may begin while the one before it goes on
+        if speed is not None and (
+            number == 0 or not step.is_by_distance
+        ):  # else it may begin while the one before it goes on
             found.append(Asked(npc, number, "speed", speed, was, SPEED_OFF, "m/s"))
         speed = speed if step.speed is None else step.speed
         # It was done when a timed step after it began, or with the manoeuvre; those between go on beside it.

@@ -19,6 +19,7 @@ import numpy as np
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.criticality.asked import Departure, departures
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.labels import Label, RunLabel
 from pytest_pafot.findings.neighbours import Breadth
@@ -126,6 +127,8 @@ class Expect:
         fault: rule by which the ego is responsible.
         mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
+        departure: where the NPC of the failure, or else the first that did, left its recording: ``npc``, ``time`` [s],
+            ``gap`` and ``recorded_gap`` [m] (negative: behind). None if no NPC did.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
         against: the reference that passed the scenario, such as ``module:factory`` or ``rev:main (1a2b3c4)``; empty
@@ -152,6 +155,7 @@ class Expect:
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
     situation: Situation | ZoneSituation | None = None
+    departure: Departure | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     avoided_by: Avoidance | None = None
     against: str = ""
@@ -257,6 +261,7 @@ class Expect:
             closing_speed=None if hit is None else _rounded(hit.closing_speed, 3),
             ego_mean_speed=mean_speed(trace, event.time),
             situation=situation_of(run, failure, event.time),
+            departure=min(departures(trace), key=lambda each: (each.npc != event.npc, each.time), default=None),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
             mistake=run.attribution.mistake if run.attribution.fault == "entered-lane" else None,

@@ -22,7 +22,7 @@ ALL_SPEEDS, DURATION = 0.1, 0.1
 """The largest steps of all speeds together, and of the duration of a gene, as shares of the values."""
 WHOLE_TICKS = 0.2
 """Other durations of a gene are multiples of this [s], because a world needs whole ticks, of 1/15 s by default."""
-STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic", "vehicles")
+STAYING = ("seed", "ego_lane", "ego_speed", "gene_seconds", "traffic", "vehicles", "ego_track")
 """The fields of a scenario beside its chains. They stay, unless a neighbour differs in one of them."""
 WIDE = 3.0
 """The share of the steps below for the neighbours of a replay, because a policy that was changed fails elsewhere: with
@@ -222,7 +222,8 @@ class _Neighbour:
     @property
     def has_duration(self) -> bool:
         """True if the duration of a gene changes anything."""
-        return not math.isinf(self.scenario.seconds) or any(len(chain) > 1 for chain in self.scenario.npcs)
+        timed = self.scenario.ego_track is None and not math.isinf(self.scenario.seconds)
+        return timed or any(len(chain) > 1 for chain in self.scenario.npcs)
 
     def _with(self, chains: Sequence[Chromosome], **fields: float) -> Scenario:
         kept = {name: getattr(self.scenario, name) for name in STAYING}

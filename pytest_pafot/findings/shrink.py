@@ -172,9 +172,10 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
        other duration.
     8. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
        than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths. The distances
-       of manoeuvres are as speeds, and a step's other numbers are simplest at their defaults.
+       of manoeuvres are as speeds, and a step's other numbers are simplest at their defaults. A recorded track is
+       simplest as it was recorded.
     9. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
-       from 0 instead of its speed; nothing for a manoeuvre.
+       from 0 instead of its speed; nothing for a manoeuvre; for a track, how far it is from the recording.
     10. The traffic: the paper's is simplest, because it adds no rules.
     11. The seed of the repair: 0 is simplest.
 
@@ -351,6 +352,8 @@ class _Gate:
         return is_new and sort_key(candidate) < sort_key(self.best)
 
     def _is_allowed(self, candidate: Scenario) -> bool:
+        if (candidate.ego_track is None) != (self.best.ego_track is None):
+            return False  # it would be no scenario around the recording
         return all(self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain)
 
     def driven(self, candidate: Scenario) -> Asking[Scenario | None]:
@@ -555,8 +558,10 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
 
     Their NPCs are cars; if the scenario has another vehicle, also all of them are the first other one. They are on the
     grid, in turn with those of other kinds of instructions that the scenario has. If it has NPCs that cross, try only
-    one NPC that crosses in a zone of the scenario.
+    one NPC that crosses in a zone of the scenario. Around a recording there are none.
     """
+    if any(chain[0].follows_track for chain in found.npcs):
+        return
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
@@ -615,6 +620,8 @@ def _intervals(gate: _Gate, intervals: list[SpeedInterval]) -> Asking[None]:
     """Add for every instruction the lowest and highest speed found at which the scenario still fails."""
     scenario = gate.best
     for npc, start, end, speed in _all_blocks(scenario):
+        if not scenario.npcs[npc][start].holds_speed:
+            continue
 
         def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> Asking[bool]:
             candidate = _with_speed(scenario, npc, start, end, speed + change)

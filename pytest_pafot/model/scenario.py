@@ -26,6 +26,7 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     ScenarioError,
+    Track,
     instruction_of,
 )
 from pytest_pafot.model.instructions.instruction import checked_number, encoded
@@ -68,7 +69,8 @@ class Scenario(_Hashed):
         npcs: chains of one to eight NPCs, one non-empty chain per NPC; lengths may differ. An NPC with a shorter
             chain than the longest keeps its lane and speed after its last gene (paper, section 2). In a run that goes
             on after the longest chain, an NPC with that chain goes on with its last gene. Each NPC has
-            Position-Instructions, Lane-Instructions, one Crossing-Instruction or one Manoeuvre, or is Free.
+            Position-Instructions, Lane-Instructions, one Crossing-Instruction, one Manoeuvre or one Recorded, or is
+            Free.
         seed: seed of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: the ego's first lane, counted from 0 at the left.
         ego_speed: first speed of the ego, and of all NPCs whose instruction does not say where they start, unless a
@@ -77,6 +79,9 @@ class Scenario(_Hashed):
         traffic: driving style of the NPCs; the paper's by default.
         vehicles: what vehicle each NPC is, in the order of the NPCs: a ``VehicleType``, or the name of a ready one. All
             NPCs after the last one are cars.
+        ego_track: the track of the vehicle in whose place the policy drives, if NPCs drive as recorded: as long as the
+            ego is near it, they follow their tracks, and the run ends with it. Without it, they follow them only as
+            long as nobody is near. It is None if no NPC has a track.
 
     Raises:
         ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
@@ -90,6 +95,7 @@ class Scenario(_Hashed):
     gene_seconds: float = GENE_SECONDS
     traffic: Traffic = PAPERS
     vehicles: tuple[VehicleType, ...] = ()
+    ego_track: Track | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
@@ -107,6 +113,10 @@ class Scenario(_Hashed):
         if not isinstance(self.traffic, Traffic):
             fix = 'write pafot.Traffic(style="everyday")'
             raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)
+        if not isinstance(self.ego_track, Track | None):
+            raise ScenarioError(field="ego_track", expected="a Track", received=f"{self.ego_track!r:.60}")
+        if self.ego_track is not None and not any(chain[0].follows_track for chain in self.npcs):
+            object.__setattr__(self, "ego_track", None)  # nobody's driving depends on it
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
             _check_adjacency(self.npcs)
             _check_distinct(self.npcs)
@@ -122,6 +132,7 @@ class Scenario(_Hashed):
         gene_seconds: float = GENE_SECONDS,
         traffic: Traffic = PAPERS,
         vehicles: Sequence[VehicleType | str] = (),
+        ego_track: Track | None = None,
     ) -> Scenario:
         """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
 
@@ -136,6 +147,7 @@ class Scenario(_Hashed):
             gene_seconds=gene_seconds,
             traffic=traffic,
             vehicles=_checked_vehicles(vehicles, len(npcs)),
+            ego_track=ego_track,
         )
 
     @classmethod
@@ -172,7 +184,12 @@ class Scenario(_Hashed):
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC has a gene without a duration."""
+        """The duration of the longest chain [s]; infinite if an NPC has a gene without a duration.
+
+        With the track of a recorded ego, it is that of the track.
+        """
+        if self.ego_track is not None:
+            return self.ego_track.seconds
         has_duration = not any(chain[0].is_alone for chain in self.npcs)
         return self.genes * self.gene_seconds if has_duration else math.inf
 
@@ -191,9 +208,10 @@ class Scenario(_Hashed):
 
     @property
     def _beside_chains(self) -> list[Any]:
-        traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic.plain()]
-        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # a list, as no traffic is
-        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
+        track = [] if self.ego_track is None else [self.ego_track.text]
+        traffic: list[Any] = [] if self.traffic == PAPERS and not track else [self.traffic.plain()]
+        vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # a list, as no other one is
+        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *track, *vehicles]
 
     @property
     def chains_text(self) -> str:
@@ -210,7 +228,7 @@ class Scenario(_Hashed):
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
         vehicles = others.pop() if others and isinstance(others[-1], list) else ()
-        (traffic,) = others or [PAPERS]
+        traffic, track = others[:1], others[1:]
         chains = tuple(tuple(map(instruction_of, chain)) for chain in npcs)
         return cls(
             npcs=chains,
@@ -218,8 +236,9 @@ class Scenario(_Hashed):
             ego_lane=ego_lane,
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
-            traffic=Traffic.of(traffic),
+            traffic=Traffic.of(*traffic) if traffic else PAPERS,
             vehicles=tuple(vehicles),
+            ego_track=Track(*track) if track else None,
         )
 
     def rechained(self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None) -> Scenario:
@@ -235,6 +254,7 @@ class Scenario(_Hashed):
             gene_seconds=self.gene_seconds,
             traffic=self.traffic,
             vehicles=self.vehicles,
+            ego_track=self.ego_track,
         )
 
     def vehicle_of(self, npc: int) -> VehicleType:

@@ -503,6 +503,8 @@ class Trace(Shown):
         driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
             that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
         begun: for each NPC the ticks at which the steps of its manoeuvre began. Empty if no NPC has one.
+        handed_over: for each NPC the tick from which it no longer drove as recorded; None if it did up to the end, or
+            never. Empty if no NPC drives as recorded.
         obstacles: the fixed objects on the road that vehicles can touch: x [m], y [m], heading [rad], length and width
             [m].
         drew: True if the run drew from a global random generator, so that another seed may give another run.
@@ -529,6 +531,7 @@ class Trace(Shown):
     on_way: FloatArray | None = None
     driven: tuple[tuple[Cell, ...], ...] = ()
     begun: tuple[tuple[int, ...], ...] = ()
+    handed_over: tuple[int | None, ...] = ()
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
     npc_error: tuple[int, AdsError] | None = None

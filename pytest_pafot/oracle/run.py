@@ -19,7 +19,7 @@ from pytest_pafot.attribution.responsibility import Attribution, position_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
-from pytest_pafot.criticality.asked import Asked, asked
+from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import (
     BY_NAME,
     EgoLaneChange,
@@ -534,6 +534,7 @@ class Run(Shown):
             instructions: whether to name the scenario and its instructions.
         """
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
+        lines += [f"  {sentence}" for sentence in self._after_recording()]
         if instructions:
             names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
             names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
@@ -606,6 +607,13 @@ class Run(Shown):
         if speeds[tick] > -BACKWARDS:
             return []
         return [f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"]
+
+    def _after_recording(self) -> Iterator[str]:
+        """Yield how long before the collision its NPC stopped driving as recorded, if it did."""
+        hit = self.collision
+        for each in departures(self.trace):
+            if hit is not None and each.npc == hit.npc:
+                yield f"fails {hit.time - each.time:.1f} s after NPC {each.npc} left the recording, {each.gaps}"
 
     def _hardest_brake(self) -> str:
         """Return the words for the ego's hardest braking and its time.
@@ -686,11 +694,12 @@ def _crossing_lines(trace: Trace) -> list[str]:
 
 def _manoeuvre_lines(trace: Trace, measured: Sequence[Asked]) -> list[str]:
     """Return the start of each manoeuvre, its steps with the times at which they began, and what was not as asked."""
-    lines, missed = [], [each for each in measured if not each.is_met]
+    lines, missed, left = [], [each for each in measured if not each.is_met], departures(trace)
     for npc, chain in enumerate(trace.executed.npcs):
         if not chain[0].place:
             continue
         lines.append(f"  NPC {npc}: {chain[0].place}, {chain[0].speed:.1f} m/s")
+        lines += [f"    {each.words}" for each in left if each.npc == npc]
         begun = trace.steps_begun(npc)
         for number, step in enumerate(chain[0].steps):
             when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"

@@ -48,13 +48,13 @@ class Catalogued:
                     f"`def {pyfuncitem.originalname}({DEFAULT_ARG})`, and give other parameters other names"
                 )
             opened(CATALOGUE).check(mark.args, mark.kwargs)
-            _drive(pyfuncitem, name, mark.kwargs)
+            _drive(pyfuncitem, name, mark.args, mark.kwargs)
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None
         return True
 
 
-def _drive(item: pytest.Function, name: str, given: Mapping[str, Any]) -> None:
+def _drive(item: pytest.Function, name: str, named: tuple[Any, ...], given: Mapping[str, Any]) -> None:
     __tracebackhide__ = True
     from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
     from pytest_pafot.campaign.verdict import source_file  # noqa: PLC0415
@@ -72,7 +72,7 @@ def _drive(item: pytest.Function, name: str, given: Mapping[str, Any]) -> None:
     # The default highway is too slow for some entries; a world that the user has chosen is used as it is.
     world = None if world == Highway() and "world" not in given else world
     test, file = bound_test(item, DEFAULT_ARG), source_file(item.obj, str(item.path))
-    result = opened(CATALOGUE).driven(name, world, ads, given, test, file)
+    result = opened(CATALOGUE).driven(name, named, world, ads, given, test, file)
     if result.skip:  # `-rs` then names the place of the test and not of this file
         raise pytest.skip.Exception(result.skip, _use_item_location=True)
     if result.lines:

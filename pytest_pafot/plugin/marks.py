@@ -52,11 +52,12 @@ def catalogue(*names: Any, **values: Any) -> Any:
     the situation did not come up as it was asked for.
 
     Args:
-        names: the names of entries, such as ``r157/cut-in``, or of groups, such as ``r157``; by default all.
+        names: the names of entries, such as ``r157/cut-in``, or of groups, such as ``r157``; by default all. A
+            ``pafot.Recording`` in the place of a name stands for the scenarios around its vehicles.
         values: other values for parameters of the entries, such as ``ego_speed=60 / 3.6``; and as for ``@pafot.search``
             ``ads``, the factory or the name of its fixture, ``world``, and ``requirement``, ``title`` and ``owner``.
     """
-    if len(names) == 1 and not values and callable(names[0]):
+    if len(names) == 1 and not values and callable(names[0]) and not hasattr(names[0], "entries"):  # no recording
         return catalogue()(names[0])
 
     def decorated(function: Any) -> Any:

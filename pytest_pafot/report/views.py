@@ -14,7 +14,7 @@ import numpy as np
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
-from pytest_pafot.criticality.asked import Asked, asked
+from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Sighting
@@ -479,10 +479,12 @@ def _steps(trace: Trace | None, npc: int, manoeuvre: Instruction, missed: Sequen
     begun = () if trace is None else trace.steps_begun(npc)
     hz, last = (1, 0.0) if trace is None else (trace.physics_hz, trace.duration)
     times = [0.0, *(tick / hz for tick in begun)]
+    left = () if trace is None else departures(trace)
+    place = "; ".join([manoeuvre.place, *(each.words for each in left if each.npc == npc)])
     speed = manoeuvre.speed
     for gene, step in enumerate((None, *manoeuvre.steps)):
         is_begun = gene < len(times)
-        words = manoeuvre.place if step is None else step.words
+        words = place if step is None else step.words
         if step is not None:
             speed = speed if step.speed is None else step.speed
             words = "; ".join([words, *(each.words for each in missed if each.step == gene - 1)])

@@ -377,5 +377,6 @@ def plain_chains(scenario: Scenario) -> Chains:
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
     # A run whose end does not depend on its chains goes on after the last gene, which a longer chain would not.
     ends = 0 if all(len(chain) == len(chains[0]) for chain in chains) else scenario.genes
-    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, scenario.vehicles, ends)
+    beside = (scenario.traffic, scenario.vehicles, scenario.ego_track)
+    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, *beside, ends)
     return (*start, depth, *[chain[:depth] for chain in chains])

@@ -22,7 +22,9 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import (
     SearchSpace,
+    changed,
     fresh_seed,
+    one_more,
     repaired,
     sample,
 )
@@ -111,6 +113,8 @@ def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> S
 
 
 def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    if space.around is not None:
+        return one_more(scenario, space, rng) if rng.random() < SIZES else changed(scenario, space, rng)
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
     vehicles = VEHICLES if len(space.vehicles) > 1 else 0.0

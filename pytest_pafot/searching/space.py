@@ -21,6 +21,7 @@ from pytest_pafot.model.instructions import (
     Choices,
     Instruction,
     PositionInstruction,
+    Track,
     known,
     random_free,
     random_lanes,
@@ -54,6 +55,11 @@ CARS = (CAR,)
 """The vehicles of a search in which all NPCs are cars."""
 OTHERS = 1 / 6
 """Share of the NPCs that are no cars, if NPCs can be other vehicles."""
+MOST_CHANGES, ADDED, TRIES = 3, 0.2, 20
+"""Around a recording, the most changes of a sampled scenario, the share of them that add an NPC, and how often a change
+is drawn until no two starts touch."""
+LEAST_GAP = 0.5
+"""The least gap between two starts in a lane [m]."""
 MOST_ON_GRID = 2
 """Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
 
@@ -103,6 +109,7 @@ class SearchSpace:
         drivers: the names of the drivers of free NPCs; half of the NPCs are then free. If empty, none is.
         row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
         first: scenarios that a search drives before those that it samples.
+        around: the scenario of recorded NPCs that all scenarios of a search are changes of; None for none.
     """
 
     npcs: int = 2
@@ -128,6 +135,7 @@ class SearchSpace:
     drivers: tuple[str, ...] = ()
     row: tuple[float, float] = (0.0, 0.0)
     first: tuple[Scenario, ...] = ()
+    around: Scenario | None = None
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -167,10 +175,12 @@ class SearchSpace:
     @property
     def plain(self) -> dict[str, Any]:
         """The fields as plain data: without ``crossings``; some others only if they are not usual."""
-        data = asdict(replace(self, crossings=None, first=()))
+        data = asdict(replace(self, crossings=None, first=(), around=None))
         if self.first:
             data["begin_with"] = [scenario.id for scenario in self.first]
         data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
+        if self.around is not None:
+            data["around"] = self.around.id
         usual = {
             "crossings": None,
             "acts": crossing_traffic.ACTS,
@@ -183,6 +193,7 @@ class SearchSpace:
             "drivers": (),
             "row": (0.0, 0.0),
             "first": (),
+            "around": None,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -221,6 +232,11 @@ class SearchSpace:
         return min(round(self.traffic.least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
 
     @property
+    def ego_track(self) -> Track | None:
+        """The track of the recorded ego in all scenarios."""
+        return None if self.around is None else self.around.ego_track
+
+    @property
     def choices(self) -> Choices:
         """What an instruction may have in this space."""
         start = self.ego_lane, self.ego_speed, self.lanes, self.room
@@ -242,11 +258,12 @@ class SearchSpace:
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
         free = f", half of them free ({', '.join(self.drivers)})" if self.drivers else ""
+        kind = f"{kinds[self.instructions]}{free}"
+        kind = kind if self.around is None else f" around the recording {self.around.id}"
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
         others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
-        start = f"the ego starts at {speed} m/s in {lane}"
-        return f"{npcs}{kinds[self.instructions]}{free}{traffic}{ways}; {start}{others}"
+        return f"{npcs}{kind}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -354,9 +371,15 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     If there are drivers, half of the NPCs are free, wherever no other NPC starts.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
+    Around a recording, one to three changes are made of it.
 
-    In a space with other vehicles than cars, what each NPC is is sampled last.
+    In a space with other vehicles than cars, what each NPC is is sampled last. Around a recording, it stays.
     """
+    if space.around is not None:
+        found = space.around
+        for _ in range(int(rng.integers(1, MOST_CHANGES + 1))):
+            found = one_more(found, space, rng) if rng.random() < ADDED else changed(found, space, rng)
+        return replace(found, seed=fresh_seed(rng))
     scenario = _sample_cars(space, rng)
     if not space.other_vehicles:
         return scenario
@@ -422,6 +445,51 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
     ]
 
 
+def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """Return a scenario around a recording with a change of one NPC, if one is found with which no two starts touch."""
+    choices = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
+    for _ in range(TRIES):
+        npc = int(rng.integers(len(scenario.npcs)))
+        new = scenario.npcs[npc][0].varied(choices, rng)
+        found = replace(scenario, npcs=(*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :]))
+        if are_apart(found, space.room):
+            return found
+    return scenario
+
+
+def one_more(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
+    """Return a scenario around a recording with one more NPC, which has a manoeuvre, or without one that was added.
+
+    If there is no room for its start, it is the scenario itself.
+    """
+    added = [npc for npc, (first, *_) in enumerate(scenario.npcs) if not first.follows_track]
+    if added and rng.integers(2):
+        gone = added[int(rng.integers(len(added)))]
+        return scenario.of_npcs(npc for npc in range(len(scenario.npcs)) if npc != gone)
+    for _ in range(TRIES if len(scenario.npcs) < space.most_on(scenario.ego_lane) else 0):
+        found = replace(scenario, npcs=(*scenario.npcs, (random_manoeuvre(space.choices, scenario.npcs, rng),)))
+        if are_apart(found, space.room):
+            return found
+    return scenario
+
+
+def are_apart(scenario: Scenario, room: tuple[float, float]) -> bool:
+    """Return whether the starts of NPCs with tracks and manoeuvres are on the road and do not touch, nor the ego's."""
+    behind, ahead = room
+    taken = [(0.0, 0, CAR.length)]
+    for (first, *_), vehicle in zip(scenario.npcs, scenario.all_vehicles, strict=True):
+        along = first.ahead
+        if along and not first.follows_track:  # from bumper to bumper
+            along += math.copysign((CAR.length + vehicle.length) / 2, along)
+        if not -behind <= along <= ahead or any(
+            lane == first.beside and abs(along - other) < (length + vehicle.length) / 2 + LEAST_GAP
+            for other, lane, length in taken
+        ):
+            return False
+        taken.append((along, first.beside, vehicle.length))
+    return True
+
+
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a scenario in which all NPCs have Lane-Instructions; it needs no repair, so its seed is 0."""
     return repaired(random_lanes(space.choices, space.npcs, space.genes, rng), 0, space)
@@ -463,6 +531,7 @@ def repaired(
         gene_seconds=start.gene_seconds,
         traffic=start.traffic,
         vehicles=without_last_cars(vehicles),
+        ego_track=start.ego_track,
     )
 
 

@@ -103,7 +103,7 @@ class Rules:
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         self._check_lane(scenario.ego_lane)
         cells, crossings = self.start_cells(scenario), scenario.crossings
-        on_grid = crossings.count(None) if crossings else len(scenario.npcs)
+        on_grid = sum(not (chain[0].crosses or chain[0].keeps_start) for chain in scenario.npcs)
         if on_grid > len(cells):
             kind = " that do not cross" if crossings else ""
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
@@ -187,10 +187,16 @@ class Rules:
 
     def _check_manoeuvres(self, scenario: Scenario) -> None:
         """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
-        asked = [(npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if chain[0].has_start]
+        asked: list[tuple[int, Any]] = [
+            (npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if chain[0].keeps_start
+        ]
         for npc, manoeuvre in asked:
             if manoeuvre.drives_itself:
                 self._check_free(f"npcs[{npc}][0].driver", manoeuvre)
+            if manoeuvre.follows_track and not self.road.starts_at_origin:
+                expected, fix = "a straight road for NPCs that drive as recorded", "use pafot.Highway"
+                received = f"a road of {self.road.lane_count} lanes in a road network"
+                raise ScenarioError(field=f"npcs[{npc}][0]", expected=expected, received=received, fix=fix)
             for number, step in enumerate(manoeuvre.steps):
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
@@ -231,14 +237,16 @@ class Rules:
             raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
 
     def along_at(
-        self, manoeuvre: Instruction, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
+        self, first: Any, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
     ) -> float:
-        """Return the place along the road at which an NPC with a manoeuvre starts [m]."""
-        if manoeuvre.ahead == 0:
+        """Return the place along the road at which an NPC starts whose instruction says where [m]."""
+        if first.follows_track:
+            return self.ego_start + float(first.ahead)
+        if first.ahead == 0:
             return self.ego_start
         stretch = self.road.stretch(scenario.ego_lane, self.ego_start)
-        room = math.copysign((ego_length + vehicle.length) / 2, manoeuvre.ahead)
-        return self.ego_start + (manoeuvre.ahead + room) / stretch
+        room = math.copysign((ego_length + vehicle.length) / 2, first.ahead)
+        return self.ego_start + (float(first.ahead) + room) / stretch
 
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
@@ -275,12 +283,12 @@ def start_places(
     """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
 
     NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
-    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres start where
-    these say.
+    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres or tracks
+    start where these say.
     """
     start, apart, beside = rules.ego_start, rules.start_distance(scenario, ego_length), []
     for cell, (_, first, vehicle) in zip(cells, _not_crossing(scenario), strict=True):
-        if first.has_start:
+        if first.keeps_start:
             along = rules.along_at(first, scenario, ego_length, vehicle)
             beside.append((along, scenario.ego_lane + first.beside))
             continue
@@ -300,7 +308,7 @@ def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float,
     firsts = _not_crossing(scenario)
     return [
         rules.road.start_speed(
-            min(first.speed if first.has_start else scenario.ego_speed, kind.top_speed), lane, along, kind
+            min(first.speed if first.keeps_start else scenario.ego_speed, kind.top_speed), lane, along, kind
         )
         for (_, first, kind), (along, lane) in zip(firsts, places, strict=True)
     ]

@@ -1,9 +1,10 @@
-"""How near do manoeuvres come to recorded tracks, and how many OpenSCENARIO files of others are read?
+"""How near do NPCs come to recorded tracks, and how many OpenSCENARIO files of others are read?
 
     python -m tests.benchmarks.recordings [--recordings 8] [--scenarios FOLDER] [--vehicles FILE ...]
 
-Records highway-env's own traffic of IDM and MOBIL vehicles, makes a scenario of each recording, and drives each of its
-manoeuvres for 20 s where nothing disturbs it. Prints how far the NPCs are from the tracks. With ``--scenarios``, also
+Records highway-env's own traffic of IDM and MOBIL vehicles, and makes scenarios of each recording. Drives that of
+recorded NPCs for 20 s with an ego that keeps its speed, as the recorded one does, and each manoeuvre of the other one
+where nothing disturbs it. Prints how far the NPCs are from the tracks. With ``--scenarios``, also
 reads all ``.xosc`` files of a folder, with the catalogues of ``--vehicles``, and prints why the others are refused.
 """
 
@@ -49,9 +50,27 @@ def recorded_traffic(seed: int, path: Path) -> pafot.Recording:
     return pafot.recorded(path)
 
 
+def distances_as_recorded(recording: pafot.Recording) -> list[float]:
+    """Return how far each NPC that drives as recorded is from its track at most, until it leaves it [m]."""
+    scenario, ego = recording.scenario(at=BEGIN, seconds=SECONDS), recording.vehicle("ego").at(BEGIN)[0]
+    nearest = sorted(recording.vehicles, key=lambda each: abs(each.at(BEGIN)[0, X] - ego[X]))[1:]
+    world = pafot.Highway(lanes=4, speed_limit=36.3, duration=float(SECONDS))
+    trace, found = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0)), []
+    begin = trace.states[0, 0, [X, Y]]
+    for npc, vehicle in enumerate(nearest[: len(scenario.npcs)]):
+        until = trace.ticks if trace.handed_over[npc] is None else trace.handed_over[npc]
+        track = vehicle.at(BEGIN + trace.times[: until + 1])[:, [X, Y]] - ego[[X, Y]]
+        missed = trace.states[: until + 1, npc + 1, [X, Y]] - begin - track
+        found.append(float(np.hypot(*missed.T).max()))
+    return found
+
+
 def distances(recording: pafot.Recording) -> list[float]:
     """Return how far each NPC of a recording's scenario is from its track at most [m]."""
-    scenario, ego = recording.scenario(at=BEGIN, seconds=SECONDS), recording.vehicle("ego").at(BEGIN)[0]
+    scenario, ego = (
+        recording.scenario(at=BEGIN, seconds=SECONDS, as_manoeuvres=True),
+        recording.vehicle("ego").at(BEGIN)[0],
+    )
     nearest = sorted(recording.vehicles, key=lambda each: abs(each.at(BEGIN)[0, X] - ego[X]))[1:]
     times, found = np.arange(SECONDS * 10) / 10, []
     world = pafot.Highway(lanes=6, speed_limit=36.3, duration=float(SECONDS))
@@ -72,9 +91,11 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         paths = [(seed, Path(folder) / f"{seed}.csv") for seed in range(arguments.recordings)]
-        found = [each for seed, path in paths for each in distances(recorded_traffic(seed, path))]
-    shares = ", ".join(f"{share:.0%}: {np.quantile(found, share):.2f} m" for share in (0.5, 0.75, 0.9, 1.0))
-    sys.stdout.write(f"{len(found)} tracks, farthest at any moment: {shares}\n")
+        recordings = [recorded_traffic(seed, path) for seed, path in paths]
+    for name, measured in (("as recorded", distances_as_recorded), ("as manoeuvres", distances)):
+        found = [each for recording in recordings for each in measured(recording)]
+        shares = ", ".join(f"{share:.0%}: {np.quantile(found, share):.2f} m" for share in (0.5, 0.75, 0.9, 1.0))
+        sys.stdout.write(f"{len(found)} tracks {name}, farthest at any moment: {shares}\n")
     reasons: Counter[str] = Counter()
     for path in sorted(arguments.scenarios.rglob("*.xosc")) if arguments.scenarios else ():
         try:

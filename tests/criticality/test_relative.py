@@ -88,7 +88,10 @@ def driven(*vehicles, touched=False):
     scenario = scenario_of(count - 1)
     run = object.__new__(VehiclesOfRun)
     run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=())
-    run.scenario, run.director = scenario, SimpleNamespace(executed=scenario, arrivals=(), driven=(), begun=())
+    run.scenario, run.director = (
+        scenario,
+        SimpleNamespace(executed=scenario, arrivals=(), driven=(), begun=(), handed_over=()),
+    )
     run.places, run.rows, run.sizes = places, rows, [(LENGTH, WIDTH)] * count
     run.loop = SimpleNamespace(tick=ticks, is_over=touched, ego_touched=touched, npcs_touched=False, npc_error=None)
     return run.trace(EgoDriver(bodies[0], 3))

@@ -176,7 +176,7 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
         ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
         ({"npcs": [[one()]] * 9}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 9"),
         ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
-        ({"npcs": [[(2, 20.0)]]}, "a Manoeuvre or a Free, received (2, 20.0); write Position"),
+        ({"npcs": [[(2, 20.0)]]}, "a Manoeuvre, a Free or a Recorded, received (2, 20.0); write Position"),
         ({"npcs": [one()]}, "npcs: expected one chain of instructions per NPC, received [Position"),
         ({"npcs": None}, "npcs: expected one chain of instructions per NPC, received None; write [["),
         ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),

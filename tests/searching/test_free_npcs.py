@@ -139,7 +139,7 @@ def test_shrinking_prefers_what_a_reader_knows(is_needed, simplest):
 
     def fails(scenario):
         each = scenario.npcs[0][0]
-        is_there = each.has_start and (each.beside, each.ahead > 0) == (1, True)
+        is_there = each.keeps_start and (each.beside, each.ahead > 0) == (1, True)
         return scenario if is_there and is_needed(each) else None
 
     given = Scenario(npcs=((Free(beside=1, ahead=31.4, speed=21.3, driver="last"),),))
@@ -176,6 +176,7 @@ def test_wrong_drivers_are_refused(drivers, message):
         (WORLD, {"algorithm": "pafot"}, "expected a search whose NPCs have Position- or Lane-Instructions"),
         (WORLD, {"instructions": "manoeuvres"}, "expected a search whose NPCs have"),
         (World("highway-v0"), {"drivers": "policy"}, "expected no 'policy' in a world whose policy has the"),
+        (WORLD, {"around": 3}, "arguments of scenarios beside it, received drivers"),
     ],
 )
 def test_search_that_can_have_no_free_npcs_is_refused(world, more, message):

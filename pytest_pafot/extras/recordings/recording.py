@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Manoeuvre, Scenario, Step
+from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track, catalogue
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
 from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
 from pytest_pafot.support.errors import FieldError, sentence
@@ -25,6 +26,8 @@ LANE_WIDTH = 3.5
 """The width of the lanes of a recording that has none [m]."""
 LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
 """The longest scenario [s], the most NPCs that it can have, and how far from the ego one can start [m, lanes]."""
+RATE, FASTEST_RATE = 10, 15
+"""The rate of tracks, and the highest one that a track can keep [1/s]."""
 STRAIGHT = 0.4
 """The largest heading of a vehicle that drives along the road [rad]."""
 
@@ -88,8 +91,8 @@ class RecordedVehicle:
 class Recording:
     """Tracks of vehicles, in the coordinates of a trace: y and headings grow to the right.
 
-    :func:`pytest_pafot.recorded` reads one. Nothing drives along its tracks yet: :meth:`scenario` makes manoeuvres of
-    them, and the arrays can be plotted and measured.
+    :func:`pytest_pafot.recorded` reads one. :meth:`scenario` makes a scenario whose NPCs drive along its tracks, and
+    the arrays can be plotted and measured.
 
     Attributes:
         vehicles: all vehicles, in the order of the data. Each has rows only for the time in which it was seen.
@@ -165,20 +168,24 @@ class Recording:
             vehicles.append(replace(vehicle, states=states))
         return replace(self, vehicles=tuple(vehicles), lanes=tuple(lanes), ego=ego.name)
 
-    def scenario(self, ego: object = None, at: float | None = None, seconds: float = 20.0) -> Scenario:
+    def scenario(
+        self, ego: object = None, at: float | None = None, seconds: float = 20.0, *, as_manoeuvres: bool = False
+    ) -> Scenario:
         """Return a scenario that starts as the recording is at a time, and whose NPCs then drive as recorded.
 
-        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each has a
-        manoeuvre: its place relative to the ego, and steps by time, of speeds and changes of lanes, which follow its
-        track whatever the policy does. They all are 5 m long, with the gaps of the recording between bumpers, and in
-        the middle of lanes of 4 m. A vehicle that comes later is not in the scenario. One that leaves the recording
-        keeps its lane and speed. The road has
-        lanes to the left of the recorded ones if a vehicle drives there.
+        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each follows its
+        track (:class:`pytest_pafot.Recorded`) as long as the policy drives as the recorded ego did. Their boxes are 5 m
+        long, around the centres of the recording, and lanes of the recording become lanes of 4 m. A vehicle that comes
+        later is not in the scenario. One that leaves the recording goes on attentively in its lane. The road has lanes
+        to the left of the recorded ones if a vehicle drives there.
 
         Args:
             ego: the vehicle in whose place the policy drives; the recording's ego by default.
             at: the time of the start on the clock of the data [s]; when the ego is first seen by default.
             seconds: how long the NPCs follow their tracks [s].
+            as_manoeuvres: give them manoeuvres instead: places relative to the ego, and steps by time, of speeds and
+                changes of lanes. These keep the gaps of the recording between bumpers, can be driven on every road, and
+                stay near the tracks whatever the policy does.
 
         Raises:
             RequestError: if nothing drives near the ego at that time, or the road is not straight.
@@ -188,10 +195,11 @@ class Recording:
         seen = self.seen_from(self.ego if ego is None else ego)
         own = seen.vehicle(seen.ego)
         start = float(own.times[0] if at is None else at)
-        if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= LONGEST:
+        longest = LONGEST if as_manoeuvres else (Track.most - 1) / RATE
+        if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= longest:
             raise RequestError(
                 f"{self.source}: expected a time at which {own.name} was seen, from {own.times[0]:g} to "
-                f"{own.times[-1]:g} s, and at most {LONGEST:g} s, received at={start:g} and seconds={seconds:g}"
+                f"{own.times[-1]:g} s, and at most {longest:g} s, received at={start:g} and seconds={seconds:g}"
             )
         here = own.at(start)[0]
         bent = np.abs(own.at(own.times[(own.times >= start) & (own.times <= start + seconds)])[:, HEADING])
@@ -216,6 +224,8 @@ class Recording:
                 f"{start:g} s, received none; start at another time"
             )
         nearest = [other for *_, other in sorted(npcs)[:MOST_NPCS]]
+        if not as_manoeuvres:
+            return self._as_recorded(own, nearest, start, seconds, columns)
         manoeuvres = []
         for other in nearest:
             first = other.at(start)[0]
@@ -231,6 +241,45 @@ class Recording:
         first_lane = max(lane if columns.are_known else 1, -least)
         return Scenario(
             npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
+        )
+
+    @property
+    def entries(self) -> Sequence[Any]:
+        """The scenarios of the recording as entries of the catalogue: of its ego, or else of each vehicle."""
+        from pytest_pafot.extras.recordings.recorded_entries import entries_of  # noqa: PLC0415  (only tests need the catalogue)
+
+        return entries_of(self)
+
+    def __call__(self, test: Any) -> Any:
+        """Make an item of a test for each scenario of the recording, as ``@pafot.catalogue(recording)`` does."""
+        return catalogue(self)(test)
+
+    def _as_recorded(
+        self, own: RecordedVehicle, others: Sequence[RecordedVehicle], start: float, seconds: float, columns: _Columns
+    ) -> Scenario:
+        x, y, _, speed = own.at(start)[0].tolist()
+        lane, rate = columns.of(y), round(self.rate)
+        if abs(rate - self.rate) > 0.01 or not RATE <= rate <= FASTEST_RATE or seconds * rate > Track.most - 1:
+            rate = RATE
+
+        def track(vehicle: RecordedVehicle) -> Track | None:
+            states = _driven(vehicle, start, seconds, rate)
+            across = Track.lane_width * (columns.shares(states[:, Y]) - lane) if columns.are_known else states[:, Y] - y
+            places = np.stack([states[:, X] - x, across, states[:, HEADING], states[:, SPEED]], axis=-1)
+            return Track.of(places, rate) if len(places) > 1 else None
+
+        tracks = [found for found in map(track, others) if found is not None]
+        if not tracks:
+            raise RequestError(
+                f"{self.source}: expected vehicles that are seen for some time from {start:g} s on, received none; "
+                "start at another time"
+            )
+        leftmost = min(float(each.states[:, 1].min()) for each in tracks)
+        return Scenario(
+            npcs=tuple((Recorded(track=each),) for each in tracks),
+            ego_lane=max(lane if columns.are_known else 1, round(-leftmost / Track.lane_width)),
+            ego_speed=max(speed, 0.0),
+            ego_track=track(own),
         )
 
     def __repr__(self) -> str:
@@ -270,9 +319,14 @@ def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
 
 def _steps(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
     """Return the steps that follow a vehicle from a time on until it leaves the recording or the road."""
+    states = _driven(vehicle, start, seconds, PACE)
+    return followed(states, columns.shares(states[:, Y]))
+
+
+def _driven(vehicle: RecordedVehicle, start: float, seconds: float, rate: float) -> FloatArray:
+    """Return the states of a vehicle at a rate from a time on, until it leaves the recording or the road."""
     end = min(seconds, float(vehicle.times[-1]) - start)
-    times = start + np.arange(math.floor(end * PACE + 1e-6) + 1) / PACE
+    times = start + np.arange(math.floor(end * rate + 1e-6) + 1) / rate
     states = vehicle.at(np.minimum(times, vehicle.times[-1]))  # a sum may round up beyond the last time
     turned = np.abs(states[:, HEADING]) > STRAIGHT
-    states = states[: turned.argmax()] if turned.any() else states
-    return followed(states, columns.shares(states[:, Y]))
+    return states[: turned.argmax()] if turned.any() else states

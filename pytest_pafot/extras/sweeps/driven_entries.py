@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pytest_pafot import Run, ScenarioError
 from pytest_pafot.extending import ProcessLostError, driving, refusals
-from pytest_pafot.extras.sweeps.entries import NoPlaceError, chosen, entry_of, fits
+from pytest_pafot.extras.sweeps.entries import NoPlaceError, chosen, fits
 from pytest_pafot.extras.sweeps.maps import judged, named_factory
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import meant, visible
@@ -16,12 +16,12 @@ OF_MARK = ("ads", "world")
 """The arguments of the mark that are no parameters of entries."""
 
 
-def names(given: tuple[str, ...]) -> list[str]:
+def names(given: tuple[Any, ...]) -> list[str]:
     """Return the names of the entries that a mark names."""
     return [entry.name for entry in chosen(given)]
 
 
-def check(named: tuple[str, ...], given: Mapping[str, Any]) -> None:
+def check(named: tuple[Any, ...], given: Mapping[str, Any]) -> None:
     """Refuse a value that no entry of the test has.
 
     Raises:
@@ -44,14 +44,22 @@ class Told(NamedTuple):
     words: str = ""
 
 
-def driven(name: str, world: Any, ads: Any, given: Mapping[str, Any], test: Callable[[Run], Any], file: str) -> Told:
-    """Drive an entry with the values that are given for it, and judge the run; without a world, in that of the entry.
+def driven(
+    name: str,
+    named: tuple[Any, ...],
+    world: Any,
+    ads: Any,
+    given: Mapping[str, Any],
+    test: Callable[[Run], Any],
+    file: str,
+) -> Told:
+    """Drive one of the named entries with the given values, and judge the run; without a world, in that of the entry.
 
     Raises:
         RequestError: for a value that makes no scenario, and for a policy that cannot be driven.
     """
     __tracebackhide__ = True
-    entry, ads = entry_of(name), named_factory(ads)
+    entry, ads = next(each for each in chosen(named) if each.name == name), named_factory(ads)
     world = entry.world(world)
     values = {each: value for each, value in given.items() if each in entry.parameters}
     try:

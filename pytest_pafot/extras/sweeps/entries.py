@@ -544,12 +544,18 @@ def entry_of(name: object) -> Entry:
     raise RequestError(f"catalogue: expected one of {', '.join(NAMES)}, received {name!r:.60}{meant(name, NAMES)}")
 
 
-def chosen(names: tuple[str, ...]) -> tuple[Entry, ...]:
-    """Return the entries with some names; a name such as ``r157`` stands for all that begin with it; none for all."""
+def chosen(names: tuple[Any, ...]) -> tuple[Entry, ...]:
+    """Return the entries with some names; a name such as ``r157`` stands for all that begin with it; none for all.
+
+    A ``pafot.Recording`` in the place of a name stands for its own entries.
+    """
     if not names:
         return ENTRIES
     found: list[Entry] = []
     for name in names:
+        if hasattr(name, "entries"):
+            found += name.entries
+            continue
         group = [entry for entry in ENTRIES if isinstance(name, str) and entry.name.startswith(f"{name}/")]
         found += group or [entry_of(name)]
     return tuple({entry.name: entry for entry in found}.values())

@@ -36,8 +36,17 @@ from pytest_pafot.model.instructions.manoeuvre import MOST_STEPS as MOST_STEPS
 from pytest_pafot.model.instructions.manoeuvre import Manoeuvre as Manoeuvre
 from pytest_pafot.model.instructions.manoeuvre import Step as Step
 from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre as random_manoeuvre
+from pytest_pafot.model.instructions.recorded import Recorded as Recorded
+from pytest_pafot.model.instructions.recorded import Track as Track
 
-KINDS: list[type[Instruction]] = [PositionInstruction, LaneInstruction, CrossingInstruction, Manoeuvre, Free]
+KINDS: list[type[Instruction]] = [
+    PositionInstruction,
+    LaneInstruction,
+    CrossingInstruction,
+    Manoeuvre,
+    Free,
+    Recorded,
+]
 """All kinds. A plain form is read by the last of them that has it."""
 
 

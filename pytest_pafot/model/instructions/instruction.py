@@ -97,6 +97,10 @@ class Space(Protocol):
     def drivers(self) -> tuple[str, ...]:
         """The names of the drivers of free NPCs."""
 
+    @property
+    def around(self) -> Any:
+        """The scenario of recorded NPCs that all scenarios are changes of; None if there is none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Nudge:
@@ -142,12 +146,15 @@ class Instruction(Pasteable, ABC):
     """True if the NPC starts in a cell that no other NPC takes, so that its start depends on the other NPCs."""
     crosses: ClassVar[bool] = False
     """True if it has a ``zone`` in which the NPC's way meets the ego's."""
-    has_start: ClassVar[bool] = False
-    """True if it says where its NPC starts: ``beside``, ``ahead`` and ``speed``."""
     drives_itself: ClassVar[bool] = False
     """True if a driver of its own moves the NPC, which is then no part of what this instruction says."""
     keeps_start: ClassVar[bool] = False
-    """True if an NPC of a different scenario may not take its place, because the two starts need not fit together."""
+    """True if it says where the NPC starts: how many lanes ``beside`` the ego, and how far ``ahead``. An NPC of a
+    different scenario may not take its place, because the two starts need not fit together."""
+    follows_track: ClassVar[bool] = False
+    """True if the NPC is where ``at`` says until it leaves its track; ``ahead`` is from centre to centre then."""
+    holds_speed: ClassVar[bool] = True
+    """True if an NPC that is alone drives its ``speed`` until the first of its steps."""
     least_speed: ClassVar[float] = 0.0
     """The lowest target speed [m/s]."""
     groups: ClassVar[Sequence[tuple[str, Sequence[Key]]]] = ()
@@ -157,9 +164,9 @@ class Instruction(Pasteable, ABC):
     cell: Cell
     """The target cell, only if the kind is :attr:`on_grid`."""
     beside: int
-    """The lane at the start, as a number of lanes to the right of the ego's, only if the kind :attr:`has_start`."""
+    """The lane at the start, as a number of lanes to the right of the ego's, only if the kind :attr:`keeps_start`."""
     ahead: float
-    """The distance at the start [m], only if the kind :attr:`has_start`."""
+    """The distance at the start [m], only if the kind :attr:`keeps_start`."""
 
     # Text and files.
 
@@ -434,7 +441,7 @@ class WithStart(Instruction):
 
     __slots__ = ()
 
-    has_start = keeps_start = True
+    keeps_start = True
 
     def _check_start(self) -> None:
         beside = plain_whole(self.beside)

@@ -219,7 +219,7 @@ class Manoeuvre(WithStart):
 
     def is_drawn_in(self, space: Space) -> bool:
         """Return whether a search in a space has NPCs with manoeuvres."""
-        return space.instructions == "manoeuvres"
+        return space.instructions == "manoeuvres" or space.around is not None
 
     def varied(self, choices: Choices, rng: Generator) -> Manoeuvre:
         """Return a manoeuvre with another step, one step more or less, or another speed at the start."""

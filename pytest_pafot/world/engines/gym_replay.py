@@ -41,6 +41,7 @@ from pytest_pafot.world.gym_environment import (
     wrapper_names,
 )
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import TrackedNpc
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
 from pytest_pafot.world.run_config import Rules
@@ -496,6 +497,11 @@ class _Loop:
             if self._is_over:
                 return
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
+                if isinstance(body, TrackedNpc) and body.left < 0:  # its track moves it, whatever highway-env did
+                    body.step(dt)
+                    vehicle.position = np.array([body.x, body.y])
+                    vehicle.heading, vehicle.speed = body.heading, body.speed
+                    continue
                 follow(body, vehicle)
                 if isinstance(body, GoalVehicle):  # a free NPC, which has a timer, and looks for its lane
                     body.lead(body.x, body.y, body.heading, body.speed)

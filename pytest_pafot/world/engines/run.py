@@ -65,14 +65,14 @@ class VehiclesOfRun:
         alongs, starts = starts_of(rules, scenario, director, ego.length)
         road, ticks = rules.road, rules.ticks(scenario)
         self._movers = movers_of(rules, scenario, starts) if drives_itself(scenario) else {}
-        is_apart = bool(self._movers) or not road.starts_at_origin
+        is_apart = not road.starts_at_origin
         npcs: list[Body] = [Body(npc.length, npc.width) for npc in director.npcs] if is_apart else list(director.npcs)
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         for number, mover in self._movers.items():
             npcs[number] = mover.body
         self.vehicles = [ego, *npcs]
-        bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
+        bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart or self._movers else self.vehicles
         self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, network=network)
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
@@ -139,6 +139,7 @@ class VehiclesOfRun:
             on_way=on_way,
             driven=self.director.driven,
             begun=self.director.begun,
+            handed_over=self.director.handed_over,
             obstacles=self.rules.obstacles,
         )
 

@@ -8,10 +8,9 @@ from pytest_pafot.world.kernel.driver cimport (
 
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
 cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
-cdef int NO_LANE, NOT_BEHIND, AFTER, AT_GAP, AT_HEADWAY, NEVER, NOT_WAITING
+cdef int BY_TRACK, NO_LANE, NOT_BEHIND, AFTER, AT_GAP, AT_HEADWAY, NEVER, NOT_WAITING
 cdef double DONE_LATERAL, DONE_SPEED, RELEASE_SHARE, RELEASE_GAIN
 
-@cython.final
 cdef class Npc(Body):
     cdef public object chain
     cdef public list executed, arrivals
@@ -27,6 +26,14 @@ cdef class Npc(Body):
     cdef public object limits
     cdef public double top_speed, half_lengths, longer, lateral
     cdef public Bends bends
+
+cdef class TrackedNpc(Npc):
+    cdef public double[::1] states
+    cdef public int tick, left
+    cdef public bint is_own
+
+    @cython.locals(speed=double, states="double[::1]", row=int)
+    cpdef void step(self, double dt)
 
 cdef class BaseDirector:
     cdef readonly list npcs

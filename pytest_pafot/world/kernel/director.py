@@ -20,6 +20,7 @@ from pytest_pafot.model.instructions import (
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
+    Recorded,
 )
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR
@@ -73,17 +74,19 @@ DONE_LATERAL, DONE_SPEED = 0.2, 0.2
 """The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
 
 
-ON_GRID, IN_LANES, BY_STEPS, BY_ITSELF = 0, 1, 2, 3
+ON_GRID, IN_LANES, BY_STEPS, BY_TRACK, BY_ITSELF = 0, 1, 2, 3, 4
 DRIVES: dict[type[Instruction], int] = {
     PositionInstruction: ON_GRID,
     LaneInstruction: IN_LANES,
     Manoeuvre: BY_STEPS,
+    Recorded: BY_TRACK,
     Free: BY_ITSELF,
 }
 """How an NPC with each kind of instruction drives. On the grid, an instruction has ``cell`` and ``speed``. In lanes, it
-has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``.
-By itself, it has a start, and something else moves it (:meth:`~pytest_pafot.world.kernel.loop.Loop.give`). NPCs that
-cross have a director of their own."""
+has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``. By
+track, it has these, too, and is where its ``at`` says until it is handed over (``recorded.py``). By itself, it has a
+start, and something else moves it (:meth:`~pytest_pafot.world.kernel.loop.Loop.give`). NPCs that cross have a director
+of their own."""
 
 
 class Npc(Body):
@@ -155,6 +158,37 @@ class Npc(Body):
         self.has_missed = False
 
 
+class TrackedNpc(Npc):
+    """An NPC that moves along a track instead of by controls, until it is released.
+
+    Attributes:
+        states: x [m], y [m], heading [rad] and speed [m/s] at each tick of its track, in road coordinates; empty before
+            the run has begun.
+        tick: the tick at which it is.
+        left: the tick at which it was released; -1 before.
+        is_own: whether the track is as recorded.
+    """
+
+    def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
+        super().__init__(index, chain, length, width)
+        self.states: Any = array("d")
+        self.tick = 0
+        self.left = -1
+        self.is_own: bool = chain[0].is_as_recorded  # type: ignore[attr-defined]
+
+    def step(self, dt: float) -> None:
+        """Move to the next state of the track; after its release, as any vehicle does."""
+        if self.left >= 0:
+            Body.step(self, dt)  # C methods have no super()
+            return
+        states, speed = self.states, self.speed
+        self.tick += 1
+        row = 4 * self.tick
+        self.x, self.y, self.heading, self.speed = states[row], states[row + 1], states[row + 2], states[row + 3]
+        self.acceleration = (self.speed - speed) / dt
+        self.steering = 0.0
+
+
 def start_cell(start: Any) -> Cell:
     """Return the cell in whose direction an NPC starts whose instruction says where."""
     row = (start.ahead > 0) - (start.ahead < 0)
@@ -173,6 +207,11 @@ class BaseDirector:
 
     def __init__(self, npcs: list[Any]) -> None:
         self.npcs = npcs
+
+    @property
+    def handed_over(self) -> tuple[int | None, ...]:
+        """The tick at which each NPC left its recording; None if it has not. Empty if nobody drives as recorded."""
+        return ()
 
     def started(self, starts: list[Start]) -> list[Start]:
         """Return the starts of all NPCs, given those of the NPCs that start around the ego."""
@@ -211,18 +250,17 @@ class Director(BaseDirector):
         ego_length: float,
         physics_hz: int,
     ) -> None:
-        kinds = scenario.all_vehicles
+        kinds, drives = scenario.all_vehicles, [DRIVES[type(chain[0])] for chain in scenario.npcs]
         super().__init__(
             [
-                Npc(index, chain, kind.length, kind.width)
-                for index, (chain, kind) in enumerate(zip(scenario.npcs, kinds, strict=True))
+                (TrackedNpc if drive == BY_TRACK else Npc)(index, chain, kind.length, kind.width)
+                for index, (chain, kind, drive) in enumerate(zip(scenario.npcs, kinds, drives, strict=True))
             ]
         )
         self._scenario = scenario
-        drives = [DRIVES[type(npc.chain[0])] for npc in self.npcs]
         self._on_grid = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == ON_GRID]
         self._in_lanes = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == IN_LANES]
-        self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_STEPS]
+        self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive in (BY_STEPS, BY_TRACK)]
         self._free = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_ITSELF]
         self._directed = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive != BY_ITSELF]
         self._release = RELEASE_SHARE * limits.jerk
@@ -249,7 +287,7 @@ class Director(BaseDirector):
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
             npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
             npc.half_lengths, npc.longer = half_lengths, longer
-        self._attentive = traffic.is_attentive
+        self._attentive = traffic.is_attentive or BY_TRACK in drives  # who is handed over can react
         self._least_share = traffic.least_speed_share
         self._speed_limit = speed_limit
         self._least_gap = traffic.least_gap

@@ -17,6 +17,7 @@ from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.kernel.recorded import RecordedDirector
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.road import Pose, Road
 
@@ -129,7 +130,8 @@ class StraightRoad(Road):
 
     def director(self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any) -> Director:
         """Make the director of the NPCs."""
-        return Director(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
+        kind = RecordedDirector if any(chain[0].follows_track for chain in scenario.npcs) else Director
+        return kind(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
 
     def places(
         self,

@@ -1,4 +1,4 @@
-"""A recording as a scenario: who is in it, where they start, and how near their manoeuvres come to the tracks."""
+"""A recording as a scenario: who is in it, where they start, and how near they come to the tracks."""
 
 import math
 from dataclasses import replace
@@ -10,6 +10,7 @@ import pytest_pafot as pafot
 from pytest_pafot.extras.recordings.recording import RecordedVehicle, Recording
 from pytest_pafot.model.trace import Lane, X, Y
 from pytest_pafot.support.errors import RequestError
+from tests.benchmarks.recordings import distances_as_recorded, recorded_traffic
 from tests.helpers.tables import table
 
 TIMES = np.arange(0.0, 25.01, 0.1)
@@ -38,7 +39,7 @@ def test_npcs_start_where_they_are_relative_to_the_ego():
         driven("2", 40.0, [(0, 20.0)], length=12.0),
         driven("3", -30.0, [(0, 30.0)], [(0, 0.0)]),
         driven("4", 1.0, [(0, 25.0)], [(0, 2.0)]),
-    ).scenario(1, seconds=2.0)
+    ).scenario(1, seconds=2.0, as_manoeuvres=True)
     beside, ahead, behind = (chain[0] for chain in scenario.npcs)  # the nearest one first
     assert (beside.beside, beside.ahead, beside.speed) == (1, 0.0, 25.0)
     assert (ahead.beside, ahead.ahead, ahead.speed) == (-1, -25.5, 30.0)
@@ -53,8 +54,8 @@ def test_vehicles_that_are_not_there_or_come_towards_the_ego_are_not_in_the_scen
         driven("oncoming", 300.0, [(0, 25.0)], heading=math.pi),
         driven("far", 500.0, [(0, 25.0)]),
     )
-    assert [chain[0].ahead for chain in tracks.scenario(1).npcs] == [35.5]
-    assert [chain[0].ahead for chain in tracks.scenario(1, at=5.0).npcs] == [35.5, 55.5]
+    assert [chain[0].ahead for chain in tracks.scenario(1, as_manoeuvres=True).npcs] == [35.5]
+    assert [chain[0].ahead for chain in tracks.scenario(1, at=5.0, as_manoeuvres=True).npcs] == [35.5, 55.5]
 
 
 def test_ego_that_the_file_names_need_not_drive_along_x():
@@ -64,7 +65,10 @@ def test_ego_that_the_file_names_need_not_drive_along_x():
 
     others = [driven("2", 40.0, [(0, 20.0)]), driven("3", -30.0, [(0, 30.0)], [(0, 0.0), (5, 0.0), (8, 1.0)])]
     along_y = replace(recording(*map(up, others), ego=up(EGO), lanes=()), ego="1")
-    assert along_y.scenario() == recording(*others, lanes=()).scenario(1)
+    along_x = recording(*others, lanes=())
+    assert along_y.scenario(as_manoeuvres=True) == along_x.scenario(1, as_manoeuvres=True)
+    for (one,), (other,) in zip(along_y.scenario().npcs, along_x.scenario(1).npcs, strict=True):
+        assert one.track.states == pytest.approx(other.track.states, abs=0.011), "apart from rounding"
 
 
 def test_track_can_be_followed_up_to_its_last_row():
@@ -87,7 +91,7 @@ def test_without_lanes_those_beside_the_ego_are_as_wide_as_usual():
         lanes=(),
         ego=driven("1", 0.0, [(0, 25.0)], width_of_lane=3.5),
     )
-    ((npc,),) = tracks.scenario(1).npcs
+    ((npc,),) = tracks.scenario(1, as_manoeuvres=True).npcs
     assert (npc.beside, npc.ahead, npc.steps) == (-1, 35.5, ())
 
 
@@ -107,7 +111,7 @@ def test_without_lanes_those_beside_the_ego_are_as_wide_as_usual():
     ],
 )  # fmt: skip
 def test_manoeuvre_stays_within_two_metres_of_the_track(other):
-    scenario = recording(other).scenario(1)
+    scenario = recording(other).scenario(1, as_manoeuvres=True)
     far = pafot.Scenario(  # where neither the ego nor a collision disturbs it
         npcs=[[replace(each, ahead=400.0)] for (each,) in scenario.npcs],
         ego_lane=scenario.ego_lane, ego_speed=0.0,
@@ -124,7 +128,7 @@ def test_manoeuvre_stays_within_two_metres_of_the_track(other):
     "arguments, message",
     [
         ({}, r"tracks.csv: expected a vehicle in whose place the policy drives; give it as ego="),
-        ({"ego": 1, "at": 30.0}, r"a time at which 1 was seen, from 0 to 25 s, and at most 120 s, received at=30 and"),
+        ({"ego": 1, "at": 30.0}, r"a time at which 1 was seen, from 0 to 25 s, and at most 40 s, received at=30 and"),
         (
             {"ego": 1},
             r"expected vehicles within 200 m of 1 that drive in its direction at 0 s, received none; start at",
@@ -143,7 +147,7 @@ def test_ego_in_a_bend_is_refused():
     with pytest.raises(
         RequestError, match=r"a straight road from 0 s on, received 1, which turns by 46 degrees; start"
     ):
-        recording(driven("2", 40.0, [(0, 25.0)]), ego=ego).scenario(1)
+        recording(driven("2", 40.0, [(0, 25.0)]), ego=ego).scenario(1, as_manoeuvres=True)
 
 
 def test_vehicle_that_turns_off_the_road_drives_on_in_its_lane():
@@ -151,10 +155,47 @@ def test_vehicle_that_turns_off_the_road_drives_on_in_its_lane():
     states = np.array(other.states)
     states[50:, 2] = 1.4
     turning = RecordedVehicle(name="2", kind="car", length=4.5, width=1.8, times=TIMES, states=states)
-    ((npc,),) = recording(turning).scenario(1).npcs
+    ((npc,),) = recording(turning).scenario(1, as_manoeuvres=True).npcs
     assert [step.lane for step in npc.steps if step.lane != "keep"] == []
 
 
 def test_vehicle_that_backs_up_stands():
-    ((npc,),) = recording(driven("2", 40.0, [(0, -1.0)])).scenario(1, seconds=1.0).npcs
+    ((npc,),) = recording(driven("2", 40.0, [(0, -1.0)])).scenario(1, seconds=1.0, as_manoeuvres=True).npcs
     assert npc.speed == 0.0
+
+
+def test_vehicles_drive_on_their_tracks():
+    others = (
+        driven("2", 40.0, [(0, 25.0), (5, 20.0), (10, 25.0)]),
+        driven("3", -30.0, [(0, 30.0), (9, 22.0)], [(0, 0.0), (6, 0.0), (11, 1.0)]),
+        driven("4", 30.0, [(0, 25.0)], [(0, 2.0)], last=8.0),
+    )
+    scenario = recording(*others).scenario(1, at=1.0)
+    trace = pafot.Highway(speed_limit=36.3, duration=20.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    assert (scenario.ego_lane, scenario.ego_speed, scenario.ego_track.seconds) == (1, 25.0, 20.0)
+    assert trace.handed_over == (None, 105, None), "the second nearest one is seen for 8 s"
+    for npc, other in enumerate((others[1], others[2], others[0])):
+        times = trace.times[trace.times <= other.times[-1] - 1.0]
+        track = other.at(1.0 + times) - EGO.at(1.0)
+        missed = trace.states[: len(times), npc + 1, [X, Y]] - trace.states[0, 0, [X, Y]]
+        assert np.abs(missed[:, 0] - track[:, X]).max() < 0.05
+        assert np.abs(missed[:, 1] - track[:, Y] * 4.0 / 3.75).max() < 0.05
+
+
+def test_places_without_lanes_are_those_of_the_data():
+    tracks = recording(driven("2", 40.0, [(0, 25.0)], [(0, 1.5)]), lanes=())
+    ((npc,),) = tracks.scenario(1).npcs
+    assert npc.track.states[0].tolist() == [40.0, 1.88, 0.0, 25.0]
+
+
+def test_recording_that_is_longer_than_a_track_is_refused():
+    with pytest.raises(RequestError, match="at most 40 s, received at=0 and seconds=50"):
+        recording(driven("2", 40.0, [(0, 25.0)])).scenario(1, seconds=50.0)
+    assert recording(driven("2", 40.0, [(0, 25.0)])).scenario(1, seconds=50.0, as_manoeuvres=True)
+
+
+def test_traffic_of_highway_env_is_driven_to_a_tenth_of_a_metre(tmp_path):
+    """The benchmark does the same with more recordings."""
+    found = distances_as_recorded(recorded_traffic(0, tmp_path / "tracks.csv"))
+    assert len(found) == 8
+    assert max(found) < 0.1

@@ -261,7 +261,9 @@ def test_driver_of_a_truck_sees_its_size():
 
 
 def test_idm_in_a_truck_stops_behind_another_one():
-    scenario = Scenario(npcs=(free(beside=1, ahead=20.0), free(beside=1, ahead=80.0, speed=0.0)), vehicles=("truck", "truck"))
+    scenario = Scenario(
+        npcs=(free(beside=1, ahead=20.0), free(beside=1, ahead=80.0, speed=0.0)), vehicles=("truck", "truck")
+    )
     trace = WORLD.rollout(scenario, lambda: steady)
     assert trace.outcome is Outcome.SAFE
     assert trace.states[-1, 1, SPEED] < 0.5

@@ -14,7 +14,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.driving_style import STYLES, Traffic
-from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, Step
+from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, Recorded, Step, Track
 from pytest_pafot.searching import sample
 from pytest_pafot.world import kernel
 from pytest_pafot.world.kernel import bodies
@@ -74,6 +74,25 @@ def test_interpreted_and_compiled_npcs_do_the_same_manoeuvres(interpreted):
             with interpreted.in_place():
                 again = interpreted.room.from_dict(world.to_dict())
                 assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+
+
+def test_interpreted_and_compiled_npcs_drive_as_recorded_the_same(interpreted):
+    tracks = [
+        Track.of([[x + 2.2 * row, 4.0 * lane - aside * row, 0.001 * row, 22.0] for row in range(101)])
+        for x, lane, aside in ((-20, 0, 0.0), (15, 1, 0.05), (40, 0, 0.0), (0, 0, 0.0))
+    ]
+    step = Step(after=3.0, lane="left")
+    npcs = [
+        [Recorded(track=tracks[0])],
+        [Recorded(track=tracks[1], pace=0.95)],
+        [Recorded(track=tracks[2], steps=(step,))],
+    ]
+    world, scenario = Highway(), Scenario(npcs=npcs, ego_track=tracks[3])
+    trace = world.rollout(scenario, IDMVehicle)
+    assert any(tick is not None for tick in trace.handed_over)
+    with interpreted.in_place():
+        again = interpreted.room.from_dict(world.to_dict())
+        assert digest(again.rollout(scenario, IDMVehicle)) == digest(trace)
 
 
 def test_the_kernel_knows_highway_envs_vehicles():

@@ -1,0 +1,139 @@
+"""NPCs that drive as recorded, and when they are handed over to attentive driving.
+
+A recorded driver had reacted to the recorded ego. One that drives otherwise meets cars that cannot react to it, and a
+collision with such a car would be nobody's fault. So an NPC leaves its track for good
+
+- when its track ends;
+- when the first of its own steps begins;
+- when it would come near a vehicle that does not drive as recorded: less than ``ALONG`` ahead or behind and ``ACROSS``
+  beside it within the next ``SECONDS``, if the NPC follows its track and the other keeps its speed, and goes on across
+  the road for ``ASIDE``. In this time a driver reacts after 1 s, and loses 10 m/s by braking with 5 m/s^2.
+
+An NPC that is directly ahead of the other is not handed over: whoever drives behind has to look.
+
+An ego drives as recorded as long as it is within ``APART`` of the recorded ego. That is less than half the width of a
+car, so nobody would have driven otherwise for it. NPCs drive as recorded if their instruction says nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Director, Npc, Start, TrackedNpc
+
+APART = 0.9
+"""The distance from the recorded ego up to which the ego drives as recorded [m]."""
+ALONG, ACROSS = 2.0, 0.3
+"""The gaps between two boxes that are near, along the road and across it [m]."""
+SECONDS, SAMPLE, ASIDE = 3.0, 0.2, 1.0
+"""How far ahead an NPC looks, in which steps, and how long the other goes on across the road [s]."""
+
+
+class RecordedDirector(Director):
+    """The director of the NPCs of one run on a straight road, of whom some drive as recorded.
+
+    Arguments are those of :class:`Director`.
+    """
+
+    def __init__(self, scenario: Scenario, *others: Any, **common: Any) -> None:
+        super().__init__(scenario, *others, **common)
+        self._tracked = [npc for npc in self.npcs if isinstance(npc, TrackedNpc)]
+        self._ego_track: Any = array("d")
+        self._start = 0.0
+        self._across = scenario.ego_lane * self._lane_width
+        if scenario.ego_track is not None:
+            ticks = math.floor(scenario.ego_track.seconds * self._hz + 1e-6)
+            self._ego_track = _rows(scenario.ego_track.at(np.arange(ticks + 1) / self._hz))
+
+    @property
+    def handed_over(self) -> tuple[int | None, ...]:
+        """The tick at which each NPC left its recording; None if it has not."""
+        return tuple([npc.left if isinstance(npc, TrackedNpc) and npc.left >= 0 else None for npc in self.npcs])
+
+    def started(self, starts: list[Start]) -> list[Start]:
+        """Return the starts of all NPCs, those that drive as recorded at the beginning of their tracks."""
+        found = list(starts)
+        for npc in self._tracked:
+            along = starts[npc.index][0]
+            npc.states = self._states(npc, along)
+            found[npc.index] = (along, tuple(npc.states[:4]))
+        return found
+
+    def _states(self, npc: TrackedNpc, along: float) -> Any:
+        """Return the states of an NPC at the ticks of its track, in road coordinates, if it starts at a place [m]."""
+        instruction = npc.chain[0]
+        ticks = max(math.floor(instruction.end * self._hz + 1e-6), 1)
+        states = instruction.at(np.arange(ticks + 1) / self._hz)
+        states[:, 0] += along - states[0, 0]
+        states[:, 1] += self._across
+        return _rows(states)
+
+    def command(self, ego: Body) -> None:
+        """Release the NPCs that leave their tracks, and set the controls of all that do not follow one."""
+        if self._tick == 0:
+            self._start = ego.x
+        for npc in self._tracked:
+            if npc.left < 0 and (4 * (npc.tick + 2) > len(npc.states) or self._leaves(npc, ego)):
+                npc.left = self._tick
+                npc.kept_lane, npc.kept_speed, npc.ramp = npc.lane, npc.speed, npc.limits.braking
+                npc.asked, npc.course = npc.acceleration, npc.heading
+        Director.command(self, ego)  # C methods have no super()
+
+    def _control(self, npc: Npc, ego: Body) -> None:
+        if isinstance(npc, TrackedNpc) and npc.left < 0:
+            npc.heading_for = npc.lane
+            return
+        Director._control(self, npc, ego)
+
+    def _leaves(self, npc: TrackedNpc, ego: Body) -> bool:
+        """Return whether an NPC leaves its track now."""
+        if self._is_due(npc, ego):
+            return True
+        is_own = npc.is_own
+        if not (is_own and self._is_as_recorded(ego)) and self._nears(npc, ego):
+            return True
+        for other in self.npcs:
+            if other is npc:
+                continue
+            if is_own and isinstance(other, TrackedNpc):
+                tracked = other
+                if tracked.is_own and tracked.left < 0:
+                    continue
+            if self._nears(npc, other):
+                return True
+        return False
+
+    def _is_as_recorded(self, ego: Body) -> bool:
+        """Return whether the ego is near the recorded one."""
+        track, row = self._ego_track, 4 * self._tick
+        if row >= len(track):
+            return False
+        along, across = ego.x - self._start - track[row], ego.y - self._across - track[row + 1]
+        return bool(along * along + across * across <= APART * APART)
+
+    def _nears(self, npc: TrackedNpc, other: Body) -> bool:
+        """Return whether an NPC that follows its track will come near a vehicle that is not directly behind it."""
+        states = npc.states
+        along, across = (npc.length + other.length) / 2.0, (npc.width + other.width) / 2.0
+        if npc.x > other.x and abs(npc.y - other.y) < across:
+            return False
+        along, across = along + ALONG, across + ACROSS
+        forward, aside = other.speed * math.cos(other.heading), other.speed * math.sin(other.heading)
+        last, step = len(states) // 4 - 1, max(round(SAMPLE * self._hz), 1)
+        for later in range(0, round(SECONDS * self._hz) + 1, step):
+            seconds, row = later / self._hz, 4 * min(npc.tick + later, last)
+            distance = states[row] - other.x - forward * seconds
+            beside = states[row + 1] - other.y - aside * min(seconds, ASIDE)
+            if abs(distance) < along and abs(beside) < across:
+                return True
+        return False
+
+
+def _rows(states: Any) -> Any:
+    return array("d", np.ascontiguousarray(states).ravel().tolist())
