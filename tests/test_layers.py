@@ -301,4 +301,5 @@ def test_questions_about_the_kind_of_a_road_only_become_fewer():
         )
         for path in PACKAGE.rglob("*.py")
     }
-    assert {path: count for path, count in sorted(found.items()) if count} == QUESTIONS
+    there = {path: count for path, count in QUESTIONS.items() if (PACKAGE / path).exists()}  # without extras, too
+    assert {path: count for path, count in sorted(found.items()) if count} == there

@@ -437,7 +437,10 @@ def _shorter(scenario: Scenario) -> Candidates:
 def _later(scenario: Scenario, starts: Mapping[Scenario, Sequence[Start]]) -> Candidates:
     """Start at a later gene, with the ego's lane and speed at the start of that gene; the latest gene first."""
     for gene, (lane, speed) in reversed(list(enumerate(starts.get(scenario, ())))[1:]):
-        left = scenario.of_npcs(npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene)
+        lasting = [npc for npc, chain in enumerate(scenario.npcs) if len(chain) > gene]
+        if not lasting:  # a run lasts longer than its chains where the world says how long runs are
+            continue
+        left = scenario.of_npcs(lasting)
         npcs = tuple(chain[gene:] for chain in left.npcs)
         yield _valid(replace(left, ego_lane=lane, ego_speed=speed), npcs)
 

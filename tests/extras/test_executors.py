@@ -286,7 +286,7 @@ def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
     executors._bench.cache_clear()
     isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
-    assert isolated.take(SCENARIOS[0], afresh=True) is not None
+    assert isolated.collect(SCENARIOS[0], afresh=True) is not None
     assert isolated.notes == ["pafot_executor: Inline made the runs of the generations"]
 
 
@@ -294,9 +294,9 @@ def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "WorkerPool", Unable)
     executors._bench.cache_clear()
     isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
-    assert isolated.take(SCENARIOS[0], afresh=True) is not None
+    assert isolated.collect(SCENARIOS[0], afresh=True) is not None
     with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; install"):
-        isolated.take(SCENARIOS[1], afresh=True)
+        isolated.collect(SCENARIOS[1], afresh=True)
     assert isolated.notes == []
 
 

@@ -173,7 +173,8 @@ def test_kinds_are_asked_only_in_their_files():
             continue
         count = sum(is_asked(node, kinds) for node in ast.walk(ast.parse(text)))
         found |= {path.relative_to(package).as_posix(): count} if count else {}
-    assert found == ASKED_ELSEWHERE, "let the instruction say it, in pytest_pafot/model/instructions/"
+    there = {path: count for path, count in ASKED_ELSEWHERE.items() if (package / path).exists()}  # without extras, too
+    assert found == there, "let the instruction say it, in pytest_pafot/model/instructions/"
 
 
 def is_asked(node, kinds):

@@ -50,7 +50,7 @@ def ads():
 """
 """A conftest with an ADS that ends every process except the session's."""
 
-SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22"
+SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22, vehicles='car'"
 """Marker arguments of ten-second scenarios, all with the same start."""
 
 SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY")

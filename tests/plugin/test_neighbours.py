@@ -197,7 +197,8 @@ class Planner:
     def braking(self, gap):
         return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5
 
-@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, stop_after=1, ads=Planner, instructions="cells")
+@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, stop_after=1, ads=Planner, instructions="cells",
+              vehicles="car")
 def test_collides(run):
     assert not run.collision
 """

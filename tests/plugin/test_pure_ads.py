@@ -38,7 +38,8 @@ calls = []
 """
 
 SEARCH = """
-@pafot.search(genes=4, gene_seconds=2, npcs=2, ego_lane=1, ego_speed=22, ads=ADS, shrink_rollouts=8, traffic="paper")
+@pafot.search(genes=4, gene_seconds=2, npcs=2, ego_lane=1, ego_speed=22, ads=ADS, shrink_rollouts=8, traffic="paper",
+              vehicles="car")
 def test_keeps_its_distance(run):
     pafot.check(run.min_distance, name=f"cell {run.event_cell}", at_least=1.0)
 

@@ -46,7 +46,7 @@ def keep(observation):
 """
 
 MANY = """
-@pafot.search(genes=2, gene_seconds=4, shrink_rollouts=0, npcs=2, ego_lane=1, ego_speed=22)
+@pafot.search(genes=2, gene_seconds=4, shrink_rollouts=0, npcs=2, ego_lane=1, ego_speed=22, vehicles="car")
 def test_many(run):
     assert not run.collision
     assert run.min_distance > 1.9
