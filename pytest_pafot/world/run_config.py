@@ -20,7 +20,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
 from pytest_pafot.world.kernel.bodies import Box, overlap
-from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.director import Director, start_cell
 from pytest_pafot.world.kernel.road_directors import JunctionDirector
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.road import Pose, Road
@@ -103,7 +103,10 @@ class Rules:
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         self._check_lane(scenario.ego_lane)
         cells, crossings = self.start_cells(scenario), scenario.crossings
-        on_grid = sum(not (chain[0].crosses or chain[0].keeps_start) for chain in scenario.npcs)
+        firsts = [chain[0] for chain in scenario.npcs if not chain[0].crosses]
+        on_grid = sum(not first.keeps_start for first in firsts)
+        if any(first.in_free_cell for first in firsts):
+            on_grid += len(cells & {start_cell(first) for first in firsts if first.keeps_start})
         if on_grid > len(cells):
             kind = " that do not cross" if crossings else ""
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"

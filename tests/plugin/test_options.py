@@ -201,6 +201,7 @@ def test_search_arguments_match_the_table_of_options():
         "world",
         "ads",
         "drivers",
+        "around",
         "arg",
         "fitness",
         "blame",

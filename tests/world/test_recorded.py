@@ -196,6 +196,14 @@ def test_starts_that_touch_and_other_roads_are_refused():
         World("merge-v0", planner_hz=5).check_fits(scenario(BEHIND))
 
 
+def test_npc_in_lanes_needs_a_cell_that_no_track_begins_in():
+    beside = [track(along, lane, 25.0) for along, lane in ((20, 0), (-20, 0), (20, 1), (-20, 1), (0, 1))]
+    keep = LaneInstruction("keep", 25.0)
+    drive(scenario(*beside[1:], keep, ego_lane=0))
+    with pytest.raises(ScenarioError, match="npcs: expected at most 5 NPCs, one per cell that exists around lane 0"):
+        WORLD.check_fits(scenario(*beside, keep, ego_lane=0))
+
+
 def test_highway_env_itself_gives_the_same_run():
     told = scenario(LEADER, BEHIND, CUTS_IN)
     trace = drive(told, [(2.0, -3.0), (4.0, 0.0)])
