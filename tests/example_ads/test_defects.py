@@ -215,6 +215,7 @@ def test_search_finds_and_names_the_planted_fault(name, seed, fault, npcs):
         seed=seed,
         runs=8,
         genes=4,
+        vehicles="car",
         shrink_rollouts=15,
     ).findings
     assert [finding.expect.signature.slug for finding in found] == [fault]
