@@ -36,9 +36,18 @@ class RecordedEntry(Entry):
 
 
 def entries_of(recording: Any) -> tuple[RecordedEntry, ...]:
-    """Return an entry for the ego of a ``Recording``, or else for each vehicle that is seen for five seconds."""
+    """Return an entry for the ego of a ``Recording``, or else for each vehicle that is seen for five seconds.
+
+    Raises:
+        RequestError: if there is no such vehicle, so that nothing would be tested.
+    """
     told = [recording.vehicle(recording.ego)] if recording.ego else recording.vehicles
     egos = [each.name for each in told if recording.ego or each.times[-1] - each.times[0] >= LEAST_SEEN]
+    if not egos:
+        raise RequestError(
+            f"{recording.source}: expected a vehicle that is seen for {LEAST_SEEN:g} s or more, in whose place the "
+            f"policy drives; received {len(told)}, each of them for less; name one with ego="
+        )
     name = Path(recording.source).stem
 
     def entry(ego: str) -> RecordedEntry:

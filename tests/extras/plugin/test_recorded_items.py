@@ -49,6 +49,16 @@ def test_named_ego_is_the_only_item(tracks):
     assert run(tracks, '@pafot.recorded("tracks.csv", ego=2)')[0] == {"tracks/2": "PASSED"}
 
 
+def test_recording_without_a_vehicle_that_is_seen_long_enough_is_no_green_test(tracks):
+    lines = (tracks.pytester.path / "tracks.csv").read_text().splitlines()
+    (tracks.pytester.path / "short.csv").write_text("\n".join(lines[:100]))  # the first 2.5 s
+    items, text = run(tracks, '@pafot.recorded("short.csv")')
+    assert items == {}
+    assert "expected a vehicle that is seen for 5 s or more" in text
+    assert "received 4, each of them for less; name one with ego=" in text
+    assert run(tracks, '@pafot.recorded("short.csv", ego=1)')[0].keys() == {"short/1"}
+
+
 def test_recording_is_driven_with_other_values_beside_named_scenarios(tracks):
     mark = '@pafot.catalogue(pafot.recorded("tracks.csv", ego=1), "classic/pulls-away", seconds=3.0)'
     items, text = run(tracks, mark)
