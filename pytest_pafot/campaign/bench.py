@@ -36,7 +36,7 @@ PURE_SHARE = 1 / 10
 
 @dataclass(slots=True, kw_only=True)
 class Bench:
-    """What runs and judges the scenarios of one search.
+    """The bench of one search, which runs and judges its scenarios.
 
     Until a run is judged, its scenario is on disk in the crash record of this process.
     """

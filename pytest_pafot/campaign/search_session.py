@@ -292,7 +292,7 @@ class SearchSession:
 
     @property
     def bench(self) -> Bench:
-        """What runs and judges the scenarios of the search."""
+        """The bench, which runs and judges the scenarios of the search."""
         return self.watch.bench
 
     @property

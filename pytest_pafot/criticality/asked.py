@@ -90,7 +90,9 @@ def _between_bumpers(trace: Trace, npc: int, distance: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Departure:
-    """Where an NPC stopped driving as recorded, because its track ended, its step began, or the ego drove otherwise.
+    """The moment at which an NPC stopped driving as recorded.
+
+    It did so because its track ended, its step began, or the ego drove otherwise.
 
     Attributes:
         npc: index of the NPC.

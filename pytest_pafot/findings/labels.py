@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 
 class Label(StrEnum):
-    """What a session says of a finding in a few words: how its replay ended, or that it is new.
+    """The few words in which a session says what became of a finding: how its replay ended, or that it is new.
 
     Summaries group findings by it, in this order, the most urgent group first. ``group`` is the title of the group.
     """

@@ -263,7 +263,7 @@ class Scenario(_Hashed):
 
     @property
     def all_vehicles(self) -> tuple[VehicleType, ...]:
-        """What vehicle each NPC is, also those after the last one that is no car."""
+        """The vehicle that each NPC is, also those after the last one that is no car."""
         return self.vehicles + (CAR,) * (len(self.npcs) - len(self.vehicles))
 
     def of_npcs(self, npcs: Iterable[int], **changes: Any) -> Scenario:

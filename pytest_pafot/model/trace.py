@@ -200,7 +200,7 @@ class RoadOfRun(ABC):
     @property
     @abstractmethod
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """How far each NPC's centre is ahead of the ego's and to the right of it; NaN off the ego's way."""
+        """The distances of each NPC's centre ahead of the ego's and to the right of it; NaN off the ego's way."""
 
     @abstractmethod
     def offset(self, npc: int, tick: int) -> tuple[float, float]:

@@ -238,7 +238,7 @@ class SearchSpace:
 
     @property
     def choices(self) -> Choices:
-        """What an instruction may have in this space."""
+        """The values that an instruction may have in this space."""
         start = self.ego_lane, self.ego_speed, self.lanes, self.room
         longest = max(vehicle.length for vehicle in self.vehicles)
         return Choices(self.low_step, self.top_step, *start, self.drivers, self.row, longest)

@@ -20,7 +20,7 @@ BESIDE_MIDDLE = 0.15
 
 
 class Options(NamedTuple):
-    """What a user says of a scenario; see :func:`pytest_pafot.recorded`."""
+    """The arguments with which a user reads a scenario; see :func:`pytest_pafot.recorded`."""
 
     ego: str | None
     vehicles: Sequence[str | Path]

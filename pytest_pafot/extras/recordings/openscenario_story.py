@@ -87,7 +87,7 @@ class _Npc:
 
 
 class _When(NamedTuple):
-    """When something begins: at a time, at a distance, or after an event of the same NPC; and a delay from there.
+    """The condition under which something begins: a time, a distance or an event of the same NPC, and a delay.
 
     The time is that of the simulation, or ``is_from_act``.
     """
@@ -139,28 +139,31 @@ class _Reader:
         for child in self.board.get("Init/Actions").children:
             if child.tag != "Private":
                 raise refused(child, inner_names(child))
-        for story in self.board.all("Story"):
-            for act in story.all("Act"):
-                for group in act.all("ManeuverGroup"):
-                    for reference in group.all("CatalogReference"):
-                        raise refused(reference)
-                    actors, many = group.get("Actors"), group.number("maximumExecutionCount", 1)
-                    if actors.values.get("selectTriggeringEntities") == "true":
-                        raise actors.error("actors by name", "selectTriggeringEntities", "name them")
-                    if many != 1:
-                        raise group.error("to be done once", f"{many:g}", "write 1", "maximumExecutionCount")
-                    names = [each.values.get("entityRef", "") for each in actors.all("EntityRef")]
-                    for name in names:
-                        if name not in self.cast.entities:
-                            expected = f"one of {', '.join(self.cast.entities)}"
-                            raise actors.error(expected, f"{name!r:.60}", "correct the name")
-                    for manoeuvre in group.all("Maneuver"):
-                        for event in manoeuvre.all("Event"):
-                            for action in event.all("Action"):
-                                for deed in action.children:
-                                    if deed.tag != "PrivateAction":
-                                        raise refused(deed, inner_names(deed))
-                            yield from (_Event(name, (story, act, group, manoeuvre), event) for name in names)
+        acts = ((story, act) for story in self.board.all("Story") for act in story.all("Act"))
+        for story, act, group in ((*above, group) for above in acts for group in above[1].all("ManeuverGroup")):
+            names = self._actors(group)
+            events = ((each, event) for each in group.all("Maneuver") for event in each.all("Event"))
+            for manoeuvre, event in events:
+                for deed in (deed for action in event.all("Action") for deed in action.children):
+                    if deed.tag != "PrivateAction":
+                        raise refused(deed, inner_names(deed))
+                yield from (_Event(name, (story, act, group, manoeuvre), event) for name in names)
+
+    def _actors(self, group: Element) -> list[str]:
+        """Return the names of the vehicles that do what a group says, which must be said by name and once."""
+        for reference in group.all("CatalogReference"):
+            raise refused(reference)
+        actors, many = group.get("Actors"), group.number("maximumExecutionCount", 1)
+        if actors.values.get("selectTriggeringEntities") == "true":
+            raise actors.error("actors by name", "selectTriggeringEntities", "name them")
+        if many != 1:
+            raise group.error("to be done once", f"{many:g}", "write 1", "maximumExecutionCount")
+        names = [each.values.get("entityRef", "") for each in actors.all("EntityRef")]
+        for name in names:
+            if name not in self.cast.entities:
+                expected = f"one of {', '.join(self.cast.entities)}"
+                raise actors.error(expected, f"{name!r:.60}", "correct the name")
+        return names
 
     def _begins(self, event: _Event, npc: _Npc | None, ego: str | None) -> tuple[_When, _When] | None:
         """Return when the act of an event and when the event itself begins; None if it waits for one not yet read."""

@@ -126,7 +126,7 @@ class Free(WithStart):
 
     @property
     def roughness(self) -> int:
-        """How far its distance is from multiples of 5 and of 1, and how much a reader must know of its driver."""
+        """The distance of its place from multiples of 5 and of 1, and how much a reader must know of its driver."""
         known = BUILT_IN_DRIVERS.index(self.driver) if self.driver in BUILT_IN_DRIVERS else len(BUILT_IN_DRIVERS)
         return 1 + known + roughness(round(abs(self.ahead) * SPEED_STEPS_PER_MPS))
 

@@ -55,7 +55,7 @@ class ScenarioError(FieldError):
 
 
 class Choices(NamedTuple):
-    """What a search may choose for an instruction.
+    """The values that a search may choose for an instruction.
 
     Attributes:
         low, top: the lowest and the highest target speed, in steps of 0.1 m/s.
@@ -83,7 +83,7 @@ class Choices(NamedTuple):
 
 
 class Space(Protocol):
-    """What an instruction reads of the space of a search."""
+    """The part of the space of a search that an instruction reads."""
 
     @property
     def instructions(self) -> str:
@@ -104,7 +104,7 @@ class Space(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Nudge:
-    """How far a neighbour differs from its scenario.
+    """The size of the steps from a scenario to its neighbour.
 
     Attributes:
         share: the size of all steps as a share of the largest ones.
@@ -177,7 +177,7 @@ class Instruction(Pasteable, ABC):
 
     @property
     def code(self) -> Hashable:
-        """What only equal instructions have, and is fast to hash and to compare."""
+        """A value that only equal instructions have, which is fast to hash and to compare."""
         return self
 
     @property

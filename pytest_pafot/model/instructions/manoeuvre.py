@@ -254,7 +254,7 @@ class Manoeuvre(WithStart):
 
     @property
     def roughness(self) -> int:
-        """How far distances, times and speeds are from multiples of 5 and of 1, and the number of unusual values."""
+        """The distances of places, times and speeds from multiples of 5 and of 1, and the number of unusual values."""
         numbers = [self.ahead, *(step.gap or step.headway or step.after for step in self.steps)]
         numbers += [step.speed or 0.0 for step in self.steps]
         unusual = sum(name in PLAIN_OF_STEPS for step in self.steps for name in step.told)

@@ -62,7 +62,7 @@ class _Parsed(Pasteable):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Track(_Parsed):
-    """Where a vehicle was, ten times a second or as often as its first line says.
+    """The places of a vehicle, ten times a second or as often as its first line says.
 
     Attributes:
         text: a line for each tenth of a second, or after a line such as ``rate 15`` for each fifteenth: x [m], y [m],
@@ -328,7 +328,7 @@ class Recorded(Instruction):
 
     @property
     def weight(self) -> int:
-        """How far the NPC is from its recording, in tenths of seconds and metres and hundredths of the speed."""
+        """The difference of the NPC from its recording, in tenths of seconds and metres and hundredths of the speed."""
         return round(10 * (abs(self.later) + abs(self.shift)) + 100 * abs(self.pace - 1))
 
     def plainer(self) -> Iterator[Recorded]:

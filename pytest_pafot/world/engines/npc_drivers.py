@@ -108,7 +108,7 @@ class TrafficDriver(ModelDriver):
 
 
 class OwnMover(Protocol):
-    """What moves one NPC in the place of the director, for one run.
+    """A mover, which moves one NPC in the place of the director, for one run.
 
     Attributes:
         body: the NPC at its start, in world coordinates.
