@@ -102,11 +102,12 @@ class Store:
         signature, saved = finding.signature, None
         if signature in known or signature in self.pending:
             return
-        if self.harness.request.settings.save != "none" and self._room > self._pending_files:
-            path, finding = free_path(self.harness.folder, finding, self.replayed)
-            with suppress(CorpusWriteError):  # which is reported in its turn
-                saved = path if write(path, finding) else None
-        self.pending[signature] = saved, pending
+        with postponed():  # A file that an interrupt leaves unnoted would be in no report.
+            if self.harness.request.settings.save != "none" and self._room > self._pending_files:
+                path, finding = free_path(self.harness.folder, finding, self.replayed)
+                with suppress(CorpusWriteError):  # which is reported in its turn
+                    saved = path if write(path, finding) else None
+            self.pending[signature] = saved, pending
 
     def _forget_pending(self, finding: Finding) -> None:
         """Remove what was saved before its turn if a failure of its kind has come before it, or if there is no room."""

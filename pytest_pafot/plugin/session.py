@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import date, timedelta
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 import pytest
@@ -220,8 +221,36 @@ def shared_by_controller(config: pytest.Config) -> Shared:
     return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
 
 
+class _KeptEvents(Queue[Any]):
+    """A queue that removes an event when it is asked for the next one, so that an interrupt in between loses none."""
+
+    is_begun = False  # whether the first event has been given out
+
+    def _qsize(self) -> int:
+        return len(self.queue) - self.is_begun
+
+    def _get(self) -> Any:
+        if self.is_begun:
+            self.queue.popleft()
+        self.is_begun = True
+        return self.queue[0]
+
+
 class Controller:
     """Hooks of pytest-xdist's controller."""
+
+    _last: pytest.TestReport | None = None  # the last report that all have taken
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        """Let pytest-xdist keep each event of a worker until it is handled."""
+        if controller := session.config.pluginmanager.get_plugin("dsession"):
+            controller.queue = _KeptEvents()
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note that a report is taken: an interrupt waits until all have seen it."""
+        self._last = report
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
@@ -254,11 +283,10 @@ class Controller:
             known.update(other)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Take what the workers have reported and an interrupted controller has not read; they have ended by now."""
+        """Take what the workers have reported and an interrupted controller has not taken; they have ended by now."""
         waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
-        while waiting is not None and not waiting.empty():
-            event, data = waiting.get_nowait()
-            if event == "testreport":
+        for event, data in () if waiting is None else tuple(waiting.queue):
+            if event == "testreport" and data["rep"] is not self._last:
                 session.config.hook.pytest_runtest_logreport(report=data["rep"])
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign import bench, blocks, explore, search, tallies
+from pytest_pafot.campaign import bench, blocks, explore, search, store, tallies
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
@@ -349,6 +349,31 @@ def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, s
     searched("early", drives=True, workers=2, stop_after=STOP)
     assert changed
     assert {path: path.read_text() for path in changed} == changed
+
+
+def test_an_interrupt_while_a_failure_is_saved_early_leaves_no_file_that_the_session_does_not_know(
+    searched, saved_early, tmp_path, monkeypatch
+):
+    add_pending, write, noted = Store.add_pending, store.write, []
+
+    def interrupted(*given):
+        assert write(*given)
+        signal.raise_signal(signal.SIGINT)
+        return True
+
+    def add(self, *given):
+        with monkeypatch.context() as patched:
+            patched.setattr(store, "write", interrupted)
+            try:
+                add_pending(self, *given)
+            finally:
+                noted.extend(path for path, _ in self.pending.values())
+
+    monkeypatch.setattr(Store, "add_pending", add)
+    with pytest.raises(KeyboardInterrupt):
+        searched("early", drives=True, workers=2)
+    assert noted
+    assert {*noted} <= {*(tmp_path / "early").rglob("*.yaml")}
 
 
 def end_when_something_is_saved_early(end, search, monkeypatch):

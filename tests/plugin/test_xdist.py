@@ -191,3 +191,38 @@ def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(projec
     assert {each["file"] for each in record["findings"]} == set(project.files)
     assert all(each["id"] in page for each in record["findings"])
     assert "received SIGTERM" in rest
+
+
+IN_BETWEEN = """
+import os, signal
+
+def pytest_sessionstart(session):
+    dsession = session.config.pluginmanager.get_plugin("dsession")
+    if dsession is None:
+        return
+    handle = dsession.worker_testreport
+
+    def interrupted(node, rep):
+        if getattr(rep, "pafot", ("",))[0] == "finding":
+            dsession.worker_testreport = handle
+            os.kill(os.getpid(), signal.SIGTERM)
+            for _ in range(1000):  # Python runs the handler before these are over.
+                pass
+        handle(node, rep)
+
+    dsession.worker_testreport = interrupted
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+def test_a_finding_that_the_controller_has_read_and_not_yet_taken_is_not_lost(project):
+    project.write(TWO.replace("SHORT", "SHORT, stop_after=1"))
+    with (project.path / "conftest.py").open("a") as conftest:
+        conftest.write(IN_BETWEEN)
+    result = project.run("-n1", "--pafot-json=x.json", generations=None, fresh=True)
+    record = json.loads((project.path / "x.json").read_text())
+    assert (result.ret, record["exit"]) == (2, 2)
+    files = [each["file"] for each in record["findings"]]
+    assert files
+    assert sorted(files) == project.files
+    assert result.stdout.str().count("pafot: found") == len(files)
