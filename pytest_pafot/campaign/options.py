@@ -224,7 +224,8 @@ class Settings:
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
         "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. "
         "Neighbours are run after all findings are shrunk, of each finding all or none: [how broad a finding "
-        "is](../explanation/findings.md#how-broad-it-is).",
+        "is](../explanation/findings.md#how-broad-it-is). 0 leaves out [its answers and its "
+        "moment](../explanation/findings.md#the-moment), too.",
         default=40,
         most=MOST_NEIGHBOURS,
     )
