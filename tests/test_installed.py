@@ -25,7 +25,7 @@ def installed(tmp_path_factory):
     """Return the folder of modules that an installation puts next to other packages."""
     lib = tmp_path_factory.mktemp("installed")
     scratch = tmp_path_factory.mktemp("egg-info")
-    subprocess.run([sys.executable, "-W", "ignore", "-c", BUILD, scratch, lib], cwd=ROOT, check=True)
+    subprocess.run([sys.executable, "-W", "error", "-c", BUILD, scratch, lib], cwd=ROOT, check=True)
     return lib
 
 

@@ -195,7 +195,7 @@ def driven(ego, npc, *, priority="npc", others=(), seconds=20.0):
     for number, states in enumerate(vehicles):
         states[:, LANE] = np.where(np.isnan(track[:, number, 0]), number, 0)
     on_way = np.stack([np.full(ticks + 1, np.nan) if met is None else along[n + 1] for n, met in enumerate(zones)], -1)
-    lanes = tuple(_lane(path(ego.way if each.way == "grid" else each.way)) for each in (ego, npc, *others))
+    lanes = tuple(_lane(ego.way if each.way == "grid" else each.way) for each in (ego, npc, *others))
     return trace_of(*vehicles, lanes=lanes, track=track, zones=tuple(zones), on_way=on_way, physics_hz=HZ)
 
 
@@ -232,20 +232,30 @@ def _on_line(along):
 def _track(line, states):
     """Return track rows for a vehicle, NaN while it is not on the ego's way."""
     places = np.arange(len(line.points)) * STEP
+    rows = np.full((len(states), 5), np.nan)
+    low, high = (ends(line.points[:, :2], axis=0) for ends in (np.min, np.max))
+    xy = states[:, [X, Y]]
+    is_around = ((xy > low - LANE_WIDTH) & (xy < high + LANE_WIDTH)).all(
+        axis=1
+    )  # the others are off, which is soon seen
+    states = states[is_around]
     x, y = (states[:, None, axis] - line.points[None, ::5, axis] for axis in (X, Y))
-    near = np.hypot(x, y).argmin(axis=1) * 5
+    near = (x * x + y * y).argmin(axis=1) * 5
     at = line.points[near]
     cos, sin = np.cos(at[:, 2]), np.sin(at[:, 2])
     dx, dy = states[:, X] - at[:, 0], states[:, Y] - at[:, 1]
     across = dy * cos - dx * sin
     angle = np.remainder(states[:, HEADING] - at[:, 2] + math.pi, 2 * math.pi) - math.pi
-    rows = np.column_stack([places[near] + dx * cos + dy * sin, across, angle, across, np.ones(len(states))])
+    found = np.column_stack([places[near] + dx * cos + dy * sin, across, angle, across, np.ones(len(states))])
     is_off = (abs(across) >= LANE_WIDTH / 2) | (abs(angle) >= 0.5) | (near == 0) | (near >= len(places) - 6)
-    rows[is_off] = np.nan
+    found[is_off] = np.nan
+    rows[is_around] = found
     return rows
 
 
-def _lane(line):
+@lru_cache
+def _lane(way):
+    line = path(way)
     points = tuple((float(x), float(y)) for x, y, _ in line.points[::10])
     (x, y), heading = points[0], float(line.points[0, 2])
     length = (len(points) - 1) * STEP * 10
