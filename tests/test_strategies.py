@@ -20,6 +20,7 @@ from pytest_pafot.model.scenario import Scenario
 from tests.helpers.tables import table
 
 KINDS = {PositionInstruction, LaneInstruction, CrossingInstruction}
+INTERSECTION = World("intersection-v0")
 DRAWN = settings(max_examples=500, phases=[Phase.generate])
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter
 
@@ -40,7 +41,7 @@ EVERY = st.one_of(
     strategies.scenarios(max_npcs=4, gene_seconds=0.1 + 0.2, ego_speed=1 / 3),
     strategies.scenarios(traffic="paper", instructions="lanes"),
     strategies.scenarios(traffic=Traffic("everyday", least_gap=1 / 3), ego_speed=np.float64(20.5)),
-    st.deferred(lambda: strategies.scenarios_in(World("intersection-v0"))),  # not at collection: it reads the roads
+    st.deferred(lambda: strategies.scenarios_in(INTERSECTION)),  # not at collection: it reads the roads
     st.builds(Traffic, st.sampled_from(["hostile", "everyday"]), braking=st.floats(0.5, 100)),
 )
 
@@ -217,9 +218,6 @@ def test_hypothesis_finds_the_strategies_by_its_entry_point():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-INTERSECTION = World("intersection-v0")
-
-
 @given(st.deferred(lambda: strategies.scenarios_in(INTERSECTION, max_npcs=4, acts=("pass", "hold", "stop", "late"))))
 def test_junction_scenarios_fit_the_world_without_clashes(scenario):
     INTERSECTION.check_fits(scenario)
@@ -290,7 +288,7 @@ def test_vehicles_are_drawn_that_fit_and_shrink_to_the_first():
     assert find(strategies.scenarios(), lambda scenario: True).vehicles == ()
 
 
-@given(strategies.scenarios_in(World("intersection-v0"), vehicles=["truck", "motorcycle"], max_npcs=3))
+@given(st.deferred(lambda: strategies.scenarios_in(INTERSECTION, vehicles=["truck", "motorcycle"], max_npcs=3)))
 def test_vehicles_fit_the_ways_of_a_world(scenario):
-    World("intersection-v0").check_fits(scenario)
+    INTERSECTION.check_fits(scenario)
     assert CAR not in scenario.all_vehicles
