@@ -87,7 +87,7 @@ def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
 def test_idm_in_the_kernel_drives_as_highway_envs_own(env_id):
     """It changes lanes, follows routes, brakes behind obstacles, and yields where the road has rules."""
     world = world_of(env_id, duration=20.0)
-    for seed in range(3):
+    for seed in range(6):
         scenario = sample(space_of(world), np.random.default_rng(seed))
         with c_library():
             ours, stocks = world.rollout(scenario, IDMVehicle), world.rollout(scenario, Own)
