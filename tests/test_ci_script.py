@@ -84,16 +84,26 @@ def summary(tmp_path):
     return tmp_path / "summary.md"
 
 
-@pytest.fixture
-def repository(tmp_path):
-    """Return a clone with one commit, next to the repository from which it was cloned."""
-    folder = tmp_path / "clone"
-    git(tmp_path, "init", "-q", "--bare", "-b", "main", "origin.git")
-    git(tmp_path, "init", "-q", "-b", "main", "clone")
-    git(folder, "remote", "add", "origin", "../origin.git")
-    commit(folder, {".gitignore": "__pycache__/\npafot.json\n"}, "begin")
-    git(folder, "push", "-q", "origin", "main")
+@pytest.fixture(scope="session")
+def begun_repository(tmp_path_factory):
+    """Return a folder with a clone of one commit, and the repository from which it was cloned."""
+    folder = tmp_path_factory.mktemp("repository")
+    git(folder, "init", "-q", "--bare", "--template=", "-b", "main", "origin.git")
+    git(folder, "init", "-q", "--template=", "-b", "main", "clone")
+    git(folder / "clone", "remote", "add", "origin", "../origin.git")
+    for name in ("clone", "origin.git"):  # else git looks after each command whether it should tidy up
+        git(folder / name, "config", "maintenance.auto", "false")
+        git(folder / name, "config", "receive.autogc", "false")
+    commit(folder / "clone", {".gitignore": "__pycache__/\npafot.json\n"}, "begin")
+    git(folder / "clone", "push", "-q", "origin", "main")
     return folder
+
+
+@pytest.fixture
+def repository(begun_repository, tmp_path):
+    """Return a clone with one commit, next to the repository from which it was cloned."""
+    shutil.copytree(begun_repository, tmp_path, dirs_exist_ok=True)  # making one takes twenty processes of git
+    return tmp_path / "clone"
 
 
 def commit(folder, files, message):
@@ -389,6 +399,7 @@ class TestTheBranch:
 
     def test_rejected_push_ends_job_and_locates_findings(self, repository, fake):
         hook = repository.parent / "origin.git" / "hooks" / "pre-receive"
+        hook.parent.mkdir()
         hook.write_text("#!/bin/sh\nexit 1\n")
         hook.chmod(0o755)
         inputs = inputs_of("night", "night") | {"requirements": ""}

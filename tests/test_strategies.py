@@ -20,6 +20,7 @@ from pytest_pafot.model.scenario import Scenario
 from tests.helpers.tables import table
 
 KINDS = {PositionInstruction, LaneInstruction, CrossingInstruction}
+INTERSECTION = World("intersection-v0")
 DRAWN = settings(max_examples=500, phases=[Phase.generate])
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter
 
@@ -40,7 +41,7 @@ EVERY = st.one_of(
     strategies.scenarios(max_npcs=4, gene_seconds=0.1 + 0.2, ego_speed=1 / 3),
     strategies.scenarios(traffic="paper", instructions="lanes"),
     strategies.scenarios(traffic=Traffic("everyday", least_gap=1 / 3), ego_speed=np.float64(20.5)),
-    st.deferred(lambda: strategies.scenarios_in(World("intersection-v0"))),  # not at collection: it reads the roads
+    st.deferred(lambda: strategies.scenarios_in(INTERSECTION)),  # not at collection: it reads the roads
     st.builds(Traffic, st.sampled_from(["hostile", "everyday"]), braking=st.floats(0.5, 100)),
 )
 
@@ -215,9 +216,6 @@ def test_hypothesis_finds_the_strategies_by_its_entry_point():
         "assert 'highway_env' not in sys.modules and 'numpy' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-INTERSECTION = World("intersection-v0")
 
 
 @given(st.deferred(lambda: strategies.scenarios_in(INTERSECTION, max_npcs=4, acts=("pass", "hold", "stop", "late"))))

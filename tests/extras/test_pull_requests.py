@@ -6,7 +6,17 @@ import pytest
 
 from pytest_pafot.findings.neighbours import Breadth
 from tests.helpers.actions import git, inputs_of, run_action
-from tests.test_ci_script import PLANNER, QUICK, TEST, commit, record_of, repository, saved, summary  # noqa: F401
+from tests.test_ci_script import (  # noqa: F401
+    PLANNER,
+    QUICK,
+    TEST,
+    begun_repository,
+    commit,
+    record_of,
+    repository,
+    saved,
+    summary,
+)
 
 pytestmark = pytest.mark.processes
 

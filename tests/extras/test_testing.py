@@ -683,7 +683,7 @@ WRONG = [
 @table(("wrong", "promise"), WRONG)
 def test_wrong_world_is_refused_by_name_of_field(wrong, promise):
     with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
-        check_world(wrong())
+        check_world(wrong(), runs=4)
 
 
 def test_world_with_decisions_and_drivers_passes_without_warning(recwarn):

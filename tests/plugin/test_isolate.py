@@ -62,7 +62,7 @@ QUICK = ("--pafot-shrink-rollouts=0",)
 @pytest.fixture
 def isolated(project, monkeypatch):
     """Return a function that writes a project whose ADS has some source text."""
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "60")  # none of these tests needs the default of 300
+    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "20")  # none of these tests needs the default of 300
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(CONFTEST.replace("DRIVE", drive).replace("MORE", more))
@@ -176,8 +176,8 @@ def drive(observation):
 
 def test_process_death_while_shrinking_is_a_finding(isolated):
     project = isolated("drive", LONE)
-    few = "--pafot-shrink-rollouts=20"  # each attempt that leaves one NPC ends a process
-    result = project.run("--pafot-isolate", "--pafot-stop-after=1", few, generations=1, apart=True)
+    # Each attempt that leaves one NPC ends a process.
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, apart=True)
     crash, other = sorted(project.files, key=lambda name: "crash-" not in name)
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None

@@ -541,16 +541,16 @@ def test_resumed_search_agrees_on_the_commit_and_not_its_name(repository):
 
 @table("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_copy_of_an_ended_session_is_removed(repository, number):
-    write(
-        repository, {"test_it.py": (repository.path / "test_it.py").read_text().replace("stop_after=1", "max_time=99")}
-    )
+    endless = git(repository, "show", "main:test_it.py").replace("stop_after=1", "max_time=99")
+    write(repository, {"test_it.py": endless.replace("    assert", "    open('began', 'w').close()\n    assert")})
+    began = repository.path / "began"
+    began.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "pafot", "--pafot-against=rev:main", "--pafot-runs=1000000"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with begun(command, cwd=repository.path, **quiet) as session:
         deadline = time.monotonic() + 60
-        while len(git(repository, "worktree", "list").splitlines()) == 1 and time.monotonic() < deadline:
+        while not began.exists() and time.monotonic() < deadline:
             time.sleep(0.1)
-        time.sleep(1.0)
         session.send_signal(number)
     assert session.returncode != 0
     if number == signal.SIGKILL:

@@ -147,7 +147,7 @@ several = st.lists(vehicles, min_size=1, max_size=8)
 
 
 @EVERY_ROAD
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(
     config=tables("Kinematics"),
     states=several,
@@ -167,7 +167,7 @@ def test_tables_with_an_exit_equal_those_of_highway_env(observers, config, state
 
 
 @EVERY_ROAD
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(config=grids, states=several)
 def test_grids_equal_those_of_highway_env(env_id, observers, config, states):
     populate(environment(env_id), Vehicle, states)
@@ -175,7 +175,7 @@ def test_grids_equal_those_of_highway_env(env_id, observers, config, states):
 
 
 @EVERY_ROAD
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(
     config=times, states=several, speeds=st.sampled_from([[20, 25, 30], [0, 4.5, 9], [10, 20]]), index=st.integers(0, 1)
 )

@@ -22,7 +22,7 @@ from pytest_pafot.world.driving.vehicles import compiled_network
 from pytest_pafot.world.engines import policies
 from pytest_pafot.world.kernel.loop import ModelDriver
 from tests.helpers.c_library import c_library
-from tests.helpers.road_cases import ENVIRONMENTS, OwnEnvironment, space_of
+from tests.helpers.road_cases import ENVIRONMENTS, OwnEnvironment, space_of, world_of
 from tests.helpers.stages import mostly_oracle
 
 BENT = mostly_oracle(ENVIRONMENTS, "intersection-v0")
@@ -69,7 +69,7 @@ def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
 
     The ego of lane-keeping-v0 must have a state that only its own class has.
     """
-    world = World(env_id, duration=12.0)
+    world = world_of(env_id, duration=8.0)
     space = world.action_space
     actions = [*range(space.n), 1] if hasattr(space, "n") else [np.full(space.shape, 0.01, np.float32)]
     egos = [swerves(actions)] if env_id == "lane-keeping-v0" else [IDMVehicle, Own, swerves(actions)]
@@ -86,8 +86,8 @@ def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
 )
 def test_idm_in_the_kernel_drives_as_highway_envs_own(env_id):
     """It changes lanes, follows routes, brakes behind obstacles, and yields where the road has rules."""
-    world = World(env_id, duration=20.0)
-    for seed in range(8):
+    world = world_of(env_id, duration=20.0)
+    for seed in range(6):
         scenario = sample(space_of(world), np.random.default_rng(seed))
         with c_library():
             ours, stocks = world.rollout(scenario, IDMVehicle), world.rollout(scenario, Own)
@@ -103,7 +103,7 @@ def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
         "SteppedRun",
         lambda vehicles, driver, guard: drivers.append(driver) or original(vehicles, driver, guard),
     )
-    world = World(env_id, duration=2.0)
+    world = world_of(env_id, duration=8.0)
     scenario = sample(space_of(world), np.random.default_rng(0))
     for ads in (IDMVehicle, Own, MDPVehicle):
         world.rollout(scenario, ads)
