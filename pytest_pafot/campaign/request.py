@@ -441,6 +441,7 @@ def _space_around(request: Request, world: BaseWorld) -> SearchSpace:
             speed_limit=float(world.speed_limit),
             ego_lane=scenario.ego_lane,
             ego_speed=scenario.ego_speed,
+            ego_length=world.given.ego.length,
             traffic=scenario.traffic,
             lanes=road.lane_count,
             first=(scenario,),

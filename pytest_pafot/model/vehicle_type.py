@@ -112,6 +112,24 @@ class VehicleType(Pasteable):
         return self.length <= CAR.length or curvature <= TIGHTEST * CAR.length / self.length
 
     @property
+    def has_limits(self) -> bool:
+        """True if it has limits in addition to those of the world."""
+        return min(self.acceleration, self.braking, self.lateral_acceleration, self.top_speed) < math.inf
+
+    def limited(self, acceleration: float, steering: float, speed: float) -> tuple[float, float]:
+        """Return what an ego that is such a vehicle does at a speed [m/s] of what its driver asks for.
+
+        Both are the acceleration [m/s^2] and the steering angle [rad], of highway-env's bicycle model. The nearer the
+        top speed, the less the ego accelerates, as highway-env's own vehicles do near theirs.
+        """
+        acceleration = max(min(acceleration, self.acceleration, self.top_speed - speed), -self.braking)
+        slip = self.lateral_acceleration * self.length / 2 / max(speed * speed, 1e-9)
+        if slip < 1.0:
+            most = math.atan(2 * math.tan(math.asin(slip)))
+            steering = min(max(steering, -most), most)
+        return acceleration, steering
+
+    @property
     def described(self) -> str:
         """The name and the size in words: ``truck, 12 x 2.55 m``."""
         return f"{self.name}, {self.length:g} x {self.width:g} m"
