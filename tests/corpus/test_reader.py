@@ -671,7 +671,7 @@ def test_the_egos_own_vehicle_is_read_strictly(path):
     path.write_text(
         text_of(replace(plain_finding(), world={**Highway().to_dict(), "ego": {"name": "bus", "length": 12.0}}))
     )
-    with pytest.raises(CorpusError, match="world.ego: expected the key 'width'"):
+    with pytest.raises(CorpusError, match=r"world.ego: expected the key 'width'"):
         load(path)
 
 
