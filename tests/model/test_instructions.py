@@ -131,7 +131,7 @@ def test_a_kind_has_to_say_which_searches_draw_it():
     class Undecided(Drift):
         is_drawn_in = Instruction.is_drawn_in
 
-    with pytest.raises(TypeError, match="abstract method '?is_drawn_in"):
+    with pytest.raises(TypeError, match=r"abstract method '?is_drawn_in"):
         Undecided(0.8, 20.0)
 
 
