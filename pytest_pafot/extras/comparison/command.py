@@ -158,7 +158,7 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
     except ValueError as error:
         raise RequestError(str(error)) from None
     if odd := next((each for each in space.vehicles if not base_world(world).can_drive(each)), None):
-        raise RequestError(f"--vehicles: expected some that can follow the bends of {world!r}, received {odd.described}")
+        raise RequestError(f"--vehicles: expected some that follow the bends of {world!r}, received {odd.described}")
     generations = None if arguments.seconds is not None else arguments.generations
     if arguments.seconds is None and generations is None:
         generations = 100
