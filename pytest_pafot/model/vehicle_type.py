@@ -1,4 +1,4 @@
-"""What kind of vehicle an NPC is: its size, and what it can do at most.
+"""What kind of vehicle an NPC or the ego is: its size, and what it can do at most.
 
 Sources of the numbers:
 
@@ -55,7 +55,7 @@ class VehicleType(Pasteable):
         acceleration: strongest acceleration [m/s^2], at least 0.5.
         braking: strongest deceleration, as a positive number [m/s^2], at least 5.
         lateral_acceleration: largest product of speed and turning rate [m/s^2], at least 1.
-        top_speed: highest speed [m/s], at least 5. An NPC that should start faster starts at this speed.
+        top_speed: highest speed [m/s], at least 5. A vehicle that should start faster starts at this speed.
 
     Raises:
         FieldError: if a value is out of its bounds, or the name is that of a ready vehicle with other numbers.
