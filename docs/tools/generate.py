@@ -135,9 +135,9 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `2`. Files of a different version are refused.",
     "test": "Node id of the test. The folder of the file, and not this line, decides which test replays it.",
-    "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`. For a "
-    "world that is code (`own`, or with `wrappers`), the replay uses the test's world. A "
-    "[registered](../guide/own-world.md) world has its own kind and its `data`.",
+    "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`; "
+    "`ego` only if it is no car. For a world that is code (`own`, or with `wrappers`), the replay uses the test's "
+    "world. A [registered](../guide/own-world.md) world has its own kind and its `data`.",
     "scenario.seed": "Seed of all random choices in the run, such as those of the repair.",
     "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
     "all NPCs that do not cross start; less for an NPC in a bend.",

@@ -181,7 +181,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
         road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
         space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
-        drivers=_checked_drivers(arguments.get("drivers"), place),
+        drivers=checked_drivers(arguments.get("drivers"), f"{place}(drivers=...)"),
         place=place,
         **own,
     )
@@ -215,11 +215,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     return request
 
 
-def _checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any]]:
-    """Return the drivers of free NPCs by name, in the order of the mark."""
+def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any]]:
+    """Return the drivers of free NPCs by name, in the order of the mark or of the options that ``place`` names."""
     if given is None:
         return {}
-    wrong = f"{place}(drivers=...): expected"
+    wrong = f"{place}: expected"
     if not isinstance(given, Mapping):
         names = (given,) if isinstance(given, str) else given
         if not isinstance(names, Sequence) or not set(names) <= set(BUILT_IN_DRIVERS):
@@ -233,21 +233,22 @@ def _checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., An
         try:
             checked_driver(name)
         except ScenarioError as error:
-            raise RequestError(f"{place}(drivers=...): {error}") from None
+            raise RequestError(f"{place}: {error}") from None
         if name in BUILT_IN_DRIVERS and value != name:
             problem = f"{name!r} to have no factory, because it is a driver of the plugin, received {value!r:.100}"
             raise RequestError(f"{wrong} {problem}; choose another name, or write {name!r}: {name!r}")
         if isinstance(value, str) and value.startswith(REVISION):
             problem = "a policy that this process can make, received a revision, which drives in a process of its own"
-            fix = "give the factory of a copy of it, such as the installed last release"
+            of_tree = f"`git worktree add ../last_version {value.removeprefix(REVISION)}` and PYTHONPATH=.."
+            fix = f"with {of_tree} it is such as 'last_version.planner:Planner'"
             raise RequestError(f"{wrong} {problem}: {value!r}; {fix}")
         if isinstance(value, str) and ":" in value:
             try:
                 value = factory_named(value)  # noqa: PLW2901
             except ValueError as error:
-                raise RequestError(f"{place}(drivers=...): {error}") from error
+                raise RequestError(f"{place}: {error}") from error
         if problem := _problem_of_ads(value):
-            raise RequestError(f"{place}(drivers={{{name!r}: ...}}): {problem}")
+            raise RequestError(f"{place}: {name!r}: {problem}")
         drivers[name] = value
     return drivers
 
@@ -441,6 +442,7 @@ def _space_around(request: Request, world: BaseWorld) -> SearchSpace:
             speed_limit=float(world.speed_limit),
             ego_lane=scenario.ego_lane,
             ego_speed=scenario.ego_speed,
+            ego_length=world.given.ego.length,
             traffic=scenario.traffic,
             lanes=road.lane_count,
             first=(scenario,),

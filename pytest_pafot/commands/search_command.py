@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS
-from pytest_pafot.campaign.request import BLAMES
+from pytest_pafot.campaign.request import BLAMES, checked_drivers
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
     BAD_USE,
@@ -31,7 +31,9 @@ from pytest_pafot.commands.policy_reference import (
 )
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag, page
+from pytest_pafot.model.instructions import BUILT_IN_DRIVERS
+from pytest_pafot.model.vehicle_type import named_vehicles
+from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag, page
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.receipts import taken_receipt, unfinished
@@ -87,6 +89,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="JSON", help=of_config)
     of_traffic = "how the other vehicles drive (default: hostile)"
     parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
+    of_vehicles = "what vehicles NPCs can be, such as car,truck (default: all ready ones that fit the road)"
+    parser.add_argument("--vehicles", metavar="A,B", help=of_vehicles)
+    of_driver = f"a driver of free NPCs, which half of them are then: {', '.join(BUILT_IN_DRIVERS)}, or another policy "
+    of_driver += "with a name, such as last=planner:Last; it may be given several times"
+    parser.add_argument("--driver", action="append", default=[], metavar="NAME[=MODULE:FACTORY]", help=of_driver)
     of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "the seed of the search (default: a new one, which the output names, or 0 if the variable CI is set)"
@@ -280,6 +287,8 @@ def _test(arguments: argparse.Namespace) -> str:
     of_config = "" if config is None else f", config={config!r}"
     given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r}{of_config})"]
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
+    given += [] if arguments.vehicles is None else [f"vehicles={json.dumps(_vehicles(arguments.vehicles))}"]
+    given += [f"drivers={json.dumps(_drivers(arguments.driver))}"] if arguments.driver else []
     given += [] if arguments.begin_with is None else [f"begin_with={arguments.begin_with!r}"]
     name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""
     if arguments.blame != "ego":
@@ -292,6 +301,29 @@ def _test(arguments: argparse.Namespace) -> str:
     return (
         f"import pytest_pafot as pafot\n{imports}\n\n@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"
     )
+
+
+def _vehicles(text: str) -> list[str]:
+    """Return the names of vehicles in the value of ``--vehicles``."""
+    names = [name.strip() for name in text.split(",")]
+    try:
+        named_vehicles(names)
+    except FieldError as error:
+        raise RequestError(f"--vehicles: expected {error.expected}, received {error.received}") from None
+    return names
+
+
+def _drivers(given: Sequence[str]) -> dict[str, str]:
+    """Return the drivers of free NPCs in the values of ``--driver``, as the mark takes them."""
+    drivers = dict[str, str]()
+    for name, _, reference in (each.partition("=") for each in given):
+        if not reference and name not in BUILT_IN_DRIVERS:
+            expected = f"{', '.join(BUILT_IN_DRIVERS)}, or NAME=MODULE:FACTORY such as last=planner:Last"
+            raise RequestError(f"--driver: expected {expected}, received {name!r}")
+        is_here = reference and not reference.startswith(REVISION)
+        drivers[name] = whole_name(reference) if is_here else reference or name
+    checked_drivers(drivers, "--driver")
+    return drivers
 
 
 def _import(module: str, name: str, alias: str, option: str) -> str:

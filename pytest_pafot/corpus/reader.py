@@ -61,8 +61,8 @@ FILE = Keys(
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
 WORLDS: Mapping[str, Keys] = MappingProxyType(
     {
-        "highway": Keys(("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN)),
-        "gym": Keys(("kind", "env_id", "config", "duration", *_BUILT_IN), ("wrappers", "planner_hz")),
+        "highway": Keys(("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN), ("ego",)),
+        "gym": Keys(("kind", "env_id", "config", "duration", *_BUILT_IN), ("wrappers", "planner_hz", "ego")),
         "own": Keys(("kind",), ("class", "data")),
     }
 )
@@ -248,6 +248,8 @@ def _world(field: Field) -> dict[str, Any]:
         field.mapping(WORLDS[kind])
         if "limits" in fields:
             fields["limits"].mapping(LIMITS)
+        if "ego" in fields:
+            _vehicle(fields["ego"])
     return world
 
 

@@ -16,7 +16,7 @@ import gymnasium
 from gymnasium.error import ResetNeeded
 from numpy.random import Generator
 
-from pytest_pafot import Run, Scenario, Trace, World, WorldError, load
+from pytest_pafot import CAR, Run, Scenario, Trace, World, WorldError, load
 from pytest_pafot.extending import (
     SUFFIX,
     SteppedWorld,
@@ -52,6 +52,9 @@ class TrainingEnv(gymnasium.Env[Any, Any]):
         if world.planner_hz is not None:
             fix = "leave it out: a policy learns from the environment's own observations and actions"
             raise WorldError(field="world.planner_hz", expected="None", received=f"{world.planner_hz:g}", fix=fix)
+        if world.ego != CAR:
+            expected, fix = "a car", "ordinary traffic has the environment's own ego, so its class decides on the size"
+            raise WorldError(field="world.ego", expected=expected, received=world.ego.described, fix=fix)
         world.check()
         if world.environment.episodes_itself(drives_itself=False):
             expected = (

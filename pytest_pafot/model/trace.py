@@ -16,6 +16,7 @@ import numpy.typing as npt
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.shown import Shown
 
 FloatArray = npt.NDArray[np.float64]
@@ -508,6 +509,7 @@ class Trace(Shown):
         obstacles: the fixed objects on the road that vehicles can touch: x [m], y [m], heading [rad], length and width
             [m].
         drew: True if the run drew from a global random generator, so that another seed may give another run.
+        ego_vehicle: what vehicle the world says that the ego is.
     """
 
     scenario: Scenario
@@ -535,6 +537,7 @@ class Trace(Shown):
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
     npc_error: tuple[int, AdsError] | None = None
+    ego_vehicle: VehicleType = CAR
 
     @property
     def npc_error_text(self) -> str:
@@ -636,6 +639,10 @@ class Trace(Shown):
         """Return those arrays of the trace that have a row per tick, up to a tick, by the names of their fields."""
         arrays = {name: getattr(self, name) for name in ("states", "track", "on_way")}
         return {name: None if array is None else array[: tick + 1] for name, array in arrays.items()}
+
+    def vehicle_type(self, vehicle: int) -> VehicleType:
+        """Return what vehicle the ego is (0), or an NPC (its number plus 1)."""
+        return self.scenario.vehicle_of(vehicle - 1) if vehicle else self.ego_vehicle
 
     @property
     def chains(self) -> tuple[Chromosome, ...]:

@@ -1,4 +1,4 @@
-"""What kind of vehicle an NPC is: its size, and what it can do at most.
+"""What kind of vehicle an NPC or the ego is: its size, and what it can do at most.
 
 Sources of the numbers:
 
@@ -55,7 +55,7 @@ class VehicleType(Pasteable):
         acceleration: strongest acceleration [m/s^2], at least 0.5.
         braking: strongest deceleration, as a positive number [m/s^2], at least 5.
         lateral_acceleration: largest product of speed and turning rate [m/s^2], at least 1.
-        top_speed: highest speed [m/s], at least 5. An NPC that should start faster starts at this speed.
+        top_speed: highest speed [m/s], at least 5. A vehicle that should start faster starts at this speed.
 
     Raises:
         FieldError: if a value is out of its bounds, or the name is that of a ready vehicle with other numbers.
@@ -110,6 +110,24 @@ class VehicleType(Pasteable):
     def can_follow(self, curvature: float) -> bool:
         """Return whether the vehicle can follow a bend of a curvature [1/m]; a car can follow those of all roads."""
         return self.length <= CAR.length or curvature <= TIGHTEST * CAR.length / self.length
+
+    @property
+    def has_limits(self) -> bool:
+        """True if it has limits in addition to those of the world."""
+        return min(self.acceleration, self.braking, self.lateral_acceleration, self.top_speed) < math.inf
+
+    def limited(self, acceleration: float, steering: float, speed: float) -> tuple[float, float]:
+        """Return what an ego that is such a vehicle does at a speed [m/s] of what its driver asks for.
+
+        Both are the acceleration [m/s^2] and the steering angle [rad], of highway-env's bicycle model. The nearer the
+        top speed, the less the ego accelerates, as highway-env's own vehicles do near theirs.
+        """
+        acceleration = max(min(acceleration, self.acceleration, self.top_speed - speed), -self.braking)
+        slip = self.lateral_acceleration * self.length / 2 / max(speed * speed, 1e-9)
+        if slip < 1.0:
+            most = math.atan(2 * math.tan(math.asin(slip)))
+            steering = min(max(steering, -most), most)
+        return acceleration, steering
 
     @property
     def described(self) -> str:

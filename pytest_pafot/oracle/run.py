@@ -540,8 +540,8 @@ class Run(Shown):
             names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
             names += filter(None, [self.scenario.traffic.described])
             others = [
-                f"NPC {npc} is a {vehicle.described}"
-                for npc, vehicle in enumerate(self.scenario.vehicles)
+                f"{f'NPC {number - 1}' if number else 'the ego'} is a {vehicle.described}"
+                for number, vehicle in enumerate((self.trace.ego_vehicle, *self.scenario.vehicles))
                 if vehicle != CAR
             ]
             lines += [f"  {'; '.join(others)}"] if others else []

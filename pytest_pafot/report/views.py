@@ -426,10 +426,8 @@ def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
 
 
 def _name_of(trace: Trace, vehicle: int) -> str:
-    if not vehicle:
-        return "ego"
-    kind = trace.scenario.vehicle_of(vehicle - 1)
-    return f"NPC {vehicle - 1}" if kind == CAR else f"NPC {vehicle - 1}, {kind.name}"
+    name, kind = f"NPC {vehicle - 1}" if vehicle else "ego", trace.vehicle_type(vehicle)
+    return name if kind == CAR else f"{name}, {kind.name}"
 
 
 def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:

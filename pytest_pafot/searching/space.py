@@ -110,6 +110,7 @@ class SearchSpace:
         row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
         first: scenarios that a search drives before those that it samples.
         around: the scenario of recorded NPCs that all scenarios of a search are changes of; None for none.
+        ego_length: the ego's length [m], for changes of a recording.
     """
 
     npcs: int = 2
@@ -136,6 +137,7 @@ class SearchSpace:
     row: tuple[float, float] = (0.0, 0.0)
     first: tuple[Scenario, ...] = ()
     around: Scenario | None = None
+    ego_length: float = CAR.length
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -194,6 +196,7 @@ class SearchSpace:
             "row": (0.0, 0.0),
             "first": (),
             "around": None,
+            "ego_length": CAR.length,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -452,7 +455,7 @@ def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
         npc = int(rng.integers(len(scenario.npcs)))
         new = scenario.npcs[npc][0].varied(choices, rng)
         found = replace(scenario, npcs=(*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :]))
-        if are_apart(found, space.room):
+        if are_apart(found, space):
             return found
     return scenario
 
@@ -468,19 +471,19 @@ def one_more(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         return scenario.of_npcs(npc for npc in range(len(scenario.npcs)) if npc != gone)
     for _ in range(TRIES if len(scenario.npcs) < space.most_on(scenario.ego_lane) else 0):
         found = replace(scenario, npcs=(*scenario.npcs, (random_manoeuvre(space.choices, scenario.npcs, rng),)))
-        if are_apart(found, space.room):
+        if are_apart(found, space):
             return found
     return scenario
 
 
-def are_apart(scenario: Scenario, room: tuple[float, float]) -> bool:
+def are_apart(scenario: Scenario, space: SearchSpace) -> bool:
     """Return whether the starts of NPCs with tracks and manoeuvres are on the road and do not touch, nor the ego's."""
-    behind, ahead = room
-    taken = [(0.0, 0, CAR.length)]
+    (behind, ahead), ego_length = space.room, space.ego_length
+    taken = [(0.0, 0, ego_length)]
     for (first, *_), vehicle in zip(scenario.npcs, scenario.all_vehicles, strict=True):
         along = first.ahead
         if along and not first.follows_track:  # from bumper to bumper
-            along += math.copysign((CAR.length + vehicle.length) / 2, along)
+            along += math.copysign((ego_length + vehicle.length) / 2, along)
         if not -behind <= along <= ahead or any(
             lane == first.beside and abs(along - other) < (length + vehicle.length) / 2 + LEAST_GAP
             for other, lane, length in taken

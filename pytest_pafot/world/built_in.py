@@ -5,16 +5,17 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Self, cast
 
+from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.instructions import ScenarioError, checked_driver
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import VehicleType
-from pytest_pafot.support.errors import WorldError
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.support.errors import FieldError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, FirstDecision, decision_asked
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
@@ -88,6 +89,7 @@ class BuiltInWorld(BaseWorld):
     limits: NpcLimits
     hang_limit: float
     lasts: float | None
+    ego: VehicleType
     npc_drivers: Mapping[str, AdsFactory]
 
     @property
@@ -343,6 +345,21 @@ class BuiltInWorld(BaseWorld):
             object.__setattr__(self, "lasts", number_within("lasts", self.lasts, *LASTS))
         if not isinstance(self.limits, NpcLimits):
             raise WorldError(field="limits", expected="pafot.NpcLimits(...)", received=repr(self.limits))
+        try:
+            object.__setattr__(self, "ego", VehicleType.of(self.ego))
+        except FieldError as error:
+            raise WorldError(f"ego: {error}") from None
+        if self.ego.braking < HARDEST:
+            expected = f"a vehicle that brakes with at least {HARDEST:g} m/s^2, as the rules require of every driver"
+            received = f"{self.ego.described}, with {self.ego.braking:g}"
+            raise WorldError(field="ego", expected=expected, received=received)
+
+    def _to_dict(self, **without: Any) -> dict[str, Any]:
+        """Return the fields as plain data: all but how long it runs, which a file decides, and who drives NPCs."""
+        data = asdict(cast("Any", replace)(self, npc_drivers={}, **without))
+        for name in ("lasts", "npc_drivers", "ego", *without):
+            del data[name]
+        return data if self.ego == CAR else {**data, "ego": self.ego.plain()}
 
     def _rules_on(
         self,
@@ -353,6 +370,9 @@ class BuiltInWorld(BaseWorld):
         duration: float,
         obstacles: tuple[tuple[float, float, float, float, float], ...] = (),
     ) -> Rules:
+        if not road.can_drive(self.ego):
+            expected = "a vehicle that can follow the bends of the road"
+            raise WorldError(field="ego", expected=expected, received=self.ego.described)
         return Rules(
             road=road,
             physics_hz=physics_hz,
@@ -361,6 +381,7 @@ class BuiltInWorld(BaseWorld):
             clearance=self.clearance,
             headway=self.headway,
             limits=self.limits,
+            ego=self.ego,
             hang_limit=self.hang_limit,
             obstacles=obstacles,
         )

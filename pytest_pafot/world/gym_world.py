@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
@@ -62,7 +63,7 @@ class World(BuiltInWorld):
         planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
             ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
             ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
-        lasts, npc_drivers: as in :class:`pytest_pafot.Highway`.
+        lasts, npc_drivers, ego: as in :class:`pytest_pafot.Highway`.
 
     Raises:
         WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by
@@ -80,6 +81,7 @@ class World(BuiltInWorld):
     planner_hz: int | None = None
     lasts: float | None = field(default=None, compare=False)
     npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
+    ego: VehicleType = CAR
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
@@ -297,10 +299,9 @@ class World(BuiltInWorld):
         Raises:
             WorldError: if the environment cannot be used.
         """
-        data = {"kind": "gym", **asdict(replace(self, wrappers=None, npc_drivers={}))}
+        data = {"kind": "gym", **self._to_dict(wrappers=None)}
         data["config"] = self.environment.whole_config
         data["duration"] = self._wanted if self.road.is_straight else min(self._wanted, self._longest)
-        del data["wrappers"], data["lasts"], data["npc_drivers"]
         if self.planner_hz is None:
             del data["planner_hz"]
         return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
@@ -339,7 +340,8 @@ class World(BuiltInWorld):
             from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for bent roads)
 
             duration = min(duration, self._longest)
-            road = way = with_junction(env, survey(env, self.env_id, self.limits, duration * TOP_SPEED), self.limits)
+            surveyed = survey(env, self.env_id, self.limits, duration * TOP_SPEED)
+            road = way = with_junction(env, surveyed, self.limits, self.ego)
             if way.ego_speed > 0:  # the run ends when an ego at its first speed would reach the end of the road
                 duration = min(duration, (way.end - way.start) / way.ego_speed)
         rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -47,6 +48,8 @@ class Highway(BuiltInWorld):
         clearance: the least gap between the ego and the cells ahead of it and behind it [m]; NPCs may come nearer.
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
+        ego: [what vehicle the ego is](scenarios.md#the-egos-vehicle): ``pafot.TRUCK``, another ``pafot.VehicleType``,
+            or the name of a ready one.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         lasts: the duration of each run [s], whatever its scenario and ``duration`` say, as :meth:`lasting` sets it;
             None if they decide. It is not part of a saved world.
@@ -65,6 +68,7 @@ class Highway(BuiltInWorld):
     clearance: float = CLEARANCE
     headway: float = HEADWAY
     limits: NpcLimits = field(default_factory=NpcLimits)
+    ego: VehicleType = CAR
     hang_limit: float = HANG_LIMIT
     lasts: float | None = field(default=None, compare=False)
     npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
@@ -128,7 +132,7 @@ class Highway(BuiltInWorld):
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Return whether ``ads`` is a vehicle class that the kernel can drive in this world."""
-        return idm_model(ads) is not None
+        return not self.ego.has_limits and idm_model(ads) is not None
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but with ``env.step`` of highway-env's own highway-v0.
@@ -147,9 +151,7 @@ class Highway(BuiltInWorld):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
-        values = asdict(replace(self, npc_drivers={}))
-        del values["lasts"], values["npc_drivers"]  # a file decides how long it runs, and a test who drives
-        return {"kind": "highway", **values}
+        return {"kind": "highway", **self._to_dict()}
 
     @cached_property
     def network(self) -> Any:

@@ -41,6 +41,7 @@ class Rules:
         clearance: the gap between the ego and the cells ahead of it and behind it [m].
         headway: the headway with which NPCs start ahead of the ego or behind it [s].
         limits: the limits of every NPC.
+        ego: what vehicle the ego is.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
         drivers: the factories of the drivers of free NPCs, by name; ``policy`` is the policy under test.
@@ -55,6 +56,7 @@ class Rules:
     headway: float
     limits: NpcLimits
     hang_limit: float
+    ego: VehicleType = CAR
     lasts: float | None = None
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drivers: Mapping[str, Any] = field(default_factory=dict)
@@ -72,13 +74,17 @@ class Rules:
 
     def ego_position(self, scenario: Scenario) -> Pose:
         """Return world x [m], y [m] and heading [rad] of the ego at tick 0."""
-        return self.road.position(self.ego_start, scenario.ego_lane)
+        return self.road.position(self.ego_start, scenario.ego_lane, self.ego)
 
-    def start_distance(self, scenario: Scenario, ego_length: float = CAR.length) -> float:
+    def ego_speed(self, scenario: Scenario) -> float:
+        """Return the first speed of the ego, and of NPCs that start as fast as it [m/s]: no more than it reaches."""
+        return min(scenario.ego_speed, self.ego.top_speed)
+
+    def start_distance(self, scenario: Scenario, ego_length: float) -> float:
         """Return the distance between the centres of the ego and of cars that start ahead or behind [m]."""
         return float(ego_length + CAR.length) / 2 + max(self.headway * scenario.ego_speed, self.clearance)
 
-    def start_cells(self, scenario: Scenario, ego_length: float = CAR.length) -> frozenset[Cell]:
+    def start_cells(self, scenario: Scenario, ego_length: float) -> frozenset[Cell]:
         """Return the cells in which an NPC may start."""
         return self.road.start_cells(scenario.ego_lane, self.start_distance(scenario, ego_length))
 
@@ -102,7 +108,7 @@ class Rules:
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         self._check_lane(scenario.ego_lane)
-        cells, crossings = self.start_cells(scenario), scenario.crossings
+        cells, crossings = self.start_cells(scenario, self.ego.length), scenario.crossings
         firsts = [chain[0] for chain in scenario.npcs if not chain[0].crosses]
         on_grid = sum(not first.keeps_start for first in firsts)
         if any(first.in_free_cell for first in firsts):
@@ -146,7 +152,7 @@ class Rules:
         gap = max(self.headway * speed, self.clearance) if self.road.prescribed is None else 0.0
         x, y, heading = self.road.position(self.ego_start, lane)
         x, y = x + gap / 2 * math.cos(heading), y + gap / 2 * math.sin(heading)
-        place = Box(x, y, heading, CAR.length + gap, CAR.width)
+        place = Box(x, y, heading, self.ego.length + gap, self.ego.width)
         return next((each for each in self.obstacles if overlap(place, Box(*each))), None)
 
     def refuse_start(self, scenario: Scenario, near: tuple[float, ...]) -> NoReturn:
@@ -204,7 +210,7 @@ class Rules:
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
             lane, vehicle = scenario.ego_lane + manoeuvre.beside, scenario.vehicle_of(npc)
-            along = self.along_at(manoeuvre, scenario, vehicle=vehicle)
+            along = self.along_at(manoeuvre, scenario, self.ego.length, vehicle)
             if not self.road.has_lane(lane, along):
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
                 place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
@@ -212,8 +218,9 @@ class Rules:
         if not asked:
             return
         numbers = [npc for npc, *_ in _not_crossing(scenario)]
-        places = start_places(self, scenario, self.director(scenario, CAR.length).first_cells())
-        lengths = {npc: scenario.vehicle_of(npc).length for npc in numbers} | {-1: CAR.length}
+        own_length = self.ego.length
+        places = start_places(self, scenario, self.director(scenario, own_length).first_cells(), own_length)
+        lengths = {npc: scenario.vehicle_of(npc).length for npc in numbers} | {-1: own_length}
         taken: list[tuple[int, float, int]] = []
         for npc, (own, its_lane) in zip((-1, *numbers), places, strict=True):
             for other, along, lane in taken:
@@ -239,9 +246,7 @@ class Rules:
             )
             raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
 
-    def along_at(
-        self, first: Any, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
-    ) -> float:
+    def along_at(self, first: Any, scenario: Scenario, ego_length: float, vehicle: VehicleType = CAR) -> float:
         """Return the place along the road at which an NPC starts whose instruction says where [m]."""
         if first.follows_track:
             return self.ego_start + float(first.ahead)
@@ -281,7 +286,7 @@ def _not_crossing(scenario: Scenario) -> list[tuple[int, Instruction, VehicleTyp
 
 
 def start_places(
-    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float = CAR.length
+    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float
 ) -> list[tuple[float, int]]:
     """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
 
@@ -311,7 +316,7 @@ def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float,
     firsts = _not_crossing(scenario)
     return [
         rules.road.start_speed(
-            min(first.speed if first.keeps_start else scenario.ego_speed, kind.top_speed), lane, along, kind
+            min(first.speed if first.keeps_start else rules.ego_speed(scenario), kind.top_speed), lane, along, kind
         )
         for (_, first, kind), (along, lane) in zip(firsts, places, strict=True)
     ]
@@ -327,10 +332,8 @@ def starts_of(
     cells = director.first_cells()
     in_lanes = start_places(rules, scenario, cells, ego_length)
     places = [along for along, _ in in_lanes]
-    _, *poses = (
-        rules.road.position(along, lane, kind)
-        for (along, lane), kind in zip(in_lanes, [CAR, *(kind for *_, kind in _not_crossing(scenario))], strict=True)
-    )
+    kinds = [rules.ego, *(kind for *_, kind in _not_crossing(scenario))]
+    _, *poses = (rules.road.position(*place, kind) for place, kind in zip(in_lanes, kinds, strict=True))
     speeds = start_speeds(rules, scenario, in_lanes[1:])
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
     own, *others = places

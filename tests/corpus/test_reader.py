@@ -1,5 +1,6 @@
 import contextlib
 import os
+from dataclasses import replace
 from datetime import date
 
 import pytest
@@ -17,8 +18,9 @@ from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.vehicle_type import TRUCK, VehicleType
 from pytest_pafot.support.errors import CorpusError
-from pytest_pafot.world import WorldError
+from pytest_pafot.world import Highway, WorldError, from_dict
 from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 from tests.helpers.work import calls_in
@@ -660,6 +662,17 @@ def test_vehicles_are_read_strictly(path, given, field, expected):
     error = fault(path, swapped("\n  npcs:", f"\n  vehicles: {given}\n  npcs:"))
     assert error.field == f"scenario.{field}"
     assert error.expected.startswith(expected)
+
+
+def test_the_egos_own_vehicle_is_read_strictly(path):
+    for ego in (TRUCK, VehicleType(name="bus", length=11.5, width=2.5, braking=7.5)):
+        path.write_text(text_of(replace(plain_finding(), world=Highway(ego=ego).to_dict())))
+        assert from_dict(load(path).world) == Highway(ego=ego)
+    path.write_text(
+        text_of(replace(plain_finding(), world={**Highway().to_dict(), "ego": {"name": "bus", "length": 12.0}}))
+    )
+    with pytest.raises(CorpusError, match=r"world.ego: expected the key 'width'"):
+        load(path)
 
 
 @pytest.mark.parametrize(

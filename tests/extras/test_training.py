@@ -176,6 +176,7 @@ NOWHERE = Scenario(npcs=BRAKING.npcs, ego_lane=5)
         ({"world": pafot.Highway()}, pafot.WorldError, "an environment with a reward"),
         ({"world": pafot.World("highway-v0", wrappers=[])}, pafot.WorldError, "around the training environment"),
         ({"world": pafot.World("highway-v0", planner_hz=5)}, pafot.WorldError, "world.planner_hz: expected None"),
+        ({"world": pafot.World("highway-v0", ego="van")}, pafot.WorldError, "world.ego: expected a car"),
         ({"world": pafot.World("lane-keeping-v0")}, pafot.WorldError, "'lane-keeping-v0', which has its own"),
         ({"share": 1.5}, ValueError, "share: .* 0 to 1, received 1.5"),
         ({"share": True}, ValueError, "share: .* received True"),

@@ -64,6 +64,9 @@ class Drift(Instruction):
     def steps(self):
         return (Step(after=2.0, offset=self.offset, speed=self.speed),)
 
+    def is_drawn_in(self, space):
+        return space.instructions == "cells"
+
     def varied(self, choices, rng):
         return Drift(round(rng.uniform(-1.5, 1.5), 1), choices.any_speed(rng))
 
@@ -122,6 +125,14 @@ def test_search_varies_it():
     first, second = crossover(drifting(0.8), drifting(-0.8), rng)
     assert (first.npcs, second.npcs) == (drifting(-0.8).npcs, drifting(0.8).npcs)
     assert Drift(0.8, 20.0).is_drawn_in(space)
+
+
+def test_a_kind_has_to_say_which_searches_draw_it():
+    class Undecided(Drift):
+        is_drawn_in = Instruction.is_drawn_in
+
+    with pytest.raises(TypeError, match=r"abstract method '?is_drawn_in"):
+        Undecided(0.8, 20.0)
 
 
 def test_shrinking_rounds_its_numbers():

@@ -107,6 +107,16 @@ def test_search_command_counts_what_a_revision_passes(here):
 
 
 @pytest.mark.processes
+def test_search_command_has_the_requested_vehicles_and_drivers(here):
+    given = ["--vehicles", "van,truck", "--driver", "idm", "--driver", "last=a_planner:Planner"]
+    assert python("pytest_pafot", "search", "a_planner:Planner", *given, "--write-test")[0] == 0
+    wanted = (
+        '@pafot.search(blame="ego", vehicles=["van", "truck"], drivers={"idm": "idm", "last": "a_planner:Planner"})'
+    )
+    assert wanted in (here / "test_safety.py").read_text()
+
+
+@pytest.mark.processes
 def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:idle", "--blame", "any", "--check", "a_planner:keeps_moving"]
     config = ["--config", '{"lanes_count": 3, "offroad_terminal": true, "screen_width": null}']
@@ -398,6 +408,17 @@ def test_session_of_a_search_that_is_killed_ends(here):
         (["my-planner:Planner"], "search: ADS: expected names that `import` takes, received 'my-planner' in my-"),
         (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
         (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of avlite, "),
+        (["a_planner:Planner", "--vehicles", "car,tram"], "search: --vehicles: expected one of car, van, truck, motor"),
+        (
+            ["a_planner:Planner", "--driver", "last"],
+            "search: --driver: expected idm, mobil, policy, or NAME=MODULE",
+        ),
+        (["a_planner:Planner", "--driver", "last=rev:main"], "; with `git worktree add ../last_version main` and "),
+        (
+            ["a_planner:Planner", "--driver", "last=a_planner:No"],
+            "search: --driver: expected a factory in the module a",
+        ),
+        (["a_planner:Planner", "--driver", "idm=a_planner:Planner"], "search: --driver: expected 'idm' to have no "),
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
 )

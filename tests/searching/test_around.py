@@ -69,6 +69,12 @@ def test_vehicles_of_a_recording_stay_and_have_room():
         assert scenario.vehicles == recording.vehicles
 
 
+def test_starts_leave_room_for_the_egos_own_vehicle():
+    rng, world = np.random.default_rng(0), replace(WORLD, ego="truck")
+    for _ in range(300):
+        world.check_fits(sample(replace(SPACE, ego_length=12.0), rng))
+
+
 def test_pace_stays_below_the_speed_limit():
     rng = np.random.default_rng(0)
     varied = [RECORDING.npcs[3][0].varied(SPACE.choices, rng) for _ in range(100)]

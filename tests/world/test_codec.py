@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import CAR, TRUCK, VAN, VehicleType
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError, from_dict
 from pytest_pafot.world.codec import cuts, elsewhere, of_file
 from tests.helpers.tables import table
@@ -32,6 +33,7 @@ shared = {
     "headway": st.floats(0, 10),
     "limits": limits,
     "hang_limit": st.floats(0.01, 1000),
+    "ego": st.sampled_from([CAR, TRUCK, VehicleType(name="bus", length=11, width=2.5, braking=6)]),
 }
 highways = st.tuples(st.integers(1, 20), st.integers(5, 50)).flatmap(
     lambda hz: st.builds(
@@ -72,6 +74,28 @@ def test_world_read_from_its_data_is_the_same(world):
     assert type(again) is type(world)
     assert again.rules == world.rules
     assert again.to_dict() == data
+
+
+def test_the_ego_is_in_the_data_if_it_is_no_car():
+    assert "ego" not in Highway().to_dict()
+    assert "ego" not in World("highway-v0", ego="car").to_dict()
+    assert Highway(ego=TRUCK).to_dict()["ego"] == "truck"
+    assert from_dict({"kind": "gym", "env_id": "highway-v0", "ego": "van"}) == World("highway-v0", ego=VAN)
+
+
+@table(
+    ("ego", "why"),
+    [
+        ("tram", "ego: vehicle: expected one of car, van, truck, motorcycle, or pafot.VehicleType"),
+        (
+            {"name": "slow", "length": 9, "width": 2, "braking": 5},
+            "ego: expected a vehicle that brakes with at least 6",
+        ),
+    ],
+)
+def test_an_ego_that_no_world_has_is_refused(ego, why):
+    with pytest.raises(WorldError, match=re.escape(why)):
+        from_dict({"kind": "highway", "ego": ego})
 
 
 def test_fields_that_are_missing_have_their_defaults():

@@ -1,8 +1,9 @@
-"""NPCs of other sizes keep their own limits, and touch where their boxes do, on every road and in every engine."""
+"""Vehicles of other sizes keep their own limits, and touch where their boxes do, on every road and in every engine."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,19 +16,23 @@ from pytest_pafot import (
     VAN,
     CrossingInstruction,
     Drive,
+    Free,
     LaneInstruction,
     Manoeuvre,
     PositionInstruction,
+    Recorded,
     Scenario,
     ScenarioError,
     Step,
+    Track,
     VehicleType,
+    WorldError,
 )  # fmt: skip
 from pytest_pafot.criticality.boxes import overlaps
 from pytest_pafot.criticality.measures import Encounters
 from pytest_pafot.extras.testing.traces import limits
 from pytest_pafot.findings.finding import disagreement
-from pytest_pafot.model.trace import SPEED, Outcome, X
+from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome, X
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.views import run_view
 from pytest_pafot.searching import sample
@@ -192,3 +197,143 @@ def test_a_planner_sees_how_large_a_vehicle_is():
     for world in (Highway(), World("merge-v0", planner_hz=5)):
         world.rollout(scenario, lambda: lambda observation: (seen.append(observation), (0.0, 0.0))[1])
     assert {(each.others[0].length, each.others[0].width) for each in seen} == {(12.0, 2.55)}
+
+
+EGOS = tuple(kind for kind in KINDS if kind.braking >= 6.0)
+
+
+def pedals(seen):
+    """Return the acceleration and steering of a planner that asks for more than any vehicle can do."""
+    return (9.0, 0.7) if seen.time < 4.0 else (-12.0, -0.7)
+
+
+@pytest.mark.parametrize("kind", EGOS[1:], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("ads", ["planner", "policy", "vehicle class"])
+def test_an_ego_does_no_more_than_its_vehicle_can(kind, ads):
+    world, factory = Highway(ego=kind), {"planner": lambda: pedals, "vehicle class": idm}.get(ads)
+    if ads == "policy":
+        world = World("highway-v0", {"action": {"type": "ContinuousAction"}, "duration": 12}, ego=kind)
+        factory = lambda: lambda seen: np.array([1.0, 1.0]) if seen[0, 1] < 0.9 else np.array([-1.0, 1.0])  # noqa: E731
+    ahead = Scenario(npcs=[[PositionInstruction(2, 3.0)]], ego_speed=26.0, gene_seconds=12.0)
+    trace = world.rollout(ahead, factory)
+    speed, turned = trace.ego[:, SPEED], np.diff(trace.ego[:, HEADING]) * trace.physics_hz
+    assert trace.sizes[0].tolist() == [kind.length, kind.width]
+    assert speed[0] == min(26.0, kind.top_speed)
+    assert speed.max() <= kind.top_speed + 1e-9
+    assert -kind.braking - 1e-9 <= trace.ego[:, ACCELERATION].min() < 0
+    assert trace.ego[:, ACCELERATION].max() <= kind.acceleration + 1e-9
+    assert np.abs(speed[:-1] * turned).max() <= kind.lateral_acceleration + 1e-9
+    again = world.rollout_in_gym(trace.executed, factory)
+    assert again.states == pytest.approx(trace.states, abs=1e-9)
+    assert again.sizes.tolist() == trace.sizes.tolist()
+
+
+@pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "intersection-v0"))
+def test_an_ego_of_any_size_drives_on_every_road(env_id):
+    for kind in filter(world_of(env_id, duration=6.0).can_drive, (VAN, MOTORCYCLE)):
+        world, rng = replace(world_of(env_id, duration=6.0), ego=kind), np.random.default_rng(6)
+        space = replace(space_of(world, npcs=2, traffic="hostile"), crossings=world.crossings)
+        first = world.rollout(sample(space, rng), idm)
+        again = world.rollout_in_gym(first.executed, idm)
+        assert first.sizes[0].tolist() == again.sizes[0].tolist() == [kind.length, kind.width]
+        assert disagreement(Run(first), Run(again)) == ""
+        assert [promise for is_kept, promise, _ in limits(world, first) if not is_kept] == []
+
+
+@pytest.mark.parametrize("kind", EGOS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("cell", [2, 4])
+def test_a_run_ends_exactly_when_the_egos_box_touches(kind, cell):
+    def into_it():
+        return lambda seen: (1.0, 0.0) if cell == 2 else (0.0, 0.02)
+
+    still = Scenario(npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3])
+    trace = Highway(ego=kind).rollout(still, into_it)
+    touching = overlaps(Encounters(trace).pairs)[0]
+    assert trace.outcome is Outcome.COLLISION
+    assert touching.nonzero()[0].tolist() == [trace.ticks]
+    assert trace.collision.side == ("front" if cell == 2 else "right")
+
+
+def test_starts_keep_their_gaps_to_an_ego_of_any_size():
+    asked = Manoeuvre(beside=0, ahead=20.0, speed=15.0)
+    rows = [[PositionInstruction(cell, 15.0)] * 2 for cell in (2, 6, 4)]
+    usual = Run(Highway().rollout(Scenario(npcs=rows, ego_speed=15.0), keeping))
+    for kind in EGOS:
+        world = Highway(ego=kind)
+        assert Run(world.rollout(Scenario(npcs=[[asked]], ego_speed=15.0), idm)).npcs[0].gap[0] == pytest.approx(20.0)
+        run = Run(world.rollout(Scenario(npcs=rows, ego_speed=15.0), keeping))
+        for npc in (0, 1):
+            assert run.npcs[npc].gap[0] == pytest.approx(usual.npcs[npc].gap[0])
+    near = Recorded(track=Track.of([[8.0 + 15.0 * row / 10, 0.0, 0.0, 15.0] for row in range(101)]))
+    Highway().check_fits(Scenario(npcs=[[near]], ego_speed=15.0))
+    with pytest.raises(ScenarioError, match=r"npcs\[0\]: expected a start at least 0.5 m from the ego"):
+        Highway(ego=TRUCK).check_fits(Scenario(npcs=[[near]], ego_speed=15.0))
+
+
+def test_a_planner_sees_its_own_size_and_a_straightened_road():
+    seen = []
+    for world in (Highway(ego=VAN), World("racetrack-v0", planner_hz=5, duration=8.0, ego=VAN)):
+        scenario = Scenario(npcs=[[LaneInstruction("keep", 5.0)]], ego_lane=1, ego_speed=10.0)
+        trace = world.rollout(scenario, lambda: lambda now: (seen.append(now), Drive(lane=1, speed=8.0))[1])
+    assert {(each.ego.length, each.ego.width) for each in seen} == {(6.5, 2.16)}
+    assert abs(trace.track_of(0)[:, OFFSET]).max() < 0.25
+
+
+def test_a_vehicle_class_of_another_size_is_refused():
+    class Bus(IDMVehicle):
+        LENGTH, WIDTH = 12.0, 2.55
+
+    scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)]])
+    for world in (Highway(), Highway(ego=TRUCK), World("highway-v0", ego=TRUCK)):
+        for factory in (lambda: Bus, lambda: partial(Bus, enable_lane_change=False)):
+            assert world.rollout(scenario, factory).sizes[0].tolist() == [12.0, 2.55]
+    with pytest.raises(WorldError, match=r"ego: expected the size that Bus has itself, 12 x 2.55 m, received van"):
+        Highway(ego=VAN).rollout(scenario, lambda: Bus)
+
+
+def test_an_ego_that_is_too_long_for_the_road_is_refused():
+    with pytest.raises(
+        WorldError, match="ego: expected a vehicle that can follow the bends of the road, received truck"
+    ):
+        World("racetrack-v0", ego=TRUCK).check()
+
+
+def test_zones_of_a_long_ego_are_longer():
+    cars, vans = (World("intersection-v0", ego=kind).crossings.zones for kind in (CAR, VAN))
+    for zone, longer in zip(cars, vans, strict=True):
+        assert longer == replace(zone, ego=(zone.ego[0] - 0.75, zone.ego[1] + 0.75))
+
+
+def test_braking_that_a_truck_cannot_do_avoids_nothing():
+    hardest = {}
+    for kind in (CAR, TRUCK):
+        world = Highway(ego=kind)
+        stops = Manoeuvre(beside=0, ahead=25.0, speed=22.0, steps=(Step(after=1.0, speed=0.0, acceleration=8.0),))
+        trace = world.rollout_reference(Scenario(npcs=[[stops]], ego_speed=22.0), "careful-human")
+        hardest[kind.name] = -trace.ego[:, ACCELERATION].min()
+        taken = world.take_over(world.rollout(trace.scenario, keeping), 20, "careful-human")
+        assert -taken.ego[:, ACCELERATION].min() <= hardest[kind.name] + 1e-9
+    assert hardest == pytest.approx({"car": 7.593, "truck": 7.0}, abs=1e-3)
+
+
+def test_free_npcs_stop_behind_a_long_ego():
+    ended = []
+    for kind in (CAR, TRUCK):
+        behind = Free(beside=0, ahead=-15.0, speed=20.0, driver="idm")
+        trace = Highway(ego=kind, duration=40.0).rollout(Scenario(npcs=[[behind]], ego_speed=20.0), lambda: brake)
+        ended.append(Run(trace).npcs[0].gap[-1])
+    assert min(ended) > 3.0
+
+
+def brake(seen):
+    return -2.0, 0.0
+
+
+def test_explanation_and_picture_say_what_the_ego_is():
+    scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2], vehicles=["van"])
+    trace = Highway(ego=TRUCK).rollout(scenario, keeping)
+    assert "\n  the ego is a truck, 12 x 2.55 m; NPC 0 is a van, 6.5 x 2.16 m\n" in Run(trace).explain()
+    assert [(each.name, each.length) for each in run_view(trace).vehicles] == [
+        ("ego, truck", 12.0),
+        ("NPC 0, van", 6.5),
+    ]

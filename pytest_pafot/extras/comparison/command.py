@@ -25,7 +25,7 @@ SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road 3, and 
 START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
 
 
-SPACE = ("npcs", "genes", "gene_seconds", "traffic", "ego_lane", "ego_speed")
+SPACE = ("npcs", "genes", "gene_seconds", "traffic", "vehicles", "ego_lane", "ego_speed")
 """The options that are fields of a space of scenarios."""
 
 
@@ -83,6 +83,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(name, type=number, metavar=metavar, help=meaning)
     parser.add_argument(
         "--traffic", metavar="STYLE", help="how the NPCs drive (default: as in a test with the algorithm)"
+    )
+    parser.add_argument(
+        "--vehicles",
+        type=lambda text: text.split(","),
+        metavar="A,B",
+        help="what vehicles NPCs can be, such as car,truck (default: cars)",
     )
     parser.add_argument(
         "--ego-lane", type=int, metavar="N", help=f"first lane of the ego, from 0 at the left (default: 1{START})"
@@ -151,6 +157,8 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         space = base_world(world).space(given)
     except ValueError as error:
         raise RequestError(str(error)) from None
+    if odd := next((each for each in space.vehicles if not base_world(world).can_drive(each)), None):
+        raise RequestError(f"--vehicles: expected some that follow the bends of {world!r}, received {odd.described}")
     generations = None if arguments.seconds is not None else arguments.generations
     if arguments.seconds is None and generations is None:
         generations = 100

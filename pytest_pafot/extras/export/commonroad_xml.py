@@ -47,7 +47,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         shape, first, later = Rectangle(length, width), _first(states[0, vehicle]), enumerate(states[1:, vehicle], 1)
         rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in later]
         driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
-        kind = trace.scenario.vehicle_of(vehicle - 1).name if vehicle else ""
+        kind = trace.vehicle_type(vehicle).name
         obstacle = TYPES.get(kind, ObstacleType.CAR)
         scenario.add_objects(DynamicObstacle(vehicle + 1, obstacle, shape, first, driven))
     end = max(trace.ticks, 1)

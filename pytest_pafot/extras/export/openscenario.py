@@ -103,7 +103,7 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         name = name_of(vehicle)
         states = states_of(trace)[:, vehicle]
         positions = _rear_axles(states, size[0])
-        kind = trace.scenario.vehicle_of(vehicle - 1).name if vehicle else ""
+        kind = trace.vehicle_type(vehicle).name
         box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
         if minor == 0:  # CARLA's scenario_runner, the reader of this version, looks there for the ego
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")

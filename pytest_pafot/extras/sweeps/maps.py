@@ -513,8 +513,9 @@ def _in_words(world: Any) -> str:
     """Return a world as its environment, or as what differs from the default highway."""
     if not isinstance(world, Highway):
         return str(getattr(world, "env_id", type(world).__name__))
-    data, default = world.to_dict(), Highway().to_dict()
-    return " ".join([type(world).__name__, *(f"{name}={data[name]}" for name in data if data[name] != default[name])])
+    default = Highway().to_dict()
+    given = [f"{name}={value}" for name, value in world.to_dict().items() if value != default.get(name)]
+    return " ".join([type(world).__name__, *given])
 
 
 @dataclass(slots=True)

@@ -57,8 +57,7 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     yield len(trace.lanes) > 0, "lanes has the lanes of the road", "none"
     for vehicle in range(states.shape[1] if is_straight(trace) else 1):
         speed, allowed, asked = start[vehicle, SPEED], 10 * AT_START if vehicle else AT_START, scenario.ego_speed
-        if vehicle:
-            asked = min(asked, scenario.vehicle_of(vehicle - 1).top_speed)
+        asked = min(asked, trace.ego_vehicle.top_speed, trace.vehicle_type(vehicle).top_speed)
         promise = f"starts as fast as the scenario says, states[0, {vehicle}, SPEED] at scenario.ego_speed"
         received = f"{speed:.2f} m/s for {asked:g} m/s"
         yield abs(speed - asked) <= allowed, f"{_name(vehicle)} {promise}", received

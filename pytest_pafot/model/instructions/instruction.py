@@ -237,9 +237,9 @@ class Instruction(Pasteable, ABC):
 
     # Search.
 
+    @abstractmethod
     def is_drawn_in(self, space: Space) -> bool:
         """Return whether a search in a space may have this instruction. A world need not check that it fits."""
-        return True
 
     def varied(self, choices: Choices, rng: Generator) -> Instruction:
         """Return an instruction of the same kind that a mutation puts in the place of this one."""

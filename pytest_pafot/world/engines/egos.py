@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.perception import ads_and_sight
@@ -46,8 +48,8 @@ def planner_run(
     """
     if ads is not None:
         ads, sight = ads_and_sight(ads)
-    ego = body or Body(CAR.length, CAR.width)
-    ego.place(*rules.ego_position(scenario), scenario.ego_speed)
+    ego = body or Body(rules.ego.length, rules.ego.width)
+    ego.place(*rules.ego_position(scenario), rules.ego_speed(scenario))
     vehicles = VehiclesOfRun(rules, scenario, ego, network)
     return SteppedRun(vehicles, planner_driver(vehicles, ads, guard, sight, decisions), guard)
 
@@ -62,9 +64,9 @@ def planner_driver(
     """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`."""
     rules, scenario, road = vehicles.rules, vehicles.scenario, vehicles.rules.road
     every = rules.physics_hz // rules.ads_hz
-    sensor = road.sensor(vehicles.places, vehicles.rows, scenario, (rules.physics_hz, every), sight)
+    sensor = road.sensor(vehicles.places, vehicles.rows, scenario, (rules.physics_hz, every), sight, rules.ego)
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
-    common |= {"every": every, "dt": 1 / rules.physics_hz}
+    common |= {"every": every, "dt": 1 / rules.physics_hz, "kind": rules.ego if rules.ego.has_limits else None}
     ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]
     if ads is None:
         return GivenDriver(ego, place, sensor, **common)
@@ -75,20 +77,52 @@ def vehicle_run(
     rules: Rules, scenario: Scenario, road: StraightRoad, network: Callable[[], Any], vehicle_class: Any
 ) -> SteppedRun:
     """Begin a run of a highway-env vehicle class, which drives itself, on a straight road that starts at the origin."""
+    vehicle_class = built_as(rules.ego, vehicle_class)
     guard, start, model = HangGuard(rules.hang_limit), rules.ego_position(scenario), idm_model(vehicle_class)
     if model is not None:
         ego = GoalVehicle(model.constants, road.grid, road.speed_limit)
-        ego.start(*start, scenario.ego_speed, model.changes_lanes)
+        ego.start(*start, rules.ego_speed(scenario), model.changes_lanes)
         vehicles = VehiclesOfRun(rules, scenario, ego, network)
         return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)
     from pytest_pafot.world.driving.object_driver import ObjectDriver  # noqa: PLC0415  (a second of imports)
     from pytest_pafot.world.stock import Road  # noqa: PLC0415
 
     on = Road(network(), np_random=np.random.default_rng(scenario.seed))
-    driver = ObjectDriver(vehicle_of(vehicle_class, on, start, scenario.ego_speed, None), on, guard)
+    driver = ObjectDriver(vehicle_of(vehicle_class, on, start, rules.ego_speed(scenario), None), on, guard)
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, network)
     driver.show(vehicles.places, road)
     return SteppedRun(vehicles, driver, guard)
+
+
+def built_as(kind: VehicleType, vehicle_class: Any) -> Any:
+    """Return a vehicle class of highway-env, or a ``functools.partial`` of one, as an ego that is a given vehicle.
+
+    An ego that is a car, which is what a world has unless the user says otherwise, has the size of its class.
+
+    Raises:
+        WorldError: if the class has another size of its own.
+    """
+    if kind == CAR:
+        return vehicle_class
+    if isinstance(vehicle_class, functools.partial):
+        made = built_as(kind, vehicle_class.func)
+        return functools.partial(made, *vehicle_class.args, **vehicle_class.keywords)
+    size, own = (kind.length, kind.width), (vehicle_class.LENGTH, vehicle_class.WIDTH)
+    if own not in (size, (CAR.length, CAR.width)):
+        name = vehicle_class.__name__
+        expected = f"the size that {name} has itself, {own[0]:g} x {own[1]:g} m"
+        fix = f"leave out ego= of the world, or LENGTH and WIDTH of {name}"
+        raise WorldError(field="ego", expected=expected, received=kind.described, fix=fix)
+
+    def clip_actions(self: Any) -> None:
+        vehicle_class.clip_actions(self)
+        wanted = self.action["acceleration"], self.action["steering"]
+        self.action["acceleration"], self.action["steering"] = kind.limited(*wanted, self.speed)
+
+    namespace: dict[str, Any] = {"LENGTH": size[0], "WIDTH": size[1], "__module__": vehicle_class.__module__}
+    if kind.has_limits:  # else the kernel drives a class that only sets constants
+        namespace["clip_actions"] = clip_actions
+    return type(vehicle_class)(vehicle_class.__name__, (vehicle_class,), namespace)
 
 
 def vehicle_of(

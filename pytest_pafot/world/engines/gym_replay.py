@@ -28,7 +28,7 @@ from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
 from pytest_pafot.world.driving.vehicles import is_regulated
-from pytest_pafot.world.engines.egos import planner_driver, vehicle_of
+from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, usual_class
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
@@ -270,8 +270,8 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
     guard, start = HangGuard(rules.hang_limit), rules.ego_position(scenario)
     # A vehicle class decides in every tick.
     env.config["policy_frequency"] = env.config["simulation_frequency"] if ads.drives_itself else rules.ads_hz
-    ego_class = ads.given if ads.drives_itself else StockVehicle
-    put_ego(env, vehicle_of(ego_class, env.road, start, scenario.ego_speed, route))
+    ego_class = built_as(rules.ego, ads.given if ads.drives_itself else StockVehicle)
+    put_ego(env, vehicle_of(ego_class, env.road, start, rules.ego_speed(scenario), route))
     ego = body_of(env.vehicle)
     vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road.network)
     driver: EgoDriver

@@ -159,8 +159,10 @@ class FreeNpc:
                     "its code would need highway-env's own road, which has no place for a second ego",
                 )
             constants, changes_lanes = model.constants, model.changes_lanes
-        # The model measures gaps from centre to centre, so a vehicle that is longer than a car keeps more.
-        wanted = constants["DISTANCE_WANTED"] + max(kind.length - CAR.length, 0.0)
+        # The model measures gaps from centre to centre, so a vehicle that is longer than a car keeps more, and all do
+        # if the ego is.
+        longer = max(kind.length - CAR.length, 0.0) + max(rules.ego.length - CAR.length, 0.0) / 2
+        wanted = constants["DISTANCE_WANTED"] + longer
         constants = {**constants, "LENGTH": kind.length, "WIDTH": kind.width, "DISTANCE_WANTED": wanted}
         vehicle = GoalVehicle(constants, cast("StraightRoad", rules.road).grid, rules.road.speed_limit)
         vehicle.start(*start, changes_lanes)

@@ -25,7 +25,7 @@ from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.policy_driver import ModelPolicyDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
-from pytest_pafot.world.engines.egos import vehicle_of
+from pytest_pafot.world.engines.egos import built_as, vehicle_of
 from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -60,9 +60,10 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, polic
         guard = HangGuard(rules.hang_limit)
         if ads.drives_itself:
             start = rules.ego_position(scenario)
-            ego = vehicle_of(ads.given, env.road, start, scenario.ego_speed, environment.route)
+            given = built_as(rules.ego, ads.given)
+            ego = vehicle_of(given, env.road, start, rules.ego_speed(scenario), environment.route)
             lanes = _lanes_of_idm(environment, env.road)
-            if idm_model(ads.given) is None or lanes is None:
+            if idm_model(given) is None or lanes is None:
                 return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road.network)
@@ -142,9 +143,10 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
     Raises:
         WorldError: if the class cannot be called as highway-env calls those of its actions.
     """
-    own, vehicle_class, start = env.vehicle, env.action_type.vehicle_class, rules.ego_position(scenario)
+    own, vehicle_class = env.vehicle, env.action_type.vehicle_class
+    start, speed = rules.ego_position(scenario), rules.ego_speed(scenario)
     if type(own) is usual_class(env.action_type):
-        put_ego(env, vehicle_of(vehicle_class, env.road, start, scenario.ego_speed, environment.route))
+        put_ego(env, vehicle_of(built_as(rules.ego, vehicle_class), env.road, start, speed, environment.route))
         return
     signature = inspect.signature(type(own))
     try:
@@ -156,7 +158,7 @@ def put_policys_ego(environment: GymEnvironment, env: Any, rules: Rules, scenari
             received=f"{type(own).__name__}{signature} ({error})",
             fix="give its other arguments defaults",
         ) from None
-    ego = vehicle_of(type(own), env.road, start, scenario.ego_speed, environment.route)
+    ego = vehicle_of(built_as(rules.ego, type(own)), env.road, start, speed, environment.route)
     give_speeds(ego, getattr(own, "target_speeds", None))
     there = (*own.position, own.heading), own.speed
     plain, same = (vehicle_of(cls, env.road, *there, None) for cls in (Vehicle, type(own)))

@@ -141,6 +141,7 @@ class VehiclesOfRun:
             begun=self.director.begun,
             handed_over=self.director.handed_over,
             obstacles=self.rules.obstacles,
+            ego_vehicle=self.rules.ego,
         )
 
     def _plans(self, driver: EgoDriver, on_road: RoadOfRun) -> tuple[Plan | None, ...]:

@@ -37,13 +37,14 @@ cdef class GivenDriver(EgoDriver):
     cdef int _lanes, _lane
     cdef LaneTracker _tracker
     cdef double _lane_width, _dt, _wanted, _speed, _angle, _most, _jerk
+    cdef object _kind
 
     cpdef observe(self, int tick)
 
     @cython.locals(acceleration=double, steering=double, sensor=Sensor, heading=double)
     cpdef take(self, action, double seconds)
 
-    @cython.locals(ego=Body, across=double, heading=double, offset=double)
+    @cython.locals(ego=Body, across=double, heading=double, offset=double, wanted=double)
     cpdef actuate(self)
 
     cdef _steer(self, double angle)

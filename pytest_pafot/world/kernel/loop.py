@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 from pytest_pafot.model.trace import AdsError, Plan
+from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -116,10 +117,20 @@ class GivenDriver(EgoDriver):
         lane_width: their width [m].
         every: the number of physics ticks between decisions.
         dt: physics tick [s].
+        kind: what vehicle the ego is, if that limits what it does; else None.
     """
 
     def __init__(
-        self, ego: Body, place: Body, sensor: Sensor, *, lanes: int, lane_width: float, every: int, dt: float
+        self,
+        ego: Body,
+        place: Body,
+        sensor: Sensor,
+        *,
+        lanes: int,
+        lane_width: float,
+        every: int,
+        dt: float,
+        kind: VehicleType | None = None,
     ) -> None:
         super().__init__(ego, every)
         self._place = place
@@ -127,6 +138,7 @@ class GivenDriver(EgoDriver):
         self._lanes = lanes
         self._lane_width = lane_width
         self._dt = dt
+        self._kind = kind
         self._wanted = 0.0
         self._lane = -1  # -1 for none, if the decision is a pair
         self._speed = -1.0  # negative for none, if the decision has an acceleration
@@ -184,7 +196,11 @@ class GivenDriver(EgoDriver):
             self._steer(self._tracker.steering(offset, heading, ego.speed, self._most, self._jerk))
         if self._speed >= 0.0:
             self._wanted = acceleration_to_speed(self._speed, ego.speed)
-        ego.acceleration = without_reversing(self._wanted, ego.speed, self._dt)
+        wanted = self._wanted
+        if self._kind is not None:
+            self._steer(self._angle)  # what was asked for, as less of it may be possible at each speed
+            wanted, ego.steering = self._kind.limited(wanted, ego.steering, ego.speed)
+        ego.acceleration = without_reversing(wanted, ego.speed, self._dt)
 
     def _steer(self, angle: float) -> None:
         self._angle = angle
@@ -198,7 +214,7 @@ class PlannerDriver(GivenDriver):
         ads: the ADS, a callable from an observation to a decision.
         guard: the guard of the ADS's decisions.
         decisions: the first decisions, which replace calls of the ADS.
-        ego, place, sensor, lanes, lane_width, every, dt: as for :class:`GivenDriver`.
+        ego, place, sensor, lanes, lane_width, every, dt, kind: as for :class:`GivenDriver`.
     """
 
     def __init__(

@@ -19,8 +19,8 @@ cdef class RoadSensor(Sensor):
 
     cpdef bint has_lane(self, int lane) except -1
 
-    @cython.locals(bends=Bends, record="double[::1]", places=RoadPlaces, count=Py_ssize_t, row=Py_ssize_t, x=double,
-                   y=double, heading=double, speed=double, own=double, across=double, stretch=double, cos=double,
+    @cython.locals(bends=Bends, own_bends=Bends, record="double[::1]", places=RoadPlaces, count=Py_ssize_t,
+                   row=Py_ssize_t, x=double, y=double, heading=double, speed=double, own=double, across=double, stretch=double, cos=double,
                    sin=double, then=Py_ssize_t, npc=Py_ssize_t, error_x=double, error_y=double, error_speed=double,
                    at=Py_ssize_t, its_x=double, its_y=double, its_heading=double, its_speed=double, along=double,
                    way=OwnWay, dx=double, dy=double, turned=double)

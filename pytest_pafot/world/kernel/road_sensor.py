@@ -80,7 +80,8 @@ class RoadSensor(Sensor):
         own, across = bends.along, bends.across
         stretch = bends.stretch(own, across)
         self.along = own
-        self.bend = math.atan(2.0 * math.tan(-bends.lean_at(bends.lane, own)))
+        own_bends = self._leaning[0]
+        self.bend = math.atan(2.0 * math.tan(-own_bends.lean_at(bends.lane, own)))
         ego = self._state(0, speed, record[row + 5], own, stretch)
         self.across, self.heading = ego.y, ego.heading
         cos, sin = math.cos(heading), math.sin(heading)

@@ -224,24 +224,28 @@ class JunctionRoad(NetworkRoad):
         return body.track.pose if isinstance(body, CrossingNpc) else super().foresight(body)
 
 
-def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits) -> NetworkRoad:
+def with_junction(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> NetworkRoad:
     """Return the ego's way with the ways that meet it in an environment; the same road if there are none.
 
     The ego may start further back, so that it has time before the first of them.
     """
-    junction = _junction_of(env, road, limits)
+    junction = _junction_of(env, road, limits, ego)
     if junction is None:
         return road
     values = {each.name: getattr(road, each.name) for each in fields(road)}
     return JunctionRoad(**{**values, "start": junction.crossings.ego_start}, junction=junction)
 
 
-def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits) -> Junction | None:
+def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleType) -> Junction | None:
     """Return the ways on which other traffic meets the ego's way in an environment; None if there are none."""
     own = _course(road.line, road.columns[road.ego_lane])
-    ways = _ways(env.road.network, road, own, limits)
+    ways, longer_by = _ways(env.road.network, road, own, limits), ego.length - CAR.length
     if not ways:
         return None
+    if longer_by:  # an ego that is longer than a car enters each zone earlier and leaves it later
+        for name, each in ways.items():
+            zone = replace(each.way.zone, ego=longer(each.way.zone.ego, longer_by))
+            ways[name] = replace(each, way=replace(each.way, zone=zone))
     first = min(each.way.zone.ego[0] for each in ways.values())
     lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.point(road.start)])[0]) * STEP
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}

@@ -378,11 +378,17 @@ class NetworkRoad(Road):
         return [None] * len(scenario.npcs)
 
     def sensor(
-        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+        self,
+        places: Places,
+        record: Any,
+        scenario: Scenario,
+        rates: tuple[int, int],
+        sight: Sight | None,
+        ego: VehicleType = CAR,
     ) -> Sensor:
         """Make the maker of a planner's observations, in which the road is straight."""
         common = self.lane_count, self.lane_width, self.speed_limit, self.end
-        zones, leaning = list(self.zones(scenario)), [self.bends, *map(self.bends_of, scenario.all_vehicles)]
+        zones, leaning = list(self.zones(scenario)), [*map(self.bends_of, (ego, *scenario.all_vehicles))]
         on_road = cast("RoadPlaces", places), record, self.bends, leaning, zones, common, *rates
         if sight is None:
             return RoadSensor(*on_road, None)

@@ -173,7 +173,13 @@ class Road(ABC):
 
     @abstractmethod
     def sensor(
-        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+        self,
+        places: Places,
+        record: Any,
+        scenario: Scenario,
+        rates: tuple[int, int],
+        sight: Sight | None,
+        ego: VehicleType = CAR,
     ) -> Sensor:
         """Make the maker of a planner's observations.
 
@@ -183,6 +189,7 @@ class Road(ABC):
             scenario: the scenario.
             rates: ticks per second, and ticks between decisions.
             sight: the sight of the planner; None for perfect sight.
+            ego: what vehicle is first.
         """
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:

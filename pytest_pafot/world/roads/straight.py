@@ -147,7 +147,13 @@ class StraightRoad(Road):
         return Places(vehicles, bodies, self.grid, *self._origin)
 
     def sensor(
-        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+        self,
+        places: Places,
+        record: Any,
+        scenario: Scenario,
+        rates: tuple[int, int],
+        sight: Sight | None,
+        ego: VehicleType = CAR,
     ) -> Sensor:
         """Make the maker of a planner's observations."""
         sizes = [(each.length, each.width) for each in places.vehicles]

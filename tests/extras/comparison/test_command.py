@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from pytest_pafot import VAN, Scenario
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
@@ -167,12 +168,19 @@ def test_runs_of_equal_seconds_are_compared_separately(tmp_path):
 
 
 @pytest.mark.processes
-def test_requested_traffic_applies_to_all_algorithms(tmp_path):
+def test_requested_traffic_and_vehicles_apply_to_all_algorithms(tmp_path):
     arguments = ["--algorithms", "distinct,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
-    assert compare(tmp_path, *arguments, "--traffic", "everyday") == 0
+    assert compare(tmp_path, *arguments, "--traffic", "everyday", "--vehicles", "van") == 0
     for name in ("distinct", "pafot"):
         with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
-            assert {json.loads(row["executed"])[5] for row in csv.DictReader(file)} == {"everyday"}
+            driven = [Scenario.from_canonical(json.loads(row["executed"])) for row in csv.DictReader(file)]
+        assert {each.traffic.style for each in driven} == {"everyday"}
+        assert {vehicle for each in driven for vehicle in each.all_vehicles} == {VAN}
+
+
+def test_vehicles_that_cannot_follow_the_road_are_refused(tmp_path, capsys):
+    assert compare(tmp_path, "--env", "racetrack-v0", "--vehicles", "car,truck") == 2
+    assert "--vehicles: expected some that follow the bends of World(" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -336,10 +336,11 @@ def test_lane_off_the_road_is_minus_one(exported):
 
 
 @table(("kind", "category"), [("car", "car"), ("van", "van"), ("truck", "truck"), ("motorcycle", "motorbike")])
-def test_openscenario_knows_what_vehicle_an_npc_is(exported, kind, category):
+def test_openscenario_knows_what_vehicle_the_ego_and_an_npc_are(exported, kind, category):
     pytest.importorskip("scenariogeneration")
     finding, trace = exported
-    scenario = trace.scenario.with_vehicle(0, VehicleType.of(kind))
-    content = exporter("xosc")(finding, replace(trace, scenario=scenario))[f"{finding.id}.xosc"]
+    vehicle = VehicleType.of(kind)
+    trace = replace(trace, scenario=trace.scenario.with_vehicle(0, vehicle), ego_vehicle=vehicle)
+    content = exporter("xosc")(finding, trace)[f"{finding.id}.xosc"]
     found = [each.get("vehicleCategory") for each in ElementTree.fromstring(content).iter("Vehicle")]
-    assert found[:2] == ["car", category]
+    assert found[:2] == [category, category]
