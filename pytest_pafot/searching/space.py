@@ -481,7 +481,8 @@ def are_apart(scenario: Scenario, room: tuple[float, float]) -> bool:
         along = first.ahead
         if along and not first.follows_track:  # from bumper to bumper
             along += math.copysign((CAR.length + vehicle.length) / 2, along)
-        if not -behind <= along <= ahead or any(
+        is_on_road = along <= ahead and (first.follows_track or along >= -behind)  # tracks may begin before it
+        if not is_on_road or any(
             lane == first.beside and abs(along - other) < (length + vehicle.length) / 2 + LEAST_GAP
             for other, lane, length in taken
         ):

@@ -69,6 +69,17 @@ def test_vehicles_of_a_recording_stay_and_have_room():
         assert scenario.vehicles == recording.vehicles
 
 
+def test_vehicle_that_comes_later_may_start_before_the_road():
+    rng = np.random.default_rng(0)
+    recording = replace(RECORDING, npcs=(*RECORDING.npcs, [Recorded(track=track(-600, 2, 30))]))
+    space = replace(SPACE, npcs=5, least_npcs=5, most_npcs=(6,), around=recording, first=(recording,))
+    drawn = [sample(space, rng) for _ in range(50)]
+    for each in drawn:
+        WORLD.check_fits(each)
+    assert len({each.id for each in drawn}) > 40
+    assert any(each.npcs[4] != recording.npcs[4] for each in drawn)
+
+
 def test_pace_stays_below_the_speed_limit():
     rng = np.random.default_rng(0)
     varied = [RECORDING.npcs[3][0].varied(SPACE.choices, rng) for _ in range(100)]
@@ -94,6 +105,14 @@ def test_shrinking_goes_back_to_the_recording():
     simplest, how = shrink(start, fails, rollouts=500, top_speed=30.0, plain=(1, 25.0))
     assert [chain[0] for chain in simplest.npcs] == [Recorded(track=NPCS[0][0].track, shift=-1.6)]
     assert (simplest.ego_track, how.is_minimal, how.speeds) == (RECORDING.ego_track, True, ())
+
+
+def test_shrinking_leaves_recorded_vehicles_their_size():
+    added = [Manoeuvre(beside=0, ahead=60.0, speed=20.0)]
+    start = Scenario(npcs=[NPCS[0], added], ego_track=RECORDING.ego_track, vehicles=("truck", "truck"))
+    fails = lambda scenario: scenario if len(scenario.npcs) == 2 else None  # noqa: E731
+    simplest, _ = shrink(start, fails, rollouts=500, top_speed=30.0)
+    assert [each.name for each in simplest.all_vehicles] == ["truck", "car"]
 
 
 def test_shrinking_stays_around_the_recording():
