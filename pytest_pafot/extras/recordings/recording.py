@@ -221,11 +221,11 @@ class Recording:
         found: list[tuple[float, float, int, RecordedVehicle]] = []
         for other in seen.vehicles:
             first = max(start, float(other.times[0]))
-            state, its = other.at(first)[0], own.at(first)[0]
-            if first >= start + seconds or np.isnan([state, its]).any():  # not there in that time
+            if other is own or first > min(other.times[-1], own.times[-1]) or first >= start + seconds:
                 continue
+            state, its = other.at(first)[0], own.at(first)[0]
             is_near = abs(state[X] - its[X]) < FARTHEST and abs(columns.of(state[Y]) - lane) <= MOST_BESIDE
-            if other is not own and is_near and abs(state[HEADING]) < STRAIGHT:
+            if is_near and abs(state[HEADING]) < STRAIGHT:
                 found.append((first, abs(state[X] - its[X]), len(found), other))
         nearest: list[RecordedVehicle] = []
         for first, *_, other in sorted(found):
