@@ -452,7 +452,7 @@ def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
         npc = int(rng.integers(len(scenario.npcs)))
         new = scenario.npcs[npc][0].varied(choices, rng)
         found = replace(scenario, npcs=(*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :]))
-        if are_apart(found, space.room):
+        if are_apart(found, space):
             return found
     return scenario
 
@@ -468,21 +468,22 @@ def one_more(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         return scenario.of_npcs(npc for npc in range(len(scenario.npcs)) if npc != gone)
     for _ in range(TRIES if len(scenario.npcs) < space.most_on(scenario.ego_lane) else 0):
         found = replace(scenario, npcs=(*scenario.npcs, (random_manoeuvre(space.choices, scenario.npcs, rng),)))
-        if are_apart(found, space.room):
+        if are_apart(found, space):
             return found
     return scenario
 
 
-def are_apart(scenario: Scenario, room: tuple[float, float]) -> bool:
+def are_apart(scenario: Scenario, space: SearchSpace) -> bool:
     """Return whether the starts of NPCs with tracks and manoeuvres are on the road and do not touch, nor the ego's."""
-    behind, ahead = room
+    behind, ahead = space.room
     taken = [(0.0, 0, CAR.length)]
     for (first, *_), vehicle in zip(scenario.npcs, scenario.all_vehicles, strict=True):
         along = first.ahead
         if along and not first.follows_track:  # from bumper to bumper
             along += math.copysign((CAR.length + vehicle.length) / 2, along)
         is_on_road = along <= ahead and (first.follows_track or along >= -behind)  # tracks may begin before it
-        if not is_on_road or any(
+        has_lane = 0 <= scenario.ego_lane + first.beside < space.lanes  # not if it was changing lanes and comes later
+        if not (is_on_road and has_lane) or any(
             lane == first.beside and abs(along - other) < (length + vehicle.length) / 2 + LEAST_GAP
             for other, lane, length in taken
         ):

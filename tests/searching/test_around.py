@@ -80,6 +80,15 @@ def test_vehicle_that_comes_later_may_start_before_the_road():
     assert any(each.npcs[4] != recording.npcs[4] for each in drawn)
 
 
+def test_vehicle_that_changes_lanes_at_the_start_begins_on_the_road():
+    rng = np.random.default_rng(0)
+    aside = Track.of([[20 + 2.5 * row, 9.5 - 0.1 * min(row, 15), -0.04, 25.0] for row in range(101)])
+    recording = replace(RECORDING, npcs=[[Recorded(track=aside)]])
+    space = replace(SPACE, npcs=1, least_npcs=1, most_npcs=(2,), around=recording, first=(recording,))
+    for _ in range(100):
+        WORLD.check_fits(sample(space, rng))
+
+
 def test_pace_stays_below_the_speed_limit():
     rng = np.random.default_rng(0)
     varied = [RECORDING.npcs[3][0].varied(SPACE.choices, rng) for _ in range(100)]
