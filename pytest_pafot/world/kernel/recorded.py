@@ -6,8 +6,9 @@ collision with such a car would be nobody's fault. So an NPC leaves its track fo
 - when its track ends;
 - when the first of its own steps begins;
 - when it would come near a vehicle that does not drive as recorded: less than ``ALONG`` ahead or behind and ``ACROSS``
-  beside it within the next ``SECONDS``, if the NPC follows its track and after its end keeps its speed, as the other
-  does, which goes on across the road for ``ASIDE``. In this time a driver reacts after 1 s, and loses 10 m/s by braking with 5 m/s^2.
+  beside it within the next ``SECONDS``, if the NPC follows its track, and keeps its speed after its end, and the other
+  keeps its speed, and goes on across the road for ``ASIDE``. In this time a driver reacts after 1 s, and loses 10 m/s
+  by braking with 5 m/s^2.
 
 An NPC that is directly ahead of the other is not handed over: whoever drives behind has to look.
 
