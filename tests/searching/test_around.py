@@ -80,6 +80,19 @@ def test_vehicle_that_comes_later_may_start_before_the_road():
     assert any(each.npcs[4] != recording.npcs[4] for each in drawn)
 
 
+def test_whoever_is_behind_at_the_start_can_avoid_a_change():
+    """Otherwise a search finds collisions that begin with the change, and are nobody's fault."""
+    rng, scenario, least = np.random.default_rng(0), RECORDING, 1.0
+    for _ in range(500):
+        scenario = mutate(scenario, SPACE, rng)
+        for (first,) in scenario.npcs:
+            if first.beside == 0 and not (first.follows_track and first.is_as_recorded):
+                gap = abs(first.ahead) - 5.0 * first.follows_track
+                closing = (first.speed - 25.0) * (1 if first.ahead < 0 else -1)
+                least = min(least, gap - max(closing, 0.0) * (1.0 + max(closing, 0.0) / 10.0))
+    assert 0.5 - 1e-6 <= least < 1.0
+
+
 def test_vehicle_that_changes_lanes_at_the_start_begins_on_the_road():
     rng = np.random.default_rng(0)
     aside = Track.of([[20 + 2.5 * row, 9.5 - 0.1 * min(row, 15), -0.04, 25.0] for row in range(101)])
