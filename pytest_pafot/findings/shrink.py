@@ -411,12 +411,13 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
 
 
 def _cars(scenario: Scenario) -> Candidates:
-    """Let all NPCs be cars, then each of them that is something else."""
-    if scenario.vehicles:
-        yield replace(scenario, vehicles=())
-    for npc, vehicle in enumerate(scenario.vehicles):
-        if vehicle != CAR:
-            yield scenario.with_vehicle(npc, CAR)
+    """Let all NPCs be cars, then each of them that is something else; recorded ones keep their size."""
+    kinds = scenario.vehicles
+    others = [npc for npc, kind in enumerate(kinds) if kind != CAR and not scenario.npcs[npc][0].follows_track]
+    if others:
+        yield replace(scenario, vehicles=tuple(CAR if npc in others else kind for npc, kind in enumerate(kinds)))
+    for npc in others:
+        yield scenario.with_vehicle(npc, CAR)
 
 
 def _ending(scenario: Scenario) -> Candidates:

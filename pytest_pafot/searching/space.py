@@ -449,13 +449,13 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
 
 
 def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Return a scenario around a recording with a change of one NPC, if one is found with which no two starts touch."""
+    """Return a scenario around a recording with a change of one NPC, if one is found with which its start is fair."""
     choices = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
     for _ in range(TRIES):
         npc = int(rng.integers(len(scenario.npcs)))
         new = scenario.npcs[npc][0].varied(choices, rng)
         found = replace(scenario, npcs=(*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :]))
-        if are_apart(found, space):
+        if starts_apart(found, npc, space):
             return found
     return scenario
 
@@ -471,25 +471,35 @@ def one_more(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         return scenario.of_npcs(npc for npc in range(len(scenario.npcs)) if npc != gone)
     for _ in range(TRIES if len(scenario.npcs) < space.most_on(scenario.ego_lane) else 0):
         found = replace(scenario, npcs=(*scenario.npcs, (random_manoeuvre(space.choices, scenario.npcs, rng),)))
-        if are_apart(found, space):
+        if starts_apart(found, len(scenario.npcs), space):
             return found
     return scenario
 
 
-def are_apart(scenario: Scenario, space: SearchSpace) -> bool:
-    """Return whether the starts of NPCs with tracks and manoeuvres are on the road and do not touch, nor the ego's."""
-    (behind, ahead), ego_length = space.room, space.ego_length
-    taken = [(0.0, 0, ego_length)]
+def starts_apart(scenario: Scenario, npc: int, space: SearchSpace) -> bool:
+    """Return whether an NPC with a track or a manoeuvre starts on the road, and not too near to another vehicle.
+
+    No two vehicles of a lane touch. Unless the NPC starts as recorded, whoever is behind can also avoid the other one:
+    react after 1 s, and lose the difference of the speeds by braking with 5 m/s^2.
+    """
+    starts = []
     for (first, *_), vehicle in zip(scenario.npcs, scenario.all_vehicles, strict=True):
         along = first.ahead
         if along and not first.follows_track:  # from bumper to bumper
-            along += math.copysign((ego_length + vehicle.length) / 2, along)
-        if not -behind <= along <= ahead or any(
-            lane == first.beside and abs(along - other) < (length + vehicle.length) / 2 + LEAST_GAP
-            for other, lane, length in taken
-        ):
+            along += math.copysign((space.ego_length + vehicle.length) / 2, along)
+        starts.append((along, first.beside, vehicle.length, first.speed))
+    own: Any = scenario.npcs[npc][0]
+    along, lane, length, speed = starts.pop(npc)
+    behind, ahead = space.room
+    is_on_road = along <= ahead and (own.follows_track or along >= -behind)  # tracks may begin before it
+    if not is_on_road or not 0 <= scenario.ego_lane + lane < space.lanes:  # it may have been changing lanes
+        return False
+    is_as_recorded = own.follows_track and own.is_as_recorded
+    for its, its_lane, its_length, its_speed in ((0.0, 0, space.ego_length, scenario.ego_speed), *starts):
+        closing = max((speed - its_speed) * (1 if along < its else -1), 0.0)
+        room = 0.0 if is_as_recorded else closing * (1.0 + closing / 10.0)
+        if lane == its_lane and abs(along - its) < (length + its_length) / 2 + LEAST_GAP + room:
             return False
-        taken.append((along, first.beside, vehicle.length))
     return True
 
 

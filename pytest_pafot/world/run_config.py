@@ -211,7 +211,8 @@ class Rules:
                     self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
             lane, vehicle = scenario.ego_lane + manoeuvre.beside, scenario.vehicle_of(npc)
             along = self.along_at(manoeuvre, scenario, self.ego.length, vehicle)
-            if not self.road.has_lane(lane, along):
+            # A vehicle that comes to where it was first seen may come from before the beginning of the road.
+            if not self.road.has_lane(lane, max(along, self.ego_start) if manoeuvre.follows_track else along):
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
                 place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot import Highway, Run, Traffic
+from pytest_pafot import Highway, Run, Traffic, VehicleType
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect
@@ -52,7 +52,7 @@ def test_track_is_a_block():
     manoeuvres() | free_npcs(),
     st.none() | tracks(),
     st.sampled_from(["paper", "everyday"]),
-    st.sampled_from([(), ("truck",), ("car", "van")]),
+    st.sampled_from([(), ("truck",), ("car", "van"), (VehicleType.recorded(16.5, 2.55, fastest=26.4),)]),
 )
 def test_what_is_written_is_read(one, other, ego_track, style, vehicles):
     npcs = ((one,), (other,))

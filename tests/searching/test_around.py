@@ -75,6 +75,39 @@ def test_starts_leave_room_for_the_egos_own_vehicle():
         world.check_fits(sample(replace(SPACE, ego_length=12.0), rng))
 
 
+def test_vehicle_that_comes_later_may_start_before_the_road():
+    rng = np.random.default_rng(0)
+    recording = replace(RECORDING, npcs=(*RECORDING.npcs, [Recorded(track=track(-600, 2, 30))]))
+    space = replace(SPACE, npcs=5, least_npcs=5, most_npcs=(6,), around=recording, first=(recording,))
+    drawn = [sample(space, rng) for _ in range(50)]
+    for each in drawn:
+        WORLD.check_fits(each)
+    assert len({each.id for each in drawn}) > 40
+    assert any(each.npcs[4] != recording.npcs[4] for each in drawn)
+
+
+def test_whoever_is_behind_at_the_start_can_avoid_a_change():
+    """Otherwise a search finds collisions that begin with the change, and are nobody's fault."""
+    rng, scenario, least = np.random.default_rng(0), RECORDING, 1.0
+    for _ in range(500):
+        scenario = mutate(scenario, SPACE, rng)
+        for (first,) in scenario.npcs:
+            if first.beside == 0 and not (first.follows_track and first.is_as_recorded):
+                gap = abs(first.ahead) - 5.0 * first.follows_track
+                closing = (first.speed - 25.0) * (1 if first.ahead < 0 else -1)
+                least = min(least, gap - max(closing, 0.0) * (1.0 + max(closing, 0.0) / 10.0))
+    assert 0.5 - 1e-6 <= least < 1.0
+
+
+def test_vehicle_that_changes_lanes_at_the_start_begins_on_the_road():
+    rng = np.random.default_rng(0)
+    aside = Track.of([[20 + 2.5 * row, 9.5 - 0.1 * min(row, 15), -0.04, 25.0] for row in range(101)])
+    recording = replace(RECORDING, npcs=[[Recorded(track=aside)]])
+    space = replace(SPACE, npcs=1, least_npcs=1, most_npcs=(2,), around=recording, first=(recording,))
+    for _ in range(100):
+        WORLD.check_fits(sample(space, rng))
+
+
 def test_pace_stays_below_the_speed_limit():
     rng = np.random.default_rng(0)
     varied = [RECORDING.npcs[3][0].varied(SPACE.choices, rng) for _ in range(100)]
@@ -100,6 +133,14 @@ def test_shrinking_goes_back_to_the_recording():
     simplest, how = shrink(start, fails, rollouts=500, top_speed=30.0, plain=(1, 25.0))
     assert [chain[0] for chain in simplest.npcs] == [Recorded(track=NPCS[0][0].track, shift=-1.6)]
     assert (simplest.ego_track, how.is_minimal, how.speeds) == (RECORDING.ego_track, True, ())
+
+
+def test_shrinking_leaves_recorded_vehicles_their_size():
+    added = [Manoeuvre(beside=0, ahead=60.0, speed=20.0)]
+    start = Scenario(npcs=[NPCS[0], added], ego_track=RECORDING.ego_track, vehicles=("truck", "truck"))
+    fails = lambda scenario: scenario if len(scenario.npcs) == 2 else None  # noqa: E731
+    simplest, _ = shrink(start, fails, rollouts=500, top_speed=30.0)
+    assert [each.name for each in simplest.all_vehicles] == ["truck", "car"]
 
 
 def test_shrinking_stays_around_the_recording():

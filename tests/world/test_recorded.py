@@ -119,6 +119,14 @@ def test_vehicle_behind_one_that_was_handed_over_is_handed_over_too():
     assert trace.outcome is Outcome.SAFE
 
 
+def test_vehicle_whose_track_soon_ends_is_handed_over_in_time_to_brake():
+    """What it will do after the end of its track is to keep its speed, and not to stand there."""
+    told = scenario(track(-45.0, 0, 25.0, seconds=4.5))
+    trace = drive(told, [(1.0, -5.0), (4.0, 0.0)])
+    assert trace.handed_over[0] < 60
+    assert (trace.outcome, trace.states[-1, 1, SPEED]) == (Outcome.SAFE, pytest.approx(10.0, abs=0.5))
+
+
 def test_vehicle_whose_track_ends_keeps_its_lane_and_speed():
     trace = drive(scenario(track(40.0, 1, 22.0, seconds=3.0)))
     assert trace.handed_over == (45,)

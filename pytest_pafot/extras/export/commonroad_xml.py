@@ -29,7 +29,7 @@ DECIMALS = 9
 PROBLEM, FIRST_LANELET = 1000, 1001
 """Ids of the planning problem and of the first lanelet. Ids are unique in a file: the ego has 1, NPC 0 has 2."""
 TYPES = {"truck": ObstacleType.TRUCK, "motorcycle": ObstacleType.MOTORCYCLE}
-"""The types of vehicles by their names; CommonRoad has none for vans, which are cars there."""
+"""The types of vehicles by the last words of their names; CommonRoad has none for vans, which are cars there."""
 NO_DATE = b"2000-01-01"
 """The date in every file instead of today's, so that equal runs give equal files."""
 
@@ -47,7 +47,7 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
         shape, first, later = Rectangle(length, width), _first(states[0, vehicle]), enumerate(states[1:, vehicle], 1)
         rest = [ExtendedPMState(time_step=tick, **_plain(state)) for tick, state in later]
         driven = TrajectoryPrediction(Trajectory(1, rest), shape) if rest else None
-        kind = trace.vehicle_type(vehicle).name
+        kind = trace.vehicle_type(vehicle).kind
         obstacle = TYPES.get(kind, ObstacleType.CAR)
         scenario.add_objects(DynamicObstacle(vehicle + 1, obstacle, shape, first, driven))
     end = max(trace.ticks, 1)

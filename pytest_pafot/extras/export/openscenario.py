@@ -88,7 +88,7 @@ CATEGORIES = {
     "truck": xosc.VehicleCategory.truck,
     "motorcycle": xosc.VehicleCategory.motorbike,
 }
-"""The categories of vehicles by their names; any other vehicle is a car there, too, with its own size."""
+"""The categories of vehicles by the last words of their names; any other vehicle is a car, too, with its own size."""
 ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
 """A vehicle's limits of speed [m/s] and acceleration [m/s^2]: so high that every trajectory can be followed."""
 
@@ -103,7 +103,7 @@ def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes
         name = name_of(vehicle)
         states = states_of(trace)[:, vehicle]
         positions = _rear_axles(states, size[0])
-        kind = trace.vehicle_type(vehicle).name
+        kind = trace.vehicle_type(vehicle).kind
         box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
         if minor == 0:  # CARLA's scenario_runner, the reader of this version, looks there for the ego
             box.add_property("type", "simulation" if vehicle else "ego_vehicle")

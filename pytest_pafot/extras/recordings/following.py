@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Highway, Manoeuvre, Scenario, Step, Trace
+from pytest_pafot import Highway, Manoeuvre, Scenario, Step, Trace, VehicleType
 from pytest_pafot.extending import ACCELERATION, SPEED, FloatArray, X, Y
 
 MOST_STEPS, WIDTH = 16, 4.0
@@ -55,22 +55,25 @@ def _changes(shares: FloatArray) -> Iterator[tuple[float, int, float]]:
         lane, before = lane + side, before + crossed
 
 
-def followed(states: FloatArray, shares: FloatArray) -> tuple[Step, ...]:
+def followed(states: FloatArray, shares: FloatArray, vehicle: VehicleType) -> tuple[Step, ...]:
     """Return the steps that follow a track, as near as they can within the steps of a manoeuvre.
 
     Args:
         states: the states of the track, ``PACE`` per second; shape [rows, 4].
         shares: its places across the road, in lanes.
+        vehicle: what drives there.
     """
     tried: list[tuple[float, tuple[Step, ...]]] = []
     for far in FAR:
-        tried.append(_stepped(states, shares, far))
+        tried.append(_stepped(states, shares, vehicle, far))
         if tried[-1][0] <= GOOD:
             break
     return min(tried, key=lambda each: each[0])[1]
 
 
-def _stepped(states: FloatArray, shares: FloatArray, far: float) -> tuple[float, tuple[Step, ...]]:
+def _stepped(
+    states: FloatArray, shares: FloatArray, vehicle: VehicleType, far: float
+) -> tuple[float, tuple[Step, ...]]:
     """Return steps that stay near the places of a track, and how far they lead from it [m].
 
     Each step is chosen from where the steps before it really lead: they are driven. It is the longest one that stays
@@ -82,7 +85,7 @@ def _stepped(states: FloatArray, shares: FloatArray, far: float) -> tuple[float,
     while np.ptp(np.cumsum([0, *(side for _, side, _ in changes)])) >= MOST_LANES:
         changes.pop()
     left, skipped = [*changes], 0.0
-    trace = _driven(states[0], steps, changes, times[-1])
+    trace = _driven(states[0], steps, changes, times[-1], vehicle)
     while len(steps) < MOST_STEPS:
         arrived = trace.arrivals[0][0] if steps else 0
         if arrived is None:
@@ -111,7 +114,7 @@ def _stepped(states: FloatArray, shares: FloatArray, far: float) -> tuple[float,
                 continue
             step = replace(step, speed=speed, acceleration=acceleration)
         steps.append(step)
-        trace = _driven(states[0], steps, changes, times[-1])
+        trace = _driven(states[0], steps, changes, times[-1], vehicle)
     along, across = (
         np.interp(times, trace.times, trace.states[:, 1, each] - trace.states[0, 1, each]) for each in (X, Y)
     )
@@ -134,13 +137,17 @@ def first_speed(state: FloatArray) -> float:
 
 
 def _driven(
-    first: FloatArray, steps: Iterable[Step], changes: Sequence[tuple[float, int, float]], seconds: float
+    first: FloatArray,
+    steps: Iterable[Step],
+    changes: Sequence[tuple[float, int, float]],
+    seconds: float,
+    vehicle: VehicleType,
 ) -> Trace:
     """Drive a vehicle with some steps far from a standing ego, on which steps by time do not depend."""
     reached = np.cumsum([0, *(side for _, side, _ in changes)])
     lanes = int(reached.max() - reached.min()) + 1
     manoeuvre = Manoeuvre(beside=0, ahead=AHEAD, speed=first_speed(first), steps=tuple(steps))
-    scenario = Scenario(npcs=((manoeuvre,),), ego_lane=-int(reached.min()), ego_speed=0.0)
+    scenario = Scenario(npcs=((manoeuvre,),), ego_lane=-int(reached.min()), ego_speed=0.0, vehicles=(vehicle,))
     world = Highway(lanes=max(lanes, 3), speed_limit=FASTEST, duration=max(seconds, 1.0))
     return world.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
 

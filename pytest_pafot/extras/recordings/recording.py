@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track, catalogue
+from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track, VehicleType, catalogue
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
 from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
 from pytest_pafot.support.errors import FieldError, sentence
@@ -30,6 +30,8 @@ RATE, FASTEST_RATE = 10, 15
 """The rate of tracks, and the highest one that a track can keep [1/s]."""
 STRAIGHT = 0.4
 """The largest heading of a vehicle that drives along the road [rad]."""
+LEAST_ROOM = 1.0
+"""The gap to others along the road that a vehicle keeps on its way to where it is first seen [m]."""
 
 
 class RecordingError(FieldError):
@@ -81,6 +83,11 @@ class RecordedVehicle:
         asked = np.atleast_1d(times)
         found = [np.interp(asked, self.times, column, left=math.nan, right=math.nan) for column in columns]
         return np.stack(found, axis=-1)
+
+    @property
+    def vehicle_type(self) -> VehicleType:
+        """What it is as an NPC."""
+        return VehicleType.recorded(self.length, self.width, float(self.states[:, SPEED].max()))
 
     def __repr__(self) -> str:
         seen = f"{self.times[0]:g} to {self.times[-1]:g} s"
@@ -173,11 +180,12 @@ class Recording:
     ) -> Scenario:
         """Return a scenario that starts as the recording is at a time, and whose NPCs then drive as recorded.
 
-        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time. Each follows its
-        track (:class:`pytest_pafot.Recorded`) as long as the policy drives as the recorded ego did. Their boxes are 5 m
-        long, around the centres of the recording, and lanes of the recording become lanes of 4 m. A vehicle that comes
-        later is not in the scenario. One that leaves the recording goes on attentively in its lane. The road has lanes
-        to the left of the recorded ones if a vehicle drives there.
+        The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time, and if they are
+        fewer, the first that come later. Each has its size, and follows its track (:class:`pytest_pafot.Recorded`) as
+        long as the policy drives as the recorded ego did. Lanes of the recording become lanes of 4 m. Before a vehicle
+        is first seen, it drives at its first speed along the road to that place. If it would touch another vehicle
+        there, it is left out. One that leaves the recording goes on attentively in its lane. The road has lanes to the
+        left of the recorded ones if a vehicle drives there.
 
         Args:
             ego: the vehicle in whose place the policy drives; the recording's ego by default.
@@ -210,20 +218,25 @@ class Recording:
             )
         columns = _Columns(seen.lanes, float(here[Y]))
         lane, least = columns.of(here[Y]), 0
-        npcs: list[tuple[float, int, RecordedVehicle]] = []
+        found: list[tuple[float, float, int, RecordedVehicle]] = []
         for other in seen.vehicles:
-            state = other.at(start)[0]
-            if np.isnan(state).any():  # not there at that time
+            first = max(start, float(other.times[0]))
+            if other is own or first > min(other.times[-1], own.times[-1]) or first >= start + seconds:
                 continue
-            is_near = abs(state[X] - here[X]) < FARTHEST and abs(columns.of(state[Y]) - lane) <= MOST_BESIDE
-            if other is not own and is_near and abs(state[HEADING]) < STRAIGHT:
-                npcs.append((abs(state[X] - here[X]), len(npcs), other))
-        if not npcs:
+            state, its = other.at(first)[0], own.at(first)[0]
+            is_near = abs(state[X] - its[X]) < FARTHEST and abs(columns.of(state[Y]) - lane) <= MOST_BESIDE
+            if is_near and abs(state[HEADING]) < STRAIGHT:
+                found.append((first, abs(state[X] - its[X]), len(found), other))
+        nearest: list[RecordedVehicle] = []
+        for first, *_, other in sorted(found):
+            is_there = first == start or (not as_manoeuvres and _has_come(other, [own, *nearest], start))
+            if is_there and len(nearest) < MOST_NPCS:
+                nearest.append(other)
+        if not nearest:
             raise RequestError(
                 f"{self.source}: expected vehicles within {FARTHEST:g} m of {own.name} that drive in its direction at "
                 f"{start:g} s, received none; start at another time"
             )
-        nearest = [other for *_, other in sorted(npcs)[:MOST_NPCS]]
         if not as_manoeuvres:
             return self._as_recorded(own, nearest, start, seconds, columns)
         manoeuvres = []
@@ -240,7 +253,10 @@ class Recording:
             least = min(least, int(reached.min()))
         first_lane = max(lane if columns.are_known else 1, -least)
         return Scenario(
-            npcs=tuple((each,) for each in manoeuvres), ego_lane=first_lane, ego_speed=max(float(here[SPEED]), 0.0)
+            npcs=tuple((each,) for each in manoeuvres),
+            ego_lane=first_lane,
+            ego_speed=max(float(here[SPEED]), 0.0),
+            vehicles=tuple(each.vehicle_type for each in nearest),
         )
 
     @property
@@ -268,17 +284,18 @@ class Recording:
             places = np.stack([states[:, X] - x, across, states[:, HEADING], states[:, SPEED]], axis=-1)
             return Track.of(places, rate) if len(places) > 1 else None
 
-        tracks = [found for found in map(track, others) if found is not None]
-        if not tracks:
+        known = [(found, other.vehicle_type) for other in others if (found := track(other)) is not None]
+        if not known:
             raise RequestError(
                 f"{self.source}: expected vehicles that are seen for some time from {start:g} s on, received none; "
                 "start at another time"
             )
-        leftmost = min(float(each.states[:, 1].min()) for each in tracks)
+        leftmost = min(float(each.states[:, 1].min()) for each, _ in known)
         return Scenario(
-            npcs=tuple((Recorded(track=each),) for each in tracks),
+            npcs=tuple((Recorded(track=each),) for each, _ in known),
             ego_lane=max(lane if columns.are_known else 1, round(-leftmost / Track.lane_width)),
             ego_speed=max(speed, 0.0),
+            vehicles=tuple(each for _, each in known),
             ego_track=track(own),
         )
 
@@ -311,6 +328,22 @@ def _aside(lane: Lane, x: float, y: float) -> float:
     return (y - lane.y) * math.cos(lane.heading) - (x - lane.x) * math.sin(lane.heading)
 
 
+def _has_come(vehicle: RecordedVehicle, others: Sequence[RecordedVehicle], start: float) -> bool:
+    """Return whether a vehicle can have driven to where it is first seen without touching another one on its way."""
+    seconds = float(vehicle.times[0]) - start
+    mine, size = _driven(vehicle, start, seconds, RATE), vehicle.vehicle_type
+    for other in others:
+        if other.name.partition("/")[0] == vehicle.name.partition("/")[0]:
+            return False  # it was lost in between, and its first part goes on
+        its, its_size = _driven(other, start, seconds, RATE), other.vehicle_type
+        both = min(len(mine), len(its))
+        along, across = np.abs(mine[:both, [X, Y]] - its[:both, [X, Y]]).T
+        is_near = along < (size.length + its_size.length) / 2 + LEAST_ROOM
+        if (is_near & (across < (size.width + its_size.width) / 2)).any():
+            return False
+    return True
+
+
 def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
     """Return the distance between bumpers [m] for one between centres; a manoeuvre cannot start with an overlap."""
     gap = max(round(abs(distance) - room, 1), 0.5 if is_in_lane else 0.1)
@@ -320,13 +353,19 @@ def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
 def _steps(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
     """Return the steps that follow a vehicle from a time on until it leaves the recording or the road."""
     states = _driven(vehicle, start, seconds, PACE)
-    return followed(states, columns.shares(states[:, Y]))
+    return followed(states, columns.shares(states[:, Y]), vehicle.vehicle_type)
 
 
 def _driven(vehicle: RecordedVehicle, start: float, seconds: float, rate: float) -> FloatArray:
-    """Return the states of a vehicle at a rate from a time on, until it leaves the recording or the road."""
+    """Return the states of a vehicle at a rate from a time on, until it leaves the recording or the road.
+
+    Before it is first seen, it drives at its first speed along the road.
+    """
     end = min(seconds, float(vehicle.times[-1]) - start)
     times = start + np.arange(math.floor(end * rate + 1e-6) + 1) / rate
-    states = vehicle.at(np.minimum(times, vehicle.times[-1]))  # a sum may round up beyond the last time
+    states = vehicle.at(np.clip(times, vehicle.times[0], vehicle.times[-1]))  # a sum may round up beyond the last time
+    early = np.minimum(times - vehicle.times[0], 0.0)
+    states[:, X] += early * states[0, SPEED]
+    states[early < 0, HEADING] = 0.0
     turned = np.abs(states[:, HEADING]) > STRAIGHT
     return states[: turned.argmax()] if turned.any() else states

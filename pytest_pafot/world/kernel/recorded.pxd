@@ -25,5 +25,5 @@ cdef class RecordedDirector(Director):
 
     @cython.final
     @cython.locals(states="double[::1]", along=double, across=double, forward=double, aside=double, last=int, step=int,
-                   later=int, seconds=double, row=int, distance=double, beside=double)
+                   later=int, tick=int, seconds=double, row=int, beyond=double, distance=double, beside=double)
     cdef bint _nears(self, TrackedNpc npc, Body other) except -1

@@ -6,8 +6,9 @@ collision with such a car would be nobody's fault. So an NPC leaves its track fo
 - when its track ends;
 - when the first of its own steps begins;
 - when it would come near a vehicle that does not drive as recorded: less than ``ALONG`` ahead or behind and ``ACROSS``
-  beside it within the next ``SECONDS``, if the NPC follows its track and the other keeps its speed, and goes on across
-  the road for ``ASIDE``. In this time a driver reacts after 1 s, and loses 10 m/s by braking with 5 m/s^2.
+  beside it within the next ``SECONDS``, if the NPC follows its track, and keeps its speed after its end, and the other
+  keeps its speed, and goes on across the road for ``ASIDE``. In this time a driver reacts after 1 s, and loses 10 m/s
+  by braking with 5 m/s^2.
 
 An NPC that is directly ahead of the other is not handed over: whoever drives behind has to look.
 
@@ -127,8 +128,9 @@ class RecordedDirector(Director):
         forward, aside = other.speed * math.cos(other.heading), other.speed * math.sin(other.heading)
         last, step = len(states) // 4 - 1, max(round(SAMPLE * self._hz), 1)
         for later in range(0, round(SECONDS * self._hz) + 1, step):
-            seconds, row = later / self._hz, 4 * min(npc.tick + later, last)
-            distance = states[row] - other.x - forward * seconds
+            tick = min(npc.tick + later, last)
+            seconds, row, beyond = later / self._hz, 4 * tick, (npc.tick + later - tick) / self._hz
+            distance = states[row] + states[row + 3] * beyond - other.x - forward * seconds
             beside = states[row + 1] - other.y - aside * min(seconds, ASIDE)
             if abs(distance) < along and abs(beside) < across:
                 return True

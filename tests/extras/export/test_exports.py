@@ -335,11 +335,14 @@ def test_lane_off_the_road_is_minus_one(exported):
     assert {int(row["lane"]) for row in rows} == set(trace.states[..., LANE].astype(int).ravel().tolist())
 
 
-@table(("kind", "category"), [("car", "car"), ("van", "van"), ("truck", "truck"), ("motorcycle", "motorbike")])
+@table(
+    ("kind", "category"),
+    [("car", "car"), ("van", "van"), ("truck", "truck"), ("motorcycle", "motorbike"), ("my truck", "truck")],
+)
 def test_openscenario_knows_what_vehicle_the_ego_and_an_npc_are(exported, kind, category):
     pytest.importorskip("scenariogeneration")
     finding, trace = exported
-    vehicle = VehicleType.of(kind)
+    vehicle = VehicleType(name=kind, length=9.0, width=2.5) if " " in kind else VehicleType.of(kind)
     trace = replace(trace, scenario=trace.scenario.with_vehicle(0, vehicle), ego_vehicle=vehicle)
     content = exporter("xosc")(finding, trace)[f"{finding.id}.xosc"]
     found = [each.get("vehicleCategory") for each in ElementTree.fromstring(content).iter("Vehicle")]

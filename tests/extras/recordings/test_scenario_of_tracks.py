@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.recordings.recording import RecordedVehicle, Recording
@@ -180,6 +182,56 @@ def test_vehicles_drive_on_their_tracks():
         missed = trace.states[: len(times), npc + 1, [X, Y]] - trace.states[0, 0, [X, Y]]
         assert np.abs(missed[:, 0] - track[:, X]).max() < 0.05
         assert np.abs(missed[:, 1] - track[:, Y] * 4.0 / 3.75).max() < 0.05
+
+
+@pytest.mark.parametrize("as_manoeuvres", [False, True])
+def test_npcs_have_their_recorded_sizes(as_manoeuvres):
+    others = driven("2", 40.0, [(0, 22.0)], length=16.5), driven("3", -30.0, [(0, 30.0)], [(0, 0.0)], length=4.2)
+    scenario = recording(*others).scenario(1, seconds=5.0, as_manoeuvres=as_manoeuvres)
+    trace = pafot.Highway(speed_limit=36.3, duration=5.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    assert trace.sizes.tolist() == [[5.0, 2.0], [4.2, 1.8], [16.5, 1.8]], "the nearest one first; the ego is a car"
+    assert [each.kind for each in scenario.vehicles] == ["car", "truck"]
+
+
+@given(
+    first=st.integers(1, 150), ahead=st.floats(-190.0, 190.0), speed=st.floats(0.0, 33.0), lane=st.sampled_from([0, 2])
+)
+def test_vehicle_that_comes_later_drives_evenly_to_where_it_is_first_seen(first, ahead, speed, lane):
+    """Nothing appears in the world, so a policy that drives otherwise than the recorded ego sees it come."""
+    seen = TIMES[first]
+    speeds, lanes = [(0, speed), (seen, speed), (25, speed + 2)], [(0, lane)]
+    x = ahead + float(EGO.at(seen)[0, X]) - speed * seen
+    later = driven("later", x, speeds, lanes, first=seen)
+    ((npc,),) = recording(later).scenario(1, seconds=20.0).npcs
+    assert npc.track.states[:, X] == pytest.approx(driven("later", x, speeds).states[:201, X], abs=0.01)
+    assert npc.track.states[:, Y] == pytest.approx(4.0 * (lane - 1))
+    world = pafot.Highway(speed_limit=36.3, duration=20.0)
+    assert world.rollout(recording(later).scenario(1), lambda: lambda seen: (0.0, 0.0)).outcome == "safe"
+
+
+def test_ego_that_stops_is_not_hit_by_who_comes_later():
+    later = driven("later", -300.0, [(0, 33.0)], first=16.0)
+    scenario = recording(driven("2", 60.0, [(0, 25.0)]), later).scenario(1)
+    trace = pafot.Highway(speed_limit=36.3, duration=20.0).rollout(scenario, lambda: lambda seen: (-4.0, 0.0))
+    assert trace.outcome == "safe"
+    assert trace.handed_over[1] is not None
+    assert trace.states[0, 2, X] == pytest.approx(trace.states[0, 0, X] - 300.0)
+
+
+def test_vehicle_that_cannot_have_come_is_left_out():
+    ahead = driven("2", 60.0, [(0, 25.0)])
+    through_the_ego = driven("3", -20.0, [(0, 28.0)], first=8.0)  # it passed in the lane of the ego, or in another one
+    lost = driven("2/2", 30.0, [(0, 26.0)], [(0, 2.0)], first=15.0)
+    found = driven("4", 20.0, [(0, 25.0)], [(0, 2.0)], first=22.0)
+    assert len(recording(ahead, through_the_ego, lost, found).scenario(1).npcs) == 1, "the last one comes after the end"
+    assert len(recording(ahead, found).scenario(1, seconds=23.0).npcs) == 2
+
+
+def test_who_comes_first_has_the_places_that_are_left():
+    there = [driven(f"there {n}", 40.0 + 30 * n, [(0, 25.0)], [(0, n % 3)]) for n in range(5)]
+    come = [driven(f"comes {n}", -20.0 - 30 * n, [(0, 25.0)], first=9.0 - n) for n in range(6)]
+    npcs = [chain[0].ahead for chain in recording(*come, *there).scenario(1).npcs]
+    assert npcs == [40.0, 70.0, 100.0, 130.0, 160.0, -170.0, -140.0, -110.0]
 
 
 def test_places_without_lanes_are_those_of_the_data():
