@@ -227,11 +227,7 @@ class Rules:
             taken.append((npc, own, its_lane))
 
     def _check_free(self, place: str, free: Any) -> None:
-        """Refuse a free NPC on a road on which none can drive, and one whose driver nobody has named."""
-        if not self.road.has_free_npcs:
-            expected = "no free NPC on this road, because drivers know only straight roads that start at the origin"
-            fix = "use pafot.Highway, or give the NPC a Manoeuvre"
-            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
+        """Refuse a free NPC whose driver nobody has named."""
         if free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
             expected = f"one of {', '.join(dict.fromkeys((*BUILT_IN_DRIVERS, *self.drivers)))}"
             fix = (

@@ -11,7 +11,7 @@ wherever the lane really is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -27,13 +27,14 @@ from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.seeing import misjudged
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director
+from pytest_pafot.world.kernel.director import Director, Start
+from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.observation import Observation, Sensor
-from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces
+from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces, seated
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.kernel.road_sensor import RoadSensor
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
-from pytest_pafot.world.roads.road import Meeting, Pose, Road
+from pytest_pafot.world.roads.road import ByNetwork, Meeting, Pose, Road
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 
 SLOWING = 2.0
@@ -359,7 +360,7 @@ class NetworkRoad(Road):
         *,
         starts: Sequence[float],
         ticks: int,
-        network: Callable[[], Any],
+        stock_road: Callable[[], Any],
     ) -> Places:
         """Make the places of the vehicles of a run, which are tracked from tick to tick."""
         return RoadPlaces(
@@ -369,7 +370,7 @@ class NetworkRoad(Road):
             starts=starts,
             ways=[None, *self.own_ways(scenario)],
             end=self.end,
-            beside=lambda x, y, lane, along: self.beside(network(), x, y, lane, along),
+            beside=lambda x, y, lane, along: self.beside(stock_road().network, x, y, lane, along),
             ticks=ticks,
         )
 
@@ -377,12 +378,27 @@ class NetworkRoad(Road):
         """Return the own way of each NPC that crosses, None for each other NPC."""
         return [None] * len(scenario.npcs)
 
+    def traffic_vehicle(
+        self, constants: Mapping[str, float], start: Start, *, changes_lanes: bool, by_network: ByNetwork
+    ) -> GoalVehicle | None:
+        """Make a vehicle that drives along the ego's way by IDM and MOBIL."""
+        along, _ = start
+        return by_network([index[:2] for index in self.route[self.line.piece[self.point(along)] :]])
+
     def sensor(
-        self, places: Places, record: Any, scenario: Scenario, rates: tuple[int, int], sight: Sight | None
+        self,
+        places: Places,
+        record: Any,
+        scenario: Scenario,
+        rates: tuple[int, int],
+        sight: Sight | None,
+        seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations, in which the road is straight."""
         common = self.lane_count, self.lane_width, self.speed_limit, self.end
         zones, leaning = list(self.zones(scenario)), [self.bends, *map(self.bends_of, scenario.all_vehicles)]
+        if seat:
+            leaning, zones = seated(leaning, seat), seated([None, *zones], seat)[1:] if zones else zones
         on_road = cast("RoadPlaces", places), record, self.bends, leaning, zones, common, *rates
         if sight is None:
             return RoadSensor(*on_road, None)

@@ -364,11 +364,6 @@ def test_policy_of_an_environment_meets_free_npcs():
     assert states(trace) == states(world.rollout_in_gym(scenario, lambda: lambda seen: 1))
 
 
-def test_bent_roads_are_refused_by_name():
-    with pytest.raises(ScenarioError, match="expected no free NPC on this road"):
-        World("merge-v0").rollout(Scenario(npcs=(free(),), ego_lane=1, ego_speed=30.0), lambda: lambda seen: 1)
-
-
 # On other worlds, and whatever the scenario is.
 
 
