@@ -68,7 +68,7 @@ class VehiclesOfRun:
         if drives_itself(scenario):
             self._movers = movers_of(rules, scenario, list(zip(alongs[1:], starts, strict=True)), stock_road)
         is_apart = not road.starts_at_origin
-        npcs: list[Body] = [Body(npc.length, npc.width) for npc in director.npcs] if is_apart else list(director.npcs)
+        npcs: list[Body] = director.in_world() if is_apart else list(director.npcs)
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         for number, mover in self._movers.items():

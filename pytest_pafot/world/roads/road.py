@@ -90,6 +90,11 @@ class Road(ABC):
         """True if world coordinates and road coordinates are the same."""
         return False
 
+    @property
+    def has_recorded_npcs(self) -> bool:
+        """True if NPCs can drive as recorded."""
+        return True
+
     def centre(self, lane: int) -> float:
         """Return the nominal position of a lane's centre across the road [m]."""
         return lane * self.lane_width
@@ -140,6 +145,13 @@ class Road(ABC):
     def start_speed(self, wanted: float, lane: int, along: float, vehicle: VehicleType) -> float:
         """Return the speed with which an NPC starts that is asked to start with ``wanted`` [m/s]."""
         return wanted
+
+    def bent_by(self, recorded: Any, along: float, lane: int) -> float:
+        """Return the largest lateral acceleration that the road's bends add to a recorded track [m/s^2].
+
+        The track starts at a place ``along`` the road [m], for an ego that starts in a ``lane``.
+        """
+        return 0.0
 
     # The parts of a run.
 

@@ -84,6 +84,11 @@ class StraightRoad(Road):
         """True if world coordinates and road coordinates are the same."""
         return self._origin == (0.0, 0.0)
 
+    @property
+    def has_recorded_npcs(self) -> bool:
+        """True if the places of a track are those of the world."""
+        return self.starts_at_origin
+
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
         """Return the place along the road [m], to the right of lane 0's centre [m], and the angle to the road [rad]."""
         x0, y0 = self._origin
