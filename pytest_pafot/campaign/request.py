@@ -383,6 +383,8 @@ def build_space(request: Request, world: Any) -> SearchSpace:
             road, row = world.straight_road, (world.given.headway, world.given.clearance)
             lanes = 0 if road is None else road.lane_count
             space = replace(space, drivers=tuple(request.drivers), lanes=lanes, row=row)
+            if road is None:  # which may begin just behind the ego's start
+                space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
@@ -397,8 +399,8 @@ def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
     if not world.has_free_npcs:
         raise request.error(
             "drivers=...",
-            f"expected a straight road such as pafot.Highway, received {world!r:.100}; leave drivers out, because "
-            "drivers of NPCs know no other roads",
+            f"expected a world whose NPCs can have drivers, such as pafot.Highway, received {world!r:.100}, which "
+            "declares none; leave drivers out",
         )
     kinds = request.algorithm.instructions
     if request.algorithm.is_papers or "both" not in kinds or request.space.get("instructions") == "manoeuvres":

@@ -64,6 +64,7 @@ from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.limits import CONNECTED
 
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
@@ -760,7 +761,9 @@ class SearchSession:
         policy = self.harness.policy
         given = world.options_without_effect(drives_itself=policy.drives_itself, simulates=policy.simulates)
         given.pop(f"write ego_lane={lane!r}", None)  # it has been written
-        told = [f"{', '.join(names)} ({why})" for why, names in given.items()]
+        if self.harness.request.drivers:  # IDM and MOBIL look for others there
+            given = {why: [name for name in names if name != CONNECTED] for why, names in given.items()}
+        told = [f"{', '.join(names)} ({why})" for why, names in given.items() if names]
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
 
     @property

@@ -418,6 +418,9 @@ def _sample_free(space: SearchSpace, rng: Generator) -> Scenario:
         chains += _sample_cars(replace(space, drivers=(), npcs=space.npcs - free), rng).npcs
     for _ in range(free):
         chains.append((random_free(space.choices, chains, rng),))
+    crossing, others = space.crossing_traffic, len(chains) - free
+    if crossing is not None:  # the first keep their places on the ego's way, where few have room
+        chains = [*crossing.cleared([*chains[others:], *chains[:others]], rng)]
     return repaired(chains, fresh_seed(rng), space)
 
 

@@ -119,6 +119,11 @@ class BuiltInWorld(BaseWorld):
 
     @property
     @abstractmethod
+    def stock_road(self) -> Any:
+        """The road as a road of highway-env without vehicles."""
+
+    @property
+    @abstractmethod
     def road(self) -> Road:
         """The road."""
 
@@ -152,8 +157,8 @@ class BuiltInWorld(BaseWorld):
 
     @property
     def has_free_npcs(self) -> bool:
-        """True if the road is one that drivers of NPCs can see."""
-        return self.road.has_free_npcs
+        """True, because drivers of NPCs see any road from their places."""
+        return True
 
     @property
     def has_lock_step(self) -> bool:
@@ -331,8 +336,8 @@ class BuiltInWorld(BaseWorld):
     ) -> Trace:
         """Simulate a scenario by the given rules with a planner in SI units; see :func:`planner_run`."""
         guard = HangGuard(rules.hang_limit)
-        network = lambda: self.network  # noqa: E731  (to make it imports highway-env)
-        return planner_run(rules, scenario, network, ads, guard, decisions=decisions, body=body).finish()
+        stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
+        return planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body).finish()
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""

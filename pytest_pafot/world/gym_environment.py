@@ -24,9 +24,10 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.vehicles import SearchedLanes, compiled_network, straight_road
+from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, SearchedLanes, compiled_network, straight_road
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.kernel.lane_network import Network
+from pytest_pafot.world.limits import CONNECTED
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,
@@ -54,8 +55,6 @@ TRAFFIC_OPTIONS = (
     "incoming_vehicle_destination",
 )
 """All options of highway-env for other vehicles, in whose place a search has NPCs."""
-CONNECTED = "neighbour_vehicles_connected_lanes"
-"""The option for the lanes in which highway-env's IDM looks for others; NPCs and policies do not look there."""
 POLICY_OPTIONS = ("observation", "action", "policy_frequency")
 """The options that have no effect on an ego that decides without the environment's observations and actions."""
 
@@ -267,6 +266,16 @@ class GymEnvironment:
     def network(self) -> Any:
         """The road as a road network of highway-env."""
         return SearchedLanes(self.unwrapped.road.network)
+
+    def road(self, np_random: Any = None) -> Any:
+        """Return the road as a road of highway-env without vehicles and objects, for one run."""
+        own, connected = self.unwrapped.road, self.unwrapped.config.get(CONNECTED, False)
+        made = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
+            self.network, np_random=np_random, neighbour_vehicles_connected_lanes=connected
+        )
+        if isinstance(made, EgosRegulatedRoad):
+            made.steps = own.steps  # a reset has done some steps, and the count decides when rules are enforced next
+        return made
 
     @cached_property
     def compiled_lanes(self) -> StraightRoad | Network | None:

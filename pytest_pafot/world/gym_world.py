@@ -248,7 +248,7 @@ class World(BuiltInWorld):
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         if self.planner_hz is not None:
-            return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)
+            return planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
         self.environment.check_keeps_no_ego()
         from pytest_pafot.world.engines.policies import begin  # noqa: PLC0415  (imports highway-env)
 
@@ -321,6 +321,11 @@ class World(BuiltInWorld):
     def network(self) -> Any:
         """The road as a road network of highway-env."""
         return self.environment.network
+
+    @property
+    def stock_road(self) -> Any:
+        """The road as a road of highway-env without vehicles."""
+        return self.environment.road()
 
     @cached_property
     def _rules(self) -> Rules:

@@ -147,7 +147,7 @@ class Highway(BuiltInWorld):
         return replay_highway(rules, scenario, Policy(ads_factory))
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        return planner_run(self.rules, scenario, lambda: self.network, None, guard, sight=sight)
+        return planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
@@ -160,6 +160,13 @@ class Highway(BuiltInWorld):
 
         lane = self.road.lanes[0]
         return SearchedLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
+
+    @property
+    def stock_road(self) -> Any:
+        """The road as a road of highway-env without vehicles."""
+        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
+
+        return Road(self.network)
 
     @cached_property
     def _rules(self) -> Rules:

@@ -202,9 +202,9 @@ class Rules:
         for npc, manoeuvre in asked:
             if manoeuvre.drives_itself:
                 self._check_free(f"npcs[{npc}][0].driver", manoeuvre)
-            if manoeuvre.follows_track and not self.road.starts_at_origin:
-                expected, fix = "a straight road for NPCs that drive as recorded", "use pafot.Highway"
-                received = f"a road of {self.road.lane_count} lanes in a road network"
+            if manoeuvre.follows_track and not self.road.has_recorded_npcs:
+                expected, fix = "a straight road that starts at the origin for recorded NPCs", "use pafot.Highway"
+                received = "one that starts elsewhere"
                 raise ScenarioError(field=f"npcs[{npc}][0]", expected=expected, received=received, fix=fix)
             for number, step in enumerate(manoeuvre.steps):
                 if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
@@ -216,6 +216,13 @@ class Rules:
                 expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
                 place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
                 raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
+            if manoeuvre.follows_track:
+                most = self.limits.of(vehicle).lateral_acceleration
+                if (found := self.road.bent_by(manoeuvre, along, scenario.ego_lane)) > most:
+                    expected = f"a track that the bends of the road allow, with at most {most:g} m/s^2 to the side"
+                    fix = "give it a smaller pace=, or drive it on a road with wider bends"
+                    place, received = f"npcs[{npc}][0].track", f"{found:.1f} m/s^2"
+                    raise ScenarioError(field=place, expected=expected, received=received, fix=fix)
         if not asked:
             return
         numbers = [npc for npc, *_ in _not_crossing(scenario)]
@@ -235,11 +242,7 @@ class Rules:
             taken.append((npc, own, its_lane))
 
     def _check_free(self, place: str, free: Any) -> None:
-        """Refuse a free NPC on a road on which none can drive, and one whose driver nobody has named."""
-        if not self.road.has_free_npcs:
-            expected = "no free NPC on this road, because drivers know only straight roads that start at the origin"
-            fix = "use pafot.Highway, or give the NPC a Manoeuvre"
-            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
+        """Refuse a free NPC whose driver nobody has named."""
         if free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
             expected = f"one of {', '.join(dict.fromkeys((*BUILT_IN_DRIVERS, *self.drivers)))}"
             fix = (

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot import Free, Highway, Manoeuvre, Scenario, World
+from pytest_pafot import Drive, Free, Highway, Manoeuvre, Scenario, World
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.findings.neighbours import Limits, neighbours
@@ -17,8 +17,12 @@ from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.limits import CONNECTED
+from tests.helpers.road_cases import ROADS
 from tests.helpers.shrinking import shrink
+from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
+from tests.helpers.toy_world import Toy
 
 
 def steady(observation):
@@ -155,6 +159,40 @@ def test_shrinking_prefers_what_a_reader_knows(is_needed, simplest):
     assert found.npcs[0][0].ahead == simplest.ahead
 
 
+# On other roads.
+
+
+@pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-generic-v1", "u-turn-v1"))
+def test_all_scenarios_fit_a_road_of_any_shape(env_id):
+    """Their free NPCs start in the ego's lane, as far from it as the road goes."""
+    world = base_world(World(env_id, planner_hz=5))
+    space, rng = space_of(world, {"idm": "idm", "mobil": "mobil"}), np.random.default_rng(0)
+    found = [sample(space, rng) for _ in range(40)]
+    found += [mutate(each, space, rng) for each in found]
+    for each in found:
+        world.check_fits(each)
+    assert {free.beside for scenario in found for free in free_of(scenario)} == {0}
+    assert 0.2 < sum(len(free_of(each)) for each in found) / sum(len(each.npcs) for each in found) < 0.7
+
+
+def test_search_among_crossing_and_free_npcs_is_the_same_with_other_processes():
+    world = World("roundabout-v1", {CONNECTED: True}, planner_hz=5, duration=10.0)
+    one, two = (
+        pafot.explore(
+            lambda: keeping, holds=no_collision, world=world, drivers={"policy": "policy", "mobil": "mobil"},
+            workers=workers, runs=40, seed=5, neighbours=0, shrink_rollouts=10,
+        )
+        for workers in (1, 2)
+    )  # fmt: skip
+    assert one.summary.outcomes == two.summary.outcomes
+    assert [each.scenario for each in one.findings] == [each.scenario for each in two.findings]
+    assert not any(CONNECTED in note for note in one.summary.notes)
+
+
+def keeping(observation):
+    return Drive(lane=observation.ego.lane, speed=8.0)
+
+
 # The argument of the mark.
 
 
@@ -178,7 +216,7 @@ def test_wrong_drivers_are_refused(drivers, message):
 @table(
     ("world", "more", "message"),
     [
-        (World("merge-v0"), {}, "expected a straight road such as pafot.Highway"),
+        (Toy(), {}, "expected a world whose NPCs can have drivers"),
         (WORLD, {"algorithm": "pafot"}, "expected a search whose NPCs have Position- or Lane-Instructions"),
         (WORLD, {"instructions": "manoeuvres"}, "expected a search whose NPCs have"),
         (World("highway-v0"), {"drivers": "policy"}, "expected no 'policy' in a world whose policy has the"),

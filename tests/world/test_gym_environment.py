@@ -50,7 +50,8 @@ from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.gym_environment import CONNECTED, POLICY_OPTIONS, TRAFFIC_OPTIONS
+from pytest_pafot.world.gym_environment import POLICY_OPTIONS, TRAFFIC_OPTIONS
+from pytest_pafot.world.limits import CONNECTED
 from tests.findings.builders import plain_finding
 from tests.helpers.gym_loop import Replayed, StateLog
 from tests.helpers.stages import mostly_oracle

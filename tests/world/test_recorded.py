@@ -5,6 +5,8 @@ import pytest
 
 from pytest_pafot import (
     TRUCK,
+    CrossingInstruction,
+    Drive,
     Free,
     Highway,
     LaneInstruction,
@@ -17,7 +19,7 @@ from pytest_pafot import (
     Track,
     World,
 )
-from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
+from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, SPEED, Outcome, X, Y
 from tests.helpers.run_cases import differences
 from tests.report.builders import view_of
 
@@ -200,8 +202,80 @@ def test_starts_that_touch_and_other_roads_are_refused():
         WORLD.check_fits(scenario(track(4.0, 0, 25.0)))
     with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\].beside: expected a lane that exists 20 m"):
         WORLD.check_fits(scenario(track(20.0, 2, 25.0)))
-    with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\]: expected a straight road .*; use pafot.Highway"):
-        World("merge-v0", planner_hz=5).check_fits(scenario(BEHIND))
+
+
+# On roads that bend.
+
+
+def on_way(world, *npcs, ego, **fields):
+    lane, speed = world.start
+    chains = [[Recorded(track=npc) if isinstance(npc, Track) else npc] for npc in npcs]
+    return Scenario(npcs=chains, ego_lane=lane, ego_speed=speed, ego_track=ego, **fields)
+
+
+def keeping(speed):
+    return lambda: lambda seen: Drive(lane=seen.ego.lane, speed=speed)
+
+
+def test_tracks_bend_with_the_road():
+    """Along the ego's way, vehicles are where they were recorded, also one that changes lanes."""
+    world = World("racetrack-v0", duration=9.0, planner_hz=15)
+    moving = track(60.0, 0, 6.0, aside=[(0, 0), (2, 0), (5, -1.25)])  # lanes are 5 m wide there, and 4 m in a track
+    trace = world.rollout(on_way(world, track(30.0, 0, 8.5), moving, ego=track(0.0, 0, 10.0)), keeping(10.0))
+    for npc, (ahead, speed) in enumerate(((30.0, 8.5), (60.0, 6.0))):
+        left = trace.handed_over[npc] or trace.ticks
+        along = trace.track[:left, npc + 1, ALONG] - trace.track[0, 0, ALONG]
+        assert along == pytest.approx(ahead + speed * trace.times[:left], abs=0.02)
+    followed = trace.track[:, 1, ACROSS]
+    assert np.abs(followed).max() < 0.05
+    assert np.ptp(trace.states[:, 1, HEADING]) > 0.5
+    assert trace.states[0, 1, SPEED] == pytest.approx(8.5)
+    assert trace.track[trace.handed_over[1] or -1, 2, ACROSS] == pytest.approx(-5.0, abs=0.1)
+    again = world.rollout_in_gym(trace.scenario, keeping(10.0))
+    assert again.states[..., :4] == pytest.approx(trace.states[..., :4], abs=1e-6)
+
+
+def test_who_leaves_its_track_in_a_bend_drives_on_attentively():
+    """A vehicle that follows the ego brakes if the ego does not drive as recorded, and stays in its lane."""
+    world = World("racetrack-v0", duration=12.0, planner_hz=5)
+    told = on_way(world, track(-20.0, 0, 8.0), ego=track(0.0, 0, 8.0))
+    as_recorded, slow = (world.rollout(told, keeping(speed)) for speed in (8.0, 3.0))
+    assert slow.outcome is Outcome.SAFE
+    assert 0 < slow.handed_over[0] < 60
+    assert slow.states[-1, 1, SPEED] < 3.5
+    assert np.abs(slow.track[:, 1, 3]).max() < 0.5
+    assert as_recorded.outcome is Outcome.SAFE
+
+
+def test_on_a_straight_network_tracks_are_those_of_a_straight_road():
+    """merge-v0 has three straight sections."""
+    world = World("merge-v0", duration=6.0, planner_hz=5)
+    told = on_way(world, track(-20.0, 0, 30.0), track(45.0, -1, 28.0), ego=track(0.0, 0, 30.0))
+    straight = Highway(duration=6.0, speed_limit=36.3).rollout(told, keeping(30.0))
+    bent = world.rollout(told, keeping(30.0))
+    assert bent.handed_over == straight.handed_over == (None, None)
+    ours, theirs = (each.states[:, 1:, :4] - [*each.states[0, 0, :2], 0, 0] for each in (bent, straight))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+def test_recorded_npcs_drive_among_those_that_cross():
+    world = World("intersection-v1", duration=8.0, planner_hz=5)
+    zone = world.crossings.zones[0]
+    crossing = CrossingInstruction(zone.way, 3.0, 8.0, "pass")
+    told = on_way(world, crossing, track(-25.0, 0, 6.0), ego=track(0.0, 0, 8.0))
+    trace = world.rollout(told, keeping(8.0))
+    assert trace.outcome is not Outcome.INVALID
+    assert trace.handed_over[0] is None
+    assert len(trace.handed_over) == 2
+    left = trace.handed_over[1] or trace.ticks
+    along = trace.track[:left, 2, ALONG]
+    assert along == pytest.approx(along[0] + 6.0 * trace.times[:left], abs=0.02)
+
+
+def test_track_that_no_vehicle_could_follow_in_the_bends_is_refused():
+    world = World("racetrack-v0", planner_hz=5)
+    with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\].track: expected a track that the bends of the road allow"):
+        world.check_fits(on_way(world, track(20.0, 0, (0, 9.0), (3, 18.0)), ego=track(0.0, 0, 10.0)))
 
 
 def test_npc_in_lanes_needs_a_cell_that_no_track_begins_in():

@@ -165,7 +165,7 @@ class Recorded(Instruction):
 
     It is handed over to attentive driving in its lane when its track ends, and when an ego that drives otherwise than
     the recorded one comes near it; from then on it does not follow the track. The first of its steps takes it from its
-    track, too. On a straight road only.
+    track, too. On a road that bends, its track bends with the lanes of the ego's way.
 
     Attributes:
         track: where it drives, from the beginning of the run on.

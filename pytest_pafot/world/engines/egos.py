@@ -27,7 +27,7 @@ from pytest_pafot.world.run_config import Rules
 def planner_run(
     rules: Rules,
     scenario: Scenario,
-    network: Callable[[], Any],
+    stock_road: Callable[[], Any],
     ads: Callable[[Any], Any] | None,
     guard: HangGuard,
     *,
@@ -39,7 +39,7 @@ def planner_run(
 
     Args:
         rules, scenario: the world's rules, and a scenario that fits them.
-        network: returns the road as a road network of highway-env, which not every road needs.
+        stock_road: returns the road as a road of highway-env, which not every run needs.
         ads: the planner; None if the decisions are passed in.
         guard: the guard of its decisions.
         sight: the sight of a planner whose decisions are passed in; None for perfect sight.
@@ -50,7 +50,7 @@ def planner_run(
         ads, sight = ads_and_sight(ads)
     ego = body or Body(rules.ego.length, rules.ego.width)
     ego.place(*rules.ego_position(scenario), rules.ego_speed(scenario))
-    vehicles = VehiclesOfRun(rules, scenario, ego, network)
+    vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
     return SteppedRun(vehicles, planner_driver(vehicles, ads, guard, sight, decisions), guard)
 
 
@@ -79,17 +79,22 @@ def vehicle_run(
     """Begin a run of a highway-env vehicle class, which drives itself, on a straight road that starts at the origin."""
     vehicle_class = built_as(rules.ego, vehicle_class)
     guard, start, model = HangGuard(rules.hang_limit), rules.ego_position(scenario), idm_model(vehicle_class)
+
+    def stock_road() -> Any:
+        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (a second of imports)
+
+        return Road(network(), np_random=np.random.default_rng(scenario.seed))
+
     if model is not None:
         ego = GoalVehicle(model.constants, road.grid, road.speed_limit)
         ego.start(*start, rules.ego_speed(scenario), model.changes_lanes)
-        vehicles = VehiclesOfRun(rules, scenario, ego, network)
+        vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
         return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)
     from pytest_pafot.world.driving.object_driver import ObjectDriver  # noqa: PLC0415  (a second of imports)
-    from pytest_pafot.world.stock import Road  # noqa: PLC0415
 
-    on = Road(network(), np_random=np.random.default_rng(scenario.seed))
+    on = stock_road()
     driver = ObjectDriver(vehicle_of(vehicle_class, on, start, rules.ego_speed(scenario), None), on, guard)
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, network)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: on)
     driver.show(vehicles.places, road)
     return SteppedRun(vehicles, driver, guard)
 

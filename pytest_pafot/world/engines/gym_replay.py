@@ -233,7 +233,7 @@ def replay_environment(
         )
         every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, ads.sight, scenario)
         driver = StockPolicy(ads.decides, seen, ego, every, guard, view, eyes)
-        return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road.network), env, driver, guard, objects).run()
+        return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects).run()
 
 
 def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = None) -> tuple[Any, list[Any]]:
@@ -273,7 +273,7 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
     ego_class = built_as(rules.ego, ads.given if ads.drives_itself else StockVehicle)
     put_ego(env, vehicle_of(ego_class, env.road, start, rules.ego_speed(scenario), route))
     ego = body_of(env.vehicle)
-    vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road.network)
+    vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
     driver: EgoDriver
     if ads.drives_itself:
         driver = _VehicleClass(env.vehicle, ego, guard)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pytest_pafot.model.instructions import Free, Instruction, ScenarioError
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
+from pytest_pafot.model.trace import AdsError, FloatArray
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.idm_model import idm_model
@@ -22,11 +23,13 @@ from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import without_reversing
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import Start
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import EgoDriver, ModelDriver, PlannerDriver
-from pytest_pafot.world.kernel.observation import COLUMNS, Observation, Sensor
-from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.kernel.network_vehicle import StaticObstacle
+from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.places import Places, seated
+from pytest_pafot.world.kernel.road_rules import EgosRoadRules
 from pytest_pafot.world.run_config import Rules
 
 IDM: Mapping[str, float] = MappingProxyType(
@@ -55,56 +58,54 @@ SEED_STEP = 0x9E3779B97F4A7C15
 """The distance between the seeds of two drivers, which has no pattern in binary: 2**64 divided by the golden ratio."""
 
 
-class OwnSeat(Sensor):
-    """The maker of a planner's observations from the place of an NPC: the NPC is first, then the ego and all others.
+class SeatedDriver(PlannerDriver):
+    """The driver of an NPC that is a planner, for which the record has the NPC first, then the ego and all others.
 
     Args:
-        road: the road.
-        vehicles: all vehicles, the ego first.
-        record: the record of the run.
+        record: the record of the run, shape [ticks + 1, vehicles, columns].
+        own: the same with the NPC first, which is copied before each decision.
         npc: the index of the NPC.
-        scenario: the scenario, with the seed of the NPC's driver.
-        rates: ticks per second, and ticks between decisions.
-        sight: the sight of the planner; None for perfect sight.
+        planner: the arguments of :class:`PlannerDriver`.
     """
 
-    def __init__(
-        self,
-        road: StraightRoad,
-        vehicles: Sequence[Body],
-        record: Any,
-        npc: int,
-        scenario: Scenario,
-        rates: tuple[int, int],
-        sight: Any,
-    ) -> None:
-        super().__init__()
-        count = len(vehicles)
-        self._order = [npc + 1, *(number for number in range(count) if number != npc + 1)]
-        self._rows = np.frombuffer(record).reshape(-1, count, COLUMNS)
-        self._own = np.empty_like(self._rows)
+    def __init__(self, record: FloatArray, own: FloatArray, npc: int, *planner: Any, **common: Any) -> None:
+        super().__init__(*planner, **common)
+        self._record, self._own = record, own
+        self._seats = seated(range(record.shape[1]), npc + 1)
         self._copied = 0
-        own = [vehicles[number] for number in self._order]
-        self._sensor = road.sensor(Places(own, own, road.grid), self._own.reshape(-1), scenario, rates, sight)
 
-    def observation(self, tick: int) -> Observation:
-        """Return the observation at the current tick."""
-        self._own[self._copied : tick + 1] = self._rows[self._copied : tick + 1, self._order]
+    def decide(self, tick: int) -> AdsError | None:
+        """Observe from the NPC's place, call the planner under guard, and check and apply its action."""
+        self._own[self._copied : tick + 1] = self._record[self._copied : tick + 1, self._seats]
         self._copied = tick + 1
-        return self._sensor.observation(tick)
+        return super().decide(tick)
 
 
 class TrafficDriver(ModelDriver):
-    """The driver of a free NPC by IDM and MOBIL, which does not reverse as highway-env's does behind a vehicle."""
+    """The driver of a free NPC by IDM and MOBIL, which does not reverse as highway-env's does behind a vehicle.
 
-    def __init__(self, npc: GoalVehicle, others: list[Any], dt: float) -> None:
-        super().__init__(npc, others)
+    Args:
+        npc: the NPC.
+        ego: the ego, of which it sees place and speed: what the ego wants to drive is known to nobody.
+        others: the other NPCs and the objects on the road.
+        rules: the rules of the road that it obeys; None if there are none.
+        dt: physics tick [s].
+    """
+
+    def __init__(self, npc: GoalVehicle, ego: Body, others: list[Any], rules: EgosRoadRules | None, dt: float) -> None:
+        self._ego, self._seen = ego, Body(ego.length, ego.width)
+        super().__init__(npc, [self._seen, *others])
+        self._yielding = rules
         self._dt = dt
 
     def actuate(self) -> None:
-        """Apply the vehicle's own model, but brake to a standstill at most."""
+        """Apply the vehicle's own model, but brake to a standstill at most; then apply the rules of the road."""
+        ego = self._ego
+        self._seen.place(ego.x, ego.y, ego.heading, ego.speed)
         super().actuate()
         self.ego.acceleration = without_reversing(self.ego.acceleration, self.ego.speed, self._dt)
+        if self._yielding is not None:  # as highway-env's road does, while all are where they were
+            self._yielding.apply_to_ego()
 
 
 class OwnMover(Protocol):
@@ -129,27 +130,32 @@ class FreeNpc:
     Args:
         rules, scenario: the world's rules, and a scenario that fits them.
         npc: its index.
-        start: its x [m], y [m], heading [rad] and speed [m/s].
+        start: its start.
+        stock_road: returns the road as a road of highway-env.
     """
 
-    def __init__(self, rules: Rules, scenario: Scenario, npc: int, start: tuple[float, float, float, float]) -> None:
+    def __init__(self, rules: Rules, scenario: Scenario, npc: int, start: Start, stock_road: Callable[[], Any]) -> None:
         self._rules = rules
+        self._stock_road = stock_road
         self._scenario = scenario
         self._npc = npc
-        self._name: str = cast("Free", scenario.npcs[npc][0]).driver
+        self._free = cast("Free", scenario.npcs[npc][0])
+        self._name: str = self._free.driver
         self._seed = (scenario.seed + (npc + 1) * SEED_STEP) % (MAX_SEED + 1)
         self._draws = OwnDraws(self._seed)
         self._ads: Ads | None = None
+        self._objects: list[Body] = []
+        self._yields: Callable[[Places], EgosRoadRules | None] = lambda seat: None
         self.body = self._body(start)
 
-    def _body(self, start: tuple[float, float, float, float]) -> Body:
+    def _body(self, start: Start) -> Body:
         rules, constants, changes_lanes = self._rules, IDM, self._name == "mobil"
         kind = self._scenario.vehicle_of(self._npc)
         if self._name not in ("idm", "mobil"):
             self._ads = self._made()
             if not self._ads.drives_itself:
                 body = Body(kind.length, kind.width)
-                body.place(*start)
+                body.place(*start[1])
                 return body
             model = idm_model(self._ads.given)
             if model is None:
@@ -164,8 +170,35 @@ class FreeNpc:
         longer = max(kind.length - CAR.length, 0.0) + max(rules.ego.length - CAR.length, 0.0) / 2
         wanted = constants["DISTANCE_WANTED"] + longer
         constants = {**constants, "LENGTH": kind.length, "WIDTH": kind.width, "DISTANCE_WANTED": wanted}
-        vehicle = GoalVehicle(constants, cast("StraightRoad", rules.road).grid, rules.road.speed_limit)
-        vehicle.start(*start, changes_lanes)
+        vehicle = rules.road.traffic_vehicle(
+            constants,
+            start,
+            changes_lanes=changes_lanes,
+            by_network=lambda sections: self._on_network(constants, start, changes_lanes, sections),
+        )
+        if vehicle is None:
+            raise self._refused(
+                "a planner, on a road with lanes of other classes than highway-env's own",
+                repr(self._name),
+                "name a planner in drivers=, or give the NPC a Manoeuvre",
+            )
+        vehicle.want(min(self._free.speed, kind.top_speed))  # also where a bend makes it start more slowly
+        return vehicle
+
+    def _on_network(
+        self, constants: Mapping[str, float], start: Start, changes_lanes: bool, sections: Sequence[tuple[str, str]]
+    ) -> GoalVehicle | None:
+        """Return a vehicle on highway-env's network, on which it sees fixed objects, and may have to yield."""
+        from pytest_pafot.world.driving.compiled_vehicle import egos_rules, traffic_vehicle  # noqa: PLC0415
+        from pytest_pafot.world.driving.vehicles import compiled_network  # noqa: PLC0415  (both import highway-env)
+
+        road = self._stock_road()
+        lanes = compiled_network(road.network)
+        if lanes is None:
+            return None
+        vehicle = traffic_vehicle(road, lanes, constants, start[1], changes_lanes, sections)
+        self._objects = [_standing(*each) for each in self._rules.obstacles]
+        self._yields = lambda seat: egos_rules(road, vehicle, seat, self._rules, lanes)
         return vehicle
 
     def _made(self) -> Ads:
@@ -197,18 +230,22 @@ class FreeNpc:
 
     def driver(self, places: Places, record: Any, guard: HangGuard) -> EgoDriver:
         """Return the driver of the NPC; its decisions are under the same guard as the ego's."""
-        rules, road, ads = self._rules, cast("StraightRoad", self._rules.road), self._ads
+        rules, road, ads = self._rules, self._rules.road, self._ads
+        seat = places.seat(self._npc + 1)
         if isinstance(self.body, GoalVehicle):
-            # Of the ego it sees place and speed: what the ego wants to drive is known to nobody.
-            return TrafficDriver(self.body, [places.bodies[0], *places.vehicles[1:]], 1 / rules.physics_hz)
+            others = [*places.vehicles[1:], *self._objects]
+            return TrafficDriver(self.body, places.vehicles[0], others, self._yields(seat), 1 / rules.physics_hz)
         assert ads is not None  # noqa: S101  (all other bodies are GoalVehicles)
         rates = rules.physics_hz, rules.physics_hz // (rules.drivers_hz or rules.ads_hz)
-        own = replace(self._scenario, seed=self._seed)
-        sensor = OwnSeat(road, places.vehicles, record, self._npc, own, rates, ads.sight)
+        seeded = replace(self._scenario, seed=self._seed)
+        rows = np.frombuffer(record).reshape(-1, len(places.vehicles), COLUMNS)
+        own = np.empty_like(rows)
+        sensor = road.sensor(seat, own.reshape(-1), seeded, rates, ads.sight, rules.ego, self._npc + 1)
         common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
         common |= {"every": rates[1], "dt": 1 / rules.physics_hz}
         decides = ads.decides if is_pure(ads.given) else _drawing(ads.decides, self._draws)
-        return PlannerDriver(decides, guard, (), self.body, places.bodies[self._npc + 1], sensor, **common)
+        planner = decides, guard, (), self.body, seat.bodies[0], sensor
+        return SeatedDriver(rows, own, self._npc, *planner, **common)
 
     def close(self) -> None:
         """Close the ADS."""
@@ -217,21 +254,28 @@ class FreeNpc:
                 pass
 
 
-MOVERS: dict[type[Instruction], Callable[[Rules, Scenario, int, tuple[float, float, float, float]], OwnMover]] = {
+MOVERS: dict[type[Instruction], Callable[[Rules, Scenario, int, Start, Callable[[], Any]], OwnMover]] = {
     Free: FreeNpc,
 }
 """What moves the NPC of each kind of instruction that ``drives_itself``, made for each run."""
 
 
 def movers_of(
-    rules: Rules, scenario: Scenario, starts: Sequence[tuple[float, float, float, float]]
+    rules: Rules, scenario: Scenario, starts: Sequence[Start], stock_road: Callable[[], Any]
 ) -> dict[int, OwnMover]:
     """Return what moves each NPC that the director does not move, by its index."""
     return {
-        npc: MOVERS[type(chain[0])](rules, scenario, npc, starts[npc])
+        npc: MOVERS[type(chain[0])](rules, scenario, npc, starts[npc], stock_road)
         for npc, chain in enumerate(scenario.npcs)
         if chain[0].drives_itself
     }
+
+
+def _standing(x: float, y: float, heading: float, length: float, width: float) -> StaticObstacle:
+    """Return a fixed object, behind which models of traffic brake."""
+    body = StaticObstacle(length, width, math.hypot(length, width))
+    body.place(x, y, heading, 0.0)
+    return body
 
 
 def _drawing(decides: Callable[[Any], Any], draws: OwnDraws) -> Callable[[Any], Any]:

@@ -34,7 +34,7 @@ from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import MDPVehicle, RegulatedRoad, Road, Vehicle
+from pytest_pafot.world.stock import MDPVehicle, Vehicle
 
 OF_HIGHWAY_ENV = frozenset(
     (
@@ -66,9 +66,9 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, polic
             if idm_model(given) is None or lanes is None:
                 return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
-            vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road.network)
+            vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
-            model_driver = ModelDriver(model, others, egos_rules(ego, model, vehicles.places, rules, lanes))
+            model_driver = ModelDriver(model, others, egos_rules(env.road, model, vehicles.places, rules, lanes))
             return SteppedRun(vehicles, model_driver, guard).finish()
         driver = _policy_driver(environment, rules, scenario, ads.decides, env, guard, view, ads.sight)
         return _begun(rules, scenario, driver, guard).finish()
@@ -113,7 +113,7 @@ def _policy_driver(
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
-    vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road.network)
+    vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
     driver.show(vehicles.places, rules.road)
     return SteppedRun(vehicles, driver, guard)
 
@@ -177,14 +177,7 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     env = copy.copy(environment.unwrapped)
     env.np_random = np.random.default_rng(scenario.seed)
     env.time = env.steps = 0
-    own = environment.unwrapped.road
-    env.road = (EgosRegulatedRoad if type(own) is RegulatedRoad else Road)(
-        environment.network,
-        np_random=env.np_random,
-        neighbour_vehicles_connected_lanes=env.config.get("neighbour_vehicles_connected_lanes", False),
-    )
-    if isinstance(env.road, EgosRegulatedRoad):
-        env.road.steps = own.steps  # a reset has done some steps, and the count decides when rules are enforced next
+    env.road = environment.road(env.np_random)
     env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
     return env
 

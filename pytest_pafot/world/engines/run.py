@@ -23,7 +23,7 @@ from pytest_pafot.model.trace import (
     Trace,
     road_of_run,
 )
-from pytest_pafot.world.engines.npc_drivers import movers_of
+from pytest_pafot.world.engines.npc_drivers import OwnMover, movers_of
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
@@ -47,7 +47,7 @@ class VehiclesOfRun:
         rules: the rules that all runs share; the scenario fits them.
         scenario: the scenario.
         ego: the ego, at its start in world coordinates.
-        network: returns the road as a road network of highway-env, which not every road needs.
+        stock_road: returns the road as a road of highway-env, which not every run needs.
 
     Attributes:
         director: the director of the NPCs.
@@ -58,22 +58,24 @@ class VehiclesOfRun:
         sizes: length and width of each vehicle [m].
     """
 
-    def __init__(self, rules: Rules, scenario: Scenario, ego: Body, network: Callable[[], Any]) -> None:
+    def __init__(self, rules: Rules, scenario: Scenario, ego: Body, stock_road: Callable[[], Any]) -> None:
         self.rules = rules
         self.scenario = scenario
         self.director = director = rules.director(scenario, ego.length)
         alongs, starts = starts_of(rules, scenario, director, ego.length)
         road, ticks = rules.road, rules.ticks(scenario)
-        self._movers = movers_of(rules, scenario, starts) if drives_itself(scenario) else {}
+        self._movers: dict[int, OwnMover] = {}
+        if drives_itself(scenario):
+            self._movers = movers_of(rules, scenario, list(zip(alongs[1:], starts, strict=True)), stock_road)
         is_apart = not road.starts_at_origin
-        npcs: list[Body] = [Body(npc.length, npc.width) for npc in director.npcs] if is_apart else list(director.npcs)
+        npcs: list[Body] = director.in_world() if is_apart else list(director.npcs)
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
         for number, mover in self._movers.items():
             npcs[number] = mover.body
         self.vehicles = [ego, *npcs]
         bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart or self._movers else self.vehicles
-        self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, network=network)
+        self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, stock_road=stock_road)
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
             if overlap(ego, box):  # an ego that is longer than the rules know

@@ -217,6 +217,10 @@ class BaseDirector:
         """Return the starts of all NPCs, given those of the NPCs that start around the ego."""
         return starts
 
+    def in_world(self) -> list[Body]:
+        """Return a body for each NPC in world coordinates, on a road that has its own."""
+        return [Body(npc.length, npc.width) for npc in self.npcs]
+
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
 

@@ -77,7 +77,7 @@ cdef class Loop:
 
     cpdef give(self, int npc, EgoDriver driver)
 
-    @cython.locals(driver=EgoDriver, npc=int)
+    @cython.locals(driver=EgoDriver, npc=int, body=Body, own=Body)
     cpdef command(self)
 
     @cython.locals(driver=EgoDriver, npc=int)

@@ -363,6 +363,9 @@ class Loop:
                 self.npc_error = npc, error
                 return
             driver.actuate()
+            # Else the next tick would begin with those of the director, and end a steering angle that is held.
+            body, own = self._places.bodies[npc + 1], driver.ego
+            body.acceleration, body.steering = own.acceleration, own.steering
 
     def _step_drivers(self) -> bool:
         """Let the drivers of NPCs move them, and return whether one has failed."""

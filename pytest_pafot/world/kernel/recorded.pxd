@@ -2,6 +2,7 @@ cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.director cimport Director, Npc, TrackedNpc
+from pytest_pafot.world.kernel.road_directors cimport NetworkDirector
 
 cdef double APART, ALONG, ACROSS, SECONDS, SAMPLE, ASIDE
 
@@ -27,3 +28,12 @@ cdef class RecordedDirector(Director):
     @cython.locals(states="double[::1]", along=double, across=double, forward=double, aside=double, last=int, step=int,
                    later=int, tick=int, seconds=double, row=int, beyond=double, distance=double, beside=double)
     cdef bint _nears(self, TrackedNpc npc, Body other) except -1
+
+cdef class RecordedNetworkDirector(NetworkDirector):
+    cdef RecordedDirector _watch
+    cdef dict _twins
+
+    @cython.locals(watch=RecordedDirector, npc=TrackedNpc, twin=TrackedNpc)
+    cpdef command(self, Body ego)
+
+    cpdef void _control(self, Npc npc, Body ego) except *

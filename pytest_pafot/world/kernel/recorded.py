@@ -27,6 +27,9 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director, Npc, Start, TrackedNpc
+from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.road_directors import NetworkDirector
+from pytest_pafot.world.limits import NpcLimits
 
 APART = 0.9
 """The distance from the recorded ego up to which the ego drives as recorded [m]."""
@@ -135,6 +138,71 @@ class RecordedDirector(Director):
             if abs(distance) < along and abs(beside) < across:
                 return True
         return False
+
+
+class RecordedNetworkDirector(NetworkDirector):
+    """The director of the NPCs of one run on a road of any shape, of whom some drive as recorded.
+
+    Their tracks bend with the road: x is along the ego's way, and y across its lanes, as if they all had the width of
+    the ego's. So they stay in their lanes, and drive there as much faster than recorded as an outer lane is longer.
+
+    Arguments are those of :class:`NetworkDirector`.
+    """
+
+    def __init__(self, scenario: Scenario, road: Any, limits: NpcLimits, **common: Any) -> None:
+        super().__init__(scenario, road, limits, **common)
+        del common["start_cells"]
+        lanes = Lanes(road.lane_count, road.lane_width, road.end)
+        # Who leaves its track follows from places along the road and across it, as on a straight road with these lanes.
+        self._watch = RecordedDirector(scenario, lanes, limits, speed_limit=road.speed_limit, cells=(), **common)
+        self._watch.npcs = self.npcs
+        self._watch._tracked = [npc for npc in self.npcs if isinstance(npc, TrackedNpc)]
+        self._twins: dict[int, TrackedNpc] = {}  # the same NPCs in world coordinates
+
+    @property
+    def handed_over(self) -> tuple[int | None, ...]:
+        """The tick at which each NPC left its recording; None if it has not."""
+        return self._watch.handed_over
+
+    def started(self, starts: list[Start]) -> list[Start]:
+        """Return the starts of all NPCs, those that drive as recorded at the beginning of their tracks."""
+        found = list(starts)
+        for npc in self._watch._tracked:
+            along = starts[npc.index][0]
+            npc.states = self._watch._states(npc, along)
+            twin = TrackedNpc(npc.index, npc.chain, npc.length, npc.width)
+            twin.states = _rows(self._road.followed(np.asarray(npc.states).reshape(-1, 4), npc.bends))
+            self._twins[npc.index] = twin
+            found[npc.index] = (along, tuple(twin.states[:4]))
+        return found
+
+    def in_world(self) -> list[Body]:
+        """Return a body for each NPC in world coordinates; those of recorded ones follow their tracks."""
+        bodies = NetworkDirector.in_world(self)
+        for index, twin in self._twins.items():
+            bodies[index] = twin
+        return bodies
+
+    def command(self, ego: Body) -> None:
+        """Release the NPCs that leave their tracks, and set the controls of all that do not follow one."""
+        watch = self._watch
+        watch._tick = self._tick
+        if self._tick == 0:
+            watch._start = ego.x
+        for npc in watch._tracked:
+            twin: TrackedNpc = self._twins[npc.index]
+            npc.tick = twin.tick
+            if npc.left < 0 and (4 * (npc.tick + 2) > len(npc.states) or watch._leaves(npc, ego)):
+                npc.left = twin.left = self._tick
+                npc.kept_lane, npc.kept_speed, npc.ramp = npc.lane, npc.speed, npc.limits.braking
+                npc.asked, npc.course = twin.acceleration, twin.heading
+        NetworkDirector.command(self, ego)  # C methods have no super()
+
+    def _control(self, npc: Npc, ego: Body) -> None:
+        if isinstance(npc, TrackedNpc) and npc.left < 0:
+            npc.heading_for = npc.lane
+            return
+        NetworkDirector._control(self, npc, ego)
 
 
 def _rows(states: Any) -> Any:

@@ -310,6 +310,13 @@ class JunctionDirector(BaseDirector):
         """The ticks at which the steps of each NPC's manoeuvre began; empty if no NPC has one."""
         return self._with_crossing(() if self._grid is None else self._grid.begun)
 
+    @property
+    def handed_over(self) -> tuple[int | None, ...]:
+        """The tick at which each NPC left its recording; None if it has not. Empty if nobody drives as recorded."""
+        left = () if self._grid is None else self._grid.handed_over
+        others = iter(left)
+        return tuple(next(others) if each is None else None for each in self._scenario.crossings) if left else ()
+
     def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
         """Return the rows of the NPCs around the ego, with an empty one for each that crosses; empty without rows."""
         others = iter(rows)
@@ -330,8 +337,13 @@ class JunctionDirector(BaseDirector):
 
     def started(self, starts: list[Start]) -> list[Start]:
         """Return the starts of all NPCs, given those of the NPCs on the grid."""
-        on_grid = iter(starts)
+        on_grid = iter(starts if self._grid is None else self._grid.started(starts))
         return [self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs]
+
+    def in_world(self) -> list[Body]:
+        """Return a body for each NPC in world coordinates."""
+        others = iter(() if self._grid is None else self._grid.in_world())
+        return [Body(npc.length, npc.width) if isinstance(npc, CrossingNpc) else next(others) for npc in self.npcs]
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins

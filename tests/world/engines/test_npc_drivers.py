@@ -25,7 +25,7 @@ from pytest_pafot import (
     strategies,
 )
 from pytest_pafot.model.instructions import ScenarioError
-from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, X, Y
+from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, STEERING, X, Y
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.idm_model import CONSTANTS
 from pytest_pafot.world.driving.perception import Perception
@@ -140,6 +140,13 @@ def test_policy_drives_an_npc_as_its_ego():
     assert (seen[3].ego.speed, seen[3].acceleration) == (pytest.approx(20.1), 0.5)
     assert its.array.tolist() == [list(each) for each in (its.ego, *its.others)]
     assert seen[3].acceleration == 0.5
+
+
+def test_controls_of_a_planner_hold_until_its_next_decision():
+    world = WORLD.with_drivers({"turning": lambda: lambda seen: (0.5, 0.01)})
+    trace = run(free("turning", beside=-1, ahead=60.0), world=world, gene_seconds=1.0)
+    assert set(trace.states[1:, 1, STEERING]) == {0.01}
+    assert set(trace.states[1:, 1, ACCELERATION]) == {0.5}
 
 
 class Lively(IDMVehicle):
@@ -355,11 +362,6 @@ def test_policy_of_an_environment_meets_free_npcs():
     trace = world.rollout(scenario, lambda: lambda seen: 1)
     assert trace.npc_error is None
     assert states(trace) == states(world.rollout_in_gym(scenario, lambda: lambda seen: 1))
-
-
-def test_bent_roads_are_refused_by_name():
-    with pytest.raises(ScenarioError, match="expected no free NPC on this road"):
-        World("merge-v0").rollout(Scenario(npcs=(free(),), ego_lane=1, ego_speed=30.0), lambda: lambda seen: 1)
 
 
 # On other worlds, and whatever the scenario is.

@@ -39,7 +39,7 @@ def test_side_hit_is_that_of_last_tick_apart():
 def test_record_has_no_room_for_ticks_beyond_the_run():
     """The kernel writes without looking at each index, so one look must keep it within its buffer."""
     world, scenario = Highway(), Scenario.repaired([[PositionInstruction(2, 20.0)]], seed=1, ego_lane=1, ego_speed=20.0)
-    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.network)
+    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
     for _ in range(world.rules.ticks(scenario)):
         run.loop.moved()
     with pytest.raises(IndexError, match="expected room for tick"):
