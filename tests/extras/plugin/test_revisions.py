@@ -553,8 +553,8 @@ def test_copy_of_an_ended_session_is_removed(repository, number):
             time.sleep(0.1)
         session.send_signal(number)
     assert session.returncode != 0
+    assert len(git(repository, "worktree", "list").splitlines()) == 1 + (number == signal.SIGKILL)
     if number == signal.SIGKILL:
-        assert len(git(repository, "worktree", "list").splitlines()) == 2
         git(repository, "checkout", "-q", "test_it.py")
         run(repository).stdout.fnmatch_lines(["against rev:main (*): introduces *"])  # also what the killed one ran
 
