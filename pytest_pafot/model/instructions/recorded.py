@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -302,6 +303,7 @@ class Recorded(Instruction):
             return replace(self, later=round(VARIED_TIME * (2 * rng.random() - 1), 1))
         if kind < 0.5:
             fastest = choices.top / SPEED_STEPS_PER_MPS / max(float(self.track.states[:, 3].max()), 0.1)
+            fastest = math.floor(100 * fastest) / 100  # the nearest pace could be above the limit
             return replace(self, pace=_pace(min(SLOWEST + (FASTEST - SLOWEST) * rng.random(), max(fastest, 1.0))))
         if kind < 0.7:
             return replace(self, shift=round(VARIED_PLACE * (2 * rng.random() - 1), 1))
