@@ -15,7 +15,7 @@ from importlib.util import module_from_spec
 from pathlib import Path
 
 MODULES = (
-    "driver", "action", "bodies", "lanes", "bends", "director", "recorded", "crossing", "road_directors", "observation",
+    "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "road_directors", "recorded", "observation",
     "places", "road_sensor", "idm", "lane_network", "network_vehicle", "road_rules", "loop", "traffic", "features",
 )  # fmt: skip
 """The modules of this package, each after those that it imports."""

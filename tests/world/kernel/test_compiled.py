@@ -12,9 +12,9 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot import Highway, PositionInstruction, Scenario
+from pytest_pafot import Highway, PositionInstruction, Scenario, World
 from pytest_pafot.model.driving_style import STYLES, Traffic
-from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, Recorded, Step, Track
+from pytest_pafot.model.instructions import CrossingInstruction, Free, Manoeuvre, Recorded, Step, Track
 from pytest_pafot.searching import sample
 from pytest_pafot.world import kernel
 from pytest_pafot.world.kernel import bodies
@@ -93,6 +93,25 @@ def test_interpreted_and_compiled_npcs_drive_as_recorded_the_same(interpreted):
     with interpreted.in_place():
         again = interpreted.room.from_dict(world.to_dict())
         assert digest(again.rollout(scenario, IDMVehicle)) == digest(trace)
+
+
+def test_interpreted_and_compiled_npcs_with_drivers_and_tracks_match_in_bends(interpreted):
+    track = Track.of([[45.0 + 0.7 * row, 0.0, 0.0, 7.0] for row in range(61)])
+    free = [
+        Free(beside=0, ahead=ahead, speed=8.0, driver=driver) for ahead, driver in ((15.0, "own"), (-20.0, "mobil"))
+    ]
+    world = World("racetrack-v0", duration=8.0, planner_hz=5)
+    scenario = Scenario(npcs=[*([each] for each in free), [Recorded(track=track)]], ego_lane=1, ego_speed=10.0)
+    trace = world.with_drivers({"own": lambda: keeping}).rollout(scenario, IDMVehicle)
+    assert trace.handed_over[2] is not None
+    with interpreted.in_place():
+        again = interpreted.room.from_dict(world.to_dict()).with_drivers({"own": lambda: keeping})
+        assert digest(again.rollout(scenario, IDMVehicle)) == digest(trace)
+
+
+def keeping(seen):
+    """Follow the lane at the same speed, by a pair, which is of the same class for both kernels."""
+    return 0.0, -0.1 * (seen.ego.y - 5.0 * seen.ego.lane) - 0.3 * seen.ego.heading
 
 
 def test_the_kernel_knows_highway_envs_vehicles():
