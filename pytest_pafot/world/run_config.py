@@ -195,7 +195,7 @@ class Rules:
         ]
         for npc, manoeuvre in asked:
             if manoeuvre.drives_itself:
-                self._check_free(f"npcs[{npc}][0].driver", manoeuvre)
+                self._check_free(f"npcs[{npc}][0]", manoeuvre)
             if manoeuvre.follows_track and not self.road.starts_at_origin:
                 expected, fix = "a straight road for NPCs that drive as recorded", "use pafot.Highway"
                 received = f"a road of {self.road.lane_count} lanes in a road network"
@@ -227,17 +227,17 @@ class Rules:
             taken.append((npc, own, its_lane))
 
     def _check_free(self, place: str, free: Any) -> None:
-        """Refuse a free NPC on a road on which none can drive, and one whose driver nobody has named."""
+        """Refuse an NPC that drives itself where none can, and a free one whose driver nobody has named."""
         if not self.road.has_free_npcs:
-            expected = "no free NPC on this road, because drivers know only straight roads that start at the origin"
+            expected = f"no {free.name} NPC on this road, because drivers know only straight roads from the origin"
             fix = "use pafot.Highway, or give the NPC a Manoeuvre"
-            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
-        if free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
+            raise ScenarioError(field=place, expected=expected, received=repr(free), fix=fix)
+        if hasattr(free, "driver") and free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
             expected = f"one of {', '.join(dict.fromkeys((*BUILT_IN_DRIVERS, *self.drivers)))}"
             fix = (
                 f"name it, as in drivers={{{free.driver!r}: MyPlanner}}, or world.with_drivers({free.driver}=MyPlanner)"
             )
-            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
+            raise ScenarioError(field=f"{place}.driver", expected=expected, received=repr(free.driver), fix=fix)
 
     def along_at(
         self, first: Any, scenario: Scenario, ego_length: float = CAR.length, vehicle: VehicleType = CAR
