@@ -229,7 +229,7 @@ def changed(base=Weave, **values):
         (Weave, {"drives": "steps"}, "drives: expected one of itself for a kind with drives_itself = True"),
         (Drift, {"drives": "itself"}, "drives: expected one of grid, lanes, steps, track for a kind with"),
         (Drift, {"drives": "steps", "mover": int}, "drives: .*; only itself has a mover"),
-        (Drift, {"drives": "lanes"}, "Drift: expected aimed, column, lane, .*, received none of aimed, column, lane, target"),
+        (Drift, {"drives": "lanes"}, "Drift: expected aimed, .*, received none of aimed, column, lane, target"),
         (changed(planner=None), {"drives": "itself"}, "received none of planner"),
         (changed(goal=Instruction.goal), {"drives": "itself"}, "received none of goal"),
         (changed(name="free"), {"drives": "itself"}, "Changed.name: expected a name that no other kind has"),
