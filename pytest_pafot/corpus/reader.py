@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING
 from dataclasses import fields as fields_of
 from functools import cache
 from pathlib import Path
@@ -44,6 +43,7 @@ from pytest_pafot.model.instructions import (
     Track,
     kind_of,
     load_registered,
+    required_keys,
 )
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
@@ -262,12 +262,8 @@ def _world(field: Field) -> dict[str, Any]:
 @cache
 def _keys_of(kind: Any) -> Keys:
     """Return the keys of the mapping that holds a dataclass, in the order in which errors list them."""
-    required: list[str] = []
-    optional: list[str] = []
-    for each in fields_of(kind):
-        has_default = each.default is not MISSING or each.default_factory is not MISSING
-        (optional if has_default and each.name not in REQUIRED.get(kind, ()) else required).append(each.name)
-    return Keys(tuple(required), tuple(optional))
+    names, needed = [each.name for each in fields_of(kind)], required_keys(kind).union(REQUIRED.get(kind, ()))
+    return Keys(tuple(name for name in names if name in needed), tuple(name for name in names if name not in needed))
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:

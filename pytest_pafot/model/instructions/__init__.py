@@ -73,11 +73,11 @@ def load_registered() -> None:
 
 def kind_of(keys: Collection[str], kinds: Sequence[type[Instruction]] = KINDS) -> type[Instruction]:
     """Return the kind of the mapping in a file with some keys: the first of those with most of their marks there."""
-    return max(kinds, key=lambda kind: len(kind.marks.intersection(keys)))
+    return max(kinds, key=lambda kind: len({*kind.marks}.intersection(keys)))
 
 
 def required_keys(kind: Any) -> set[str]:
-    """Return the keys that each mapping of a kind has."""
+    """Return the keys that each mapping of a dataclass has, such as a kind: the fields without a default."""
     return {each.name for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING}
 
 
