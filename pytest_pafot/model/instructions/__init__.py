@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import MISSING, fields
-from importlib import metadata
 from typing import Any
 
 from pytest_pafot.model.instructions.cell import PositionInstruction as PositionInstruction
@@ -63,6 +62,8 @@ def load_registered() -> None:
     Raises:
         ScenarioError: if one cannot be imported.
     """
+    from importlib import metadata  # noqa: PLC0415  (slow to import, and usually not needed)
+
     for entry in metadata.entry_points(group=GROUP):
         try:
             entry.load()
