@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pytest_pafot.execution.scenario_pool import Job as Job
     from pytest_pafot.findings.finding import Finding as Finding
     from pytest_pafot.findings.severity import Severity as Severity
+    from pytest_pafot.model.instructions.instruction import WithStart as WithStart
     from pytest_pafot.model.trace import ACCELERATION as ACCELERATION
     from pytest_pafot.model.trace import HEADING as HEADING
     from pytest_pafot.model.trace import LANE as LANE
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.policy import DrivesElsewhere as DrivesElsewhere
     from pytest_pafot.world.driving.policy import Policy as Policy
     from pytest_pafot.world.driving.policy_driver import checked_action as checked_action
+    from pytest_pafot.world.engines.npc_drivers import register as register
     from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
     from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
@@ -131,6 +133,7 @@ _HOMES = {
     "Severity": "findings.severity",
     "SteppedWorld": "world.engines.ordinary_traffic",
     "Verdict": "campaign.verdict",
+    "WithStart": "model.instructions.instruction",
     "WorkerPool": "execution.pool",
     "WorldData": "world.codec",
     "X": "model.trace",
@@ -160,6 +163,7 @@ _HOMES = {
     "mutate": "searching.operators",
     "policy_of": "plugin.collection",
     "refusals": "campaign.harness",
+    "register": "world.engines.npc_drivers",
     "replay_of": "plugin.failure_reports",
     "replay_saved": "campaign.explore",
     "require": "oracle.checks",

@@ -13,7 +13,14 @@ import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.instructions import BUILT_IN_DRIVERS, Manoeuvre, ScenarioError, checked_driver
+from pytest_pafot.model.instructions import (
+    BUILT_IN_DRIVERS,
+    KINDS,
+    Instruction,
+    Manoeuvre,
+    ScenarioError,
+    checked_driver,
+)
 from pytest_pafot.model.instructions.manoeuvre import MOST_ROOM, SPACING, places
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Scenario
 from pytest_pafot.model.trace import Trace
@@ -379,10 +386,11 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)
-        if request.drivers:
+        own_kinds = _registered_kinds(request, world)
+        if request.drivers or own_kinds:
             road, row = world.straight_road, (world.given.headway, world.given.clearance)
             lanes = 0 if road is None else road.lane_count
-            space = replace(space, drivers=tuple(request.drivers), lanes=lanes, row=row)
+            space = replace(space, drivers=tuple(request.drivers), kinds=own_kinds, lanes=lanes, row=row)
             if road is None:  # which may begin just behind the ego's start
                 space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
@@ -392,6 +400,20 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     except (TypeError, ValueError) as error:
         raise request.error(given, error) from None
     return space
+
+
+def _registered_kinds(request: Request, world: BaseWorld) -> tuple[type[Instruction], ...]:
+    """Return the kinds of packages of others that a search draws: the default one, on straight roads.
+
+    What drives an NPC of theirs may know no other road. A mark that names its instructions asks for these alone. The
+    order is that of names, whoever was imported first.
+    """
+    algorithm = request.algorithm
+    is_default = not algorithm.is_papers and "both" in algorithm.instructions and "instructions" not in request.space
+    if not is_default or world.straight_road is None:
+        return ()
+    drawn = [kind for kind in KINDS if any("drawn" in vars(each) for each in kind.__mro__ if each is not Instruction)]
+    return tuple(sorted(drawn, key=lambda kind: kind.name))
 
 
 def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:

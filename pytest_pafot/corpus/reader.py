@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING
 from dataclasses import fields as fields_of
 from functools import cache
 from pathlib import Path
@@ -38,10 +37,13 @@ from pytest_pafot.findings.situation import ZoneSituation
 from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
-    KINDS,
+    GROUP,
     Instruction,
     Step,
     Track,
+    kind_of,
+    load_registered,
+    required_keys,
 )
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
@@ -73,6 +75,9 @@ LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overs
 
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles", "ego_track"))
 """The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
+
+ELSEWHERE = f"a kind of a package needs that package here, with a name in its entry points {GROUP}"
+"""The way out for an instruction with keys of no kind."""
 
 EGO = Keys(("lane", "speed"))
 XFAIL = Keys(("reason",), ("until", "flaky"))
@@ -259,12 +264,8 @@ def _world(field: Field) -> dict[str, Any]:
 @cache
 def _keys_of(kind: Any) -> Keys:
     """Return the keys of the mapping that holds a dataclass, in the order in which errors list them."""
-    required: list[str] = []
-    optional: list[str] = []
-    for each in fields_of(kind):
-        has_default = each.default is not MISSING or each.default_factory is not MISSING
-        (optional if has_default and each.name not in REQUIRED.get(kind, ()) else required).append(each.name)
-    return Keys(tuple(required), tuple(optional))
+    names, needed = [each.name for each in fields_of(kind)], required_keys(kind).union(REQUIRED.get(kind, ()))
+    return Keys(tuple(name for name in names if name in needed), tuple(name for name in names if name not in needed))
 
 
 def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
@@ -277,7 +278,7 @@ def _record(field: Field, kind: Callable[..., T], **own: Read) -> T:
     fields = field.mapping(keys)
     values = {  # in the order of the keys, so that a function in ``own`` can rely on the values before its own
         key: own[key](fields[key]) if key in own else _value(fields[key], types[key], own)
-        for key in (*keys.required, *keys.optional)
+        for key in keys.all
         if key in fields
     }
     return _made(field, kind, values)
@@ -338,7 +339,15 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
 def _kind_of(field: Field) -> type[Instruction]:
     """Return the kind of instruction that a mapping holds: the one of whose marks most are among its keys."""
     keys = field.any_mapping()
-    return max(KINDS, key=lambda kind: len(kind.marks.intersection(keys)))
+    kind = kind_of(keys)
+    if not keys.keys() <= {*_keys_of(kind).all}:
+        try:
+            load_registered()
+        except FieldError as error:
+            raise _rule_broken(field, error) from None
+        kind = kind_of(keys)
+        field.mapping(Keys((), _keys_of(kind).all), f"these are the keys of a {kind.__name__}; {ELSEWHERE}")
+    return kind
 
 
 def _scenario(field: Field) -> Scenario:

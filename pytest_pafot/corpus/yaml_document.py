@@ -66,6 +66,11 @@ class Keys:
     required: tuple[str, ...]
     optional: tuple[str, ...] = ()
 
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All keys, the required ones first."""
+        return (*self.required, *self.optional)
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -91,13 +96,17 @@ class Field:
         """Return the value under a key, or at an index, of this mapping or list."""
         return Field(self.path, self.lines, (*self.place, part), self.value[part])
 
-    def mapping(self, keys: Keys) -> dict[str, Field]:
-        """Return the values of this mapping; it must have all required keys and no unknown keys."""
+    def mapping(self, keys: Keys, hint: str = "") -> dict[str, Field]:
+        """Return the values of this mapping; it must have all required keys and no unknown keys.
+
+        The ``hint`` is added to the advice on an unknown key.
+        """
         fields = self.any_mapping()
-        known = [*keys.required, *keys.optional]
+        known = keys.all
         for key in fields:
             if key not in known:
-                raise fields[key].error(f"{one_of(known)} (format {VERSION})", _guess(key, known), repr(key))
+                fix = "; ".join(filter(None, (_guess(key, known), hint)))
+                raise fields[key].error(f"{one_of(known)} (format {VERSION})", fix, repr(key))
         for key in keys.required:
             if key not in fields:
                 received = f"only {', '.join(fields)}" if fields else "nothing"

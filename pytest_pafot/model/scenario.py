@@ -311,7 +311,7 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(chains)))
     for npc, chain in enumerate(chains):
         is_one_kind = len({*map(type, chain)}) == 1 and isinstance(chain[0], Instruction)
-        if is_one_kind and (len(chain) == 1 or not chain[0].is_alone):
+        if is_one_kind and type(chain[0]) in KINDS and (len(chain) == 1 or not chain[0].is_alone):
             continue  # the usual chains, in a fraction of the time
         if not chain:
             expected = "at least one instruction"
@@ -321,6 +321,9 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
                 *names, last = [f"a {kind.__name__}" for kind in KINDS]
                 expected = f"{', '.join(names)} or {last}"
                 fix = "write PositionInstruction(cell, speed), or LaneInstruction(lane, speed)"
+            elif type(each) not in KINDS:
+                expected = "an instruction of a kind that is registered"
+                fix = f"call pytest_pafot.extending.register({type(each).__name__}, drives=...)"
             elif type(each) is not (kind := type(chain[0])):
                 expected = f"a {kind.__name__} like npcs[{npc}][0]"
                 fix = "give an NPC instructions of one kind"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -545,7 +545,8 @@ class Trace(Shown):
         if self.npc_error is None:
             return ""
         npc, error = self.npc_error
-        return f"the driver {cast('Any', self.scenario.npcs[npc][0]).driver} failed: {error.text}"
+        first = self.scenario.npcs[npc][0]
+        return f"the driver {getattr(first, 'driver', first.name)} failed: {error.text}"
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:
         """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""

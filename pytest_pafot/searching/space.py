@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -47,6 +47,9 @@ from pytest_pafot.support.text import plural
 
 FREE = 0.5
 """Share of free NPCs if there are any: the others provoke what neither the ego nor a free NPC does by itself."""
+REGISTERED = 0.25
+"""Share of NPCs of kinds that packages of others register, if there are any: about one in a default scenario, which has
+three to six. The others still do what the default search was measured with."""
 LEAST_GENES = 3
 """Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
@@ -107,6 +110,7 @@ class SearchSpace:
         vehicles: what vehicles NPCs can be. If cars are among them, one NPC in six is another one of them.
         room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
         drivers: the names of the drivers of free NPCs; half of the NPCs are then free. If empty, none is.
+        kinds: the kinds of instructions of packages of others, of which a quarter of the NPCs have one; usually none.
         row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
         first: scenarios that a search drives before those that it samples.
         around: the scenario of recorded NPCs that all scenarios of a search are changes of; None for none.
@@ -134,6 +138,7 @@ class SearchSpace:
     room: tuple[float, float] = (math.inf, math.inf)
     vehicles: tuple[VehicleType, ...] = CARS
     drivers: tuple[str, ...] = ()
+    kinds: tuple[type[Instruction], ...] = ()
     row: tuple[float, float] = (0.0, 0.0)
     first: tuple[Scenario, ...] = ()
     around: Scenario | None = None
@@ -181,6 +186,7 @@ class SearchSpace:
         if self.first:
             data["begin_with"] = [scenario.id for scenario in self.first]
         data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
+        data["kinds"] = tuple(kind.name for kind in self.kinds)
         if self.around is not None:
             data["around"] = self.around.id
         usual = {
@@ -193,6 +199,7 @@ class SearchSpace:
             "room": (math.inf, math.inf),
             "vehicles": [CAR.plain()],
             "drivers": (),
+            "kinds": (),
             "row": (0.0, 0.0),
             "first": (),
             "around": None,
@@ -261,7 +268,8 @@ class SearchSpace:
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
         kinds["manoeuvres"] = " with manoeuvres"
         free = f", half of them free ({', '.join(self.drivers)})" if self.drivers else ""
-        kind = f"{kinds[self.instructions]}{free}"
+        own = f", a quarter of them {' or '.join(kind.name for kind in self.kinds)}" if self.kinds else ""
+        kind = f"{kinds[self.instructions]}{free}{own}"
         kind = kind if self.around is None else f" around the recording {self.around.id}"
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
@@ -371,7 +379,8 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     patterns instead of walks, repaired in the same way. Lane-Instructions keep the lane or change it to either side
     with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
 
-    If there are drivers, half of the NPCs are free, wherever no other NPC starts.
+    If there are drivers, half of the NPCs are free, wherever no other NPC starts. If there are kinds of packages of
+    others, a quarter of the NPCs have an instruction of one of them, which samples it.
 
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
     Around a recording, one to three changes are made of it.
@@ -392,8 +401,10 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
 
 def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
     space = space.drawn(rng)
+    if space.kinds:
+        return _sample_beside(replace(space, kinds=()), space, REGISTERED, _registered, rng)
     if space.drivers:
-        return _sample_free(space, rng)
+        return _sample_beside(replace(space, drivers=()), space, FREE, _free, rng)
     crossing = space.crossing_traffic
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
@@ -411,17 +422,33 @@ def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
     return repaired(chains, fresh_seed(rng), space)
 
 
-def _sample_free(space: SearchSpace, rng: Generator) -> Scenario:
-    free = int(rng.binomial(space.npcs, FREE))
+def _sample_beside(others: SearchSpace, space: SearchSpace, share: float, draw: Draw, rng: Generator) -> Scenario:
+    """Sample a scenario in which a share of the NPCs is drawn one by one beside those of the space ``others``."""
+    count = int(rng.binomial(space.npcs, share))
     chains: list[Chromosome] = []
-    if free < space.npcs:
-        chains += _sample_cars(replace(space, drivers=(), npcs=space.npcs - free), rng).npcs
-    for _ in range(free):
-        chains.append((random_free(space.choices, chains, rng),))
-    crossing, others = space.crossing_traffic, len(chains) - free
+    if count < space.npcs:
+        chains += _sample_cars(replace(others, npcs=space.npcs - count), rng).npcs
+    for _ in range(count):
+        chains.append((draw(space, chains, rng),))
+    crossing, before = space.crossing_traffic, len(chains) - count
     if crossing is not None:  # the first keep their places on the ego's way, where few have room
-        chains = [*crossing.cleared([*chains[others:], *chains[:others]], rng)]
+        chains = [*crossing.cleared([*chains[before:], *chains[:before]], rng)]
     return repaired(chains, fresh_seed(rng), space)
+
+
+Draw = Callable[[SearchSpace, Sequence[Chromosome], Generator], Instruction]
+"""A function that samples an instruction beside others."""
+
+
+def _free(space: SearchSpace, others: Sequence[Chromosome], rng: Generator) -> Instruction:
+    return random_free(space.choices, others, rng)
+
+
+def _registered(space: SearchSpace, others: Sequence[Chromosome], rng: Generator) -> Instruction:
+    kind = space.kinds[int(rng.integers(len(space.kinds)))]
+    drawn = kind.drawn(space.choices, others, rng)
+    assert drawn is not None  # noqa: S101  (a space has only kinds that are drawn)
+    return drawn
 
 
 def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[PositionInstruction]]:

@@ -243,7 +243,7 @@ class Rules:
 
     def _check_free(self, place: str, free: Any) -> None:
         """Refuse a free NPC whose driver nobody has named."""
-        if free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
+        if hasattr(free, "driver") and free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
             expected = f"one of {', '.join(dict.fromkeys((*BUILT_IN_DRIVERS, *self.drivers)))}"
             fix = (
                 f"name it, as in drivers={{{free.driver!r}: MyPlanner}}, or world.with_drivers({free.driver}=MyPlanner)"

@@ -1,8 +1,10 @@
-"""Kinds of instructions: one that only this file has goes through search, files, runs and reports, as the others do."""
+"""Kinds of instructions: two that only this file has go through search, files, runs and reports, as the others do."""
 
 import ast
 import json
+import math
 import pickle
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -13,23 +15,29 @@ import numpy as np
 import pytest
 
 import pytest_pafot
-from pytest_pafot import Highway, Run, Scenario, ScenarioError, Step
+from pytest_pafot import Highway, Manoeuvre, Run, Scenario, ScenarioError, Step, World, explore
+from pytest_pafot.campaign.explore import request_of
+from pytest_pafot.campaign.request import build_space
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
+from pytest_pafot.extending import WithStart, register
 from pytest_pafot.findings.neighbours import Limits, neighbours
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.model.instructions import KINDS, Instruction, PositionInstruction, roughness
-from pytest_pafot.model.instructions.instruction import checked_speed, tenths_within
+from pytest_pafot.model.instructions import GROUP, KINDS, Free, Instruction, PositionInstruction, roughness
+from pytest_pafot.model.instructions.instruction import Choices, checked_speed, tenths_within
+from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre
 from pytest_pafot.model.trace import Y
 from pytest_pafot.report.terminal import speed_sentences
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Coverage
 from pytest_pafot.searching.operators import crossover, mutate
-from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.support.errors import CorpusError
+from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.support.errors import AdsFactoryError, CorpusError
+from pytest_pafot.world.engines import npc_drivers
 from pytest_pafot.world.kernel import director
 from tests.findings.builders import plain_finding
 from tests.helpers.shrinking import shrink
+from tests.helpers.tables import table
 from tests.report.builders import view_of
 
 PATH = Path("front-2-1f3a9c.pafot.yaml")
@@ -81,12 +89,51 @@ class Drift(Instruction):
         yield replace(self, offset=float(round(self.offset)))
 
 
-@pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    KINDS.append(Drift)
-    monkeypatch.setitem(director.DRIVES, Drift, director.BY_STEPS)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Weave(WithStart):
+    """An NPC that has a planner of its own, which steers to and fro."""
+
+    beside: int
+    ahead: float
+    speed: float
+    period: float
+
+    name = "weave"
+    marks = frozenset({"beside", "ahead", "period"})
+    drives_itself = True
+
+    def __post_init__(self) -> None:
+        self.check_start(period=(1.0, 20.0))
+
+    @property
+    def goal(self):
+        return f"{self.start}, weaves every {self.period:g} s"
+
+    @classmethod
+    def drawn(cls, choices, others, rng):
+        return cls(**cls.random_start(choices, others, rng), period=round(rng.uniform(4.0, 8.0), 1))
+
+    def planner(self):
+        return lambda seen: (0.0, 0.02 * math.sin(2 * math.pi * seen.time / self.period))
+
+
+def weaving(**changes):
+    return Weave(**{"beside": 1, "ahead": 20.0, "speed": 20.0, "period": 4.0} | changes)
+
+
+@pytest.fixture
+def tables():
+    """Leave the tables of kinds as they were."""
+    before = [(each, each.copy()) for each in (KINDS, director.DRIVES, npc_drivers.MOVERS)]
     yield
-    KINDS.remove(Drift)
+    for each, was in before:
+        each.clear()
+        each.extend(was) if isinstance(each, list) else each.update(was)
+
+
+@pytest.fixture(autouse=True)
+def registered(tables):
+    register(Drift, drives="steps")
 
 
 def drifting(offset=0.8, speed=20.0, **more):
@@ -165,6 +212,163 @@ def test_run_coverage_and_reports_show_it():
     told = Shrunk(rollouts=3, speeds=(SpeedInterval(npc=0, gene=0, low=19.0, high=20.5),))
     (sentence,) = speed_sentences(plain_finding(scenario=drifting(), shrunk=told))
     assert sentence == "NPC 0 from 0 s drifts 0.8 m to the right: any speed from 19.0 to 20.5 m/s still fails"
+
+
+# The kinds that others register.
+
+
+def test_unregistered_kind_is_refused_by_its_name():
+    with pytest.raises(
+        ScenarioError, match=r"npcs\[0\]\[0\]: expected .* is registered, received Weave.*register\(Weave"
+    ):
+        Scenario(npcs=((weaving(),),))
+    with pytest.raises(
+        ScenarioError, match=r"expected the form of one of .*, received \['weave', 20.0, 1, 20.0, 4.0\]"
+    ):
+        Scenario.from_canonical([[[weaving().plain()]], 0, 1, 22.0, 10.0])
+
+
+def changed(base=Weave, **values):
+    """Return a kind that is like another one, except for some of its attributes."""
+    return dataclass(frozen=True, kw_only=True)(type("Changed", (base,), values))
+
+
+@table(
+    ("kind", "arguments", "message"),
+    [
+        (int, {"drives": "steps"}, "kind: expected a frozen dataclass of Instruction, received <class 'int'>"),
+        (Weave, {"drives": "steps"}, "drives: expected one of itself for a kind with drives_itself = True"),
+        (Drift, {"drives": "itself"}, "drives: expected one of grid, lanes, steps, track for a kind with"),
+        (Drift, {"drives": "steps", "mover": int}, "drives: .*; only itself has a mover"),
+        (Drift, {"drives": "lanes"}, "Drift: expected aimed, .*, received none of aimed, column, lane, target"),
+        (changed(planner=None), {"drives": "itself"}, "received none of planner"),
+        (changed(goal=Instruction.goal), {"drives": "itself"}, "received none of goal"),
+        (changed(name="free"), {"drives": "itself"}, "Changed.name: expected a name that no other kind has"),
+        (changed(name="two words"), {"drives": "itself"}, "Changed.name: .*received 'two words'; it has up to 40"),
+        (changed(marks=frozenset({"ahead"})), {"drives": "itself"}, "marks: .* Changed would be read as a Manoeuvre"),
+        (changed(Drift, marks=frozenset({"lane", "offset"})), {"drives": "steps"}, "a Drift would|Changed.name"),
+    ],
+)
+def test_kind_that_lacks_something_is_not_registered(kind, arguments, message):
+    with pytest.raises(ScenarioError, match=message):
+        register(kind, **arguments)
+    assert kind is Drift or kind not in KINDS
+
+
+def test_kind_that_is_defined_again_replaces_the_old_one():
+    first, second = (changed(name="changed") for _ in range(2))
+    for kind in (first, first, second):
+        register(kind, drives="itself")
+    assert [kind for kind in KINDS if kind.__name__ == "Changed"] == [second]
+
+
+@pytest.fixture
+def register_entries(register):
+    return register
+
+
+def test_file_and_text_import_the_package_of_an_unknown_kind(register_entries, tmp_path, monkeypatch, tables):
+    register(Weave, drives="itself")
+    scenario = Scenario(npcs=((weaving(),),))
+    text, canonical = text_of(plain_finding(scenario=scenario)), json.loads(scenario.canonical())
+    (tmp_path / "weaving.py").write_text(
+        f"from {__name__} import Weave, register\nregister(Weave, drives='itself')\nprint('imported')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    register_entries(GROUP, weave="weaving")
+    for read in (lambda: parsed(PATH, text.encode()).scenario, lambda: Scenario.from_canonical(canonical)):
+        KINDS.remove(Weave)
+        assert parsed(PATH, text_of(plain_finding(scenario=drifting())).encode()).scenario == drifting()
+        assert "weaving" not in sys.modules
+        assert read() == scenario
+        del sys.modules["weaving"]
+
+
+def test_keys_of_no_kind_are_refused_with_the_way_out(register_entries):
+    register(Weave, drives="itself")
+    text = text_of(plain_finding(scenario=Scenario(npcs=((weaving(),),))))
+    KINDS.remove(Weave)
+    message = (
+        r"period: expected one of beside, ahead, .* these are the keys of a Manoeuvre; .* pytest_pafot.instructions"
+    )
+    with pytest.raises(CorpusError, match=message):
+        parsed(PATH, text.encode())
+    register_entries(GROUP, weave="no_such_module")
+    with pytest.raises(CorpusError, match=r"that no_such_module, which is registered as 'weave' in .*ModuleNotFound"):
+        parsed(PATH, text.encode())
+
+
+def test_default_search_draws_a_quarter_of_a_registered_kind():
+    def space_of(world=None, **given):
+        return build_space(request_of({"ads": lambda: lambda seen: (0.0, 0.0), **given}), world or Highway())
+
+    before = space_of()
+    register(Weave, drives="itself")
+    space, rng = space_of(), np.random.default_rng(0)
+    assert (before.kinds, space.kinds) == ((), (Weave,))  # nothing samples a Drift
+    assert replace(space, kinds=(), lanes=before.lanes, row=before.row) == before
+    assert space.plain["kinds"] == ("weave",)
+    assert "a quarter of them weave" in space.described
+    scenarios = [sample(space, rng) for _ in range(100)]
+    kinds = [type(chain[0]) for scenario in scenarios for chain in scenario.npcs]
+    assert 0.2 < kinds.count(Weave) / len(kinds) < 0.3
+    for scenario in scenarios:
+        Highway().check_fits(mutate(scenario, space, rng))
+    for given in ({"algorithm": "pafot"}, {"instructions": "lanes"}, {"world": World("roundabout-v0")}):
+        assert space_of(**given).kinds == ()
+
+
+def test_search_begins_with_a_saved_scenario_of_a_registered_kind(tmp_path):
+    register(Weave, drives="itself")
+    (tmp_path / PATH).write_text(text_of(plain_finding(scenario=Scenario(npcs=((weaving(beside=-1),),)))))
+    seen = []
+
+    def holds(run):
+        seen.append(run.trace.scenario.npcs[0][0])
+
+    explore(lambda: lambda _: (0.0, 0.0), holds=holds, runs=8, seed=0, instructions="manoeuvres", begin_with=tmp_path)
+    assert seen[0] == weaving(beside=-1)
+    space, rng = SearchSpace(npcs=1), np.random.default_rng(0)
+    assert {type(mutate(Scenario(npcs=((seen[0],),)), space, rng).npcs[0][0]) for _ in range(10)} == {Weave}
+
+
+def test_start_is_apart_from_those_of_all_kinds():
+    register(Weave, drives="itself")
+    rng = np.random.default_rng(0)
+    choices = Choices(0, 268, 1, 22.0, 4, (math.inf, math.inf), ("idm",), (2.0, 3.0))
+    free = Free(beside=0, ahead=40.0, speed=20.0, driver="idm")
+    for _ in range(30):
+        chains = [(free,), (random_manoeuvre(choices, [(free,)], rng),)]
+        for _ in range(3):
+            chains.append((Weave.drawn(choices, chains, rng),))
+            chains.append((random_manoeuvre(choices, chains, rng),))
+        places = sorted(chain[0].ahead + (5.0 if chain[0].ahead > 0 else 0.0) for chain in chains)
+        assert min(np.diff(places)) > 5.5
+
+
+def test_kind_with_a_planner_drives_by_itself():
+    register(Weave, drives="itself")
+    scenario = Scenario(npcs=((weaving(),), (Manoeuvre(beside=0, ahead=40.0, speed=20.0),)))
+    run = Run(Highway(duration=8.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0)))
+    across = run.trace.states[:, 1:, Y]
+    assert np.ptp(across[:, 0]) > 0.3
+    assert np.ptp(across[:, 1]) == 0
+    assert run.as_asked
+    bent = World("merge-v0", duration=8.0).rollout(replace(scenario, ego_lane=0), lambda: lambda seen: 1)
+    assert (bent.npc_error, np.ptp(bent.states[:, 1, Y]) > 0.3) == (None, True)
+
+
+def test_error_of_a_kinds_planner_names_the_kind():
+    kind = changed(name="late", planner=lambda self: lambda seen: 1 / 0)
+    register(kind, drives="itself")
+    scenario = Scenario(npcs=((kind(beside=1, ahead=20.0, speed=20.0, period=4.0),),))
+    trace = Highway().rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    assert trace.npc_error_text.startswith("the driver late failed: ZeroDivisionError")
+    kind = changed(name="late", planner=lambda self: 3)
+    register(kind, drives="itself")
+    scenario = Scenario(npcs=((kind(beside=1, ahead=20.0, speed=20.0, period=4.0),),))
+    with pytest.raises(AdsFactoryError, match=r"npcs\[0\]\[0\].planner: expected the factory to return an ADS"):
+        Highway().rollout(scenario, lambda: lambda seen: (0.0, 0.0))
 
 
 ASKED_ELSEWHERE = {

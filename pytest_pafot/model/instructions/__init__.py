@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import MISSING, fields
 from typing import Any
 
 from pytest_pafot.model.instructions.cell import PositionInstruction as PositionInstruction
@@ -49,6 +50,37 @@ KINDS: list[type[Instruction]] = [
 ]
 """All kinds. A plain form is read by the last of them that has it."""
 
+GROUP = "pytest_pafot.instructions"
+"""The group of entry points for modules of installed packages that register kinds when they are imported."""
+
+
+def load_registered() -> None:
+    """Import what installed packages name in :data:`GROUP`, for a file or a text that no kind here can read.
+
+    Nothing imports it before: reading the entry points of all packages takes milliseconds.
+
+    Raises:
+        ScenarioError: if one cannot be imported.
+    """
+    from importlib import metadata  # noqa: PLC0415  (slow to import, and usually not needed)
+
+    for entry in metadata.entry_points(group=GROUP):
+        try:
+            entry.load()
+        except Exception as error:
+            expected = f"that {entry.value}, which is registered as {entry.name!r} in {GROUP}, can be imported"
+            raise ScenarioError(expected=expected, received=f"{type(error).__name__}: {error}") from error
+
+
+def kind_of(keys: Collection[str], kinds: Sequence[type[Instruction]] = KINDS) -> type[Instruction]:
+    """Return the kind of the mapping in a file with some keys: the first of those with most of their marks there."""
+    return max(kinds, key=lambda kind: len({*kind.marks}.intersection(keys)))
+
+
+def required_keys(kind: Any) -> set[str]:
+    """Return the keys that each mapping of a dataclass has, such as a kind: the fields without a default."""
+    return {each.name for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING}
+
 
 def instruction_of(plain: Sequence[Any]) -> Instruction:
     """Return the instruction with a plain form.
@@ -57,4 +89,16 @@ def instruction_of(plain: Sequence[Any]) -> Instruction:
         ScenarioError, TypeError, ValueError: if there is no such instruction.
     """
     first, *others = plain
-    return next(kind for kind in reversed(KINDS) if kind.reads(first, others)).read(plain)
+    kind = _reader_of(first, others)
+    if isinstance(first, str) and kind is PositionInstruction:
+        load_registered()
+        kind = _reader_of(first, others)
+        if kind is PositionInstruction:
+            expected = f"the form of one of {', '.join(each.__name__ for each in KINDS)}"
+            fix = f"a package whose entry points {GROUP} name its kind may not be installed here"
+            raise ScenarioError(field="instruction", expected=expected, received=f"{plain!r:.100}", fix=fix)
+    return kind.read(plain)
+
+
+def _reader_of(first: Any, others: Sequence[Any]) -> type[Instruction]:
+    return next(kind for kind in reversed(KINDS) if kind.reads(first, others))

@@ -140,8 +140,8 @@ class CrossingInstruction(Instruction):
 
     @classmethod
     def reads(cls, first: Any, others: Sequence[Any]) -> bool:
-        """Return whether there is more than a target and a speed."""
-        return len(others) > 1
+        """Return whether there are a zone, a slot, a speed and an act."""
+        return len(others) == 3 and isinstance(others[2], str)
 
     @classmethod
     def read(cls, plain: Sequence[Any]) -> CrossingInstruction:

@@ -7,12 +7,12 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import count
 from typing import TYPE_CHECKING
 
 from pytest_pafot.model.instructions.instruction import (
     LARGEST_SPEED_STEP,
     MOST_BESIDE,
+    NEAR,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
@@ -24,7 +24,6 @@ from pytest_pafot.model.instructions.instruction import (
     roughness,
 )
 from pytest_pafot.model.instructions.manoeuvre import Manoeuvre
-from pytest_pafot.model.vehicle_type import CAR
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -42,13 +41,6 @@ STARTS: tuple[Key, ...] = tuple(
 
 # What a search samples.
 
-MARGIN = 5.0
-"""The room that stays between two starts [m]."""
-NEAR, LARGEST_SPREAD = 8.0, 15.0
-"""The smallest gap to the ego, and the part of it that is sampled [m]."""
-FASTER, BRAKING = 8.0, 2.0
-"""The largest difference to the ego's first speed [m/s], and the braking with which it may be lost before contact
-[m/s^2], so that there is no danger at the start."""
 JUMP, OTHER_DRIVER, OTHER_LANE = 0.1, 0.3, 0.5
 """The share by which a mutation moves the start towards the ego, at most; the share of the mutations with another
 driver, and up to which they have another lane. Half of the others move the start, and half change the speed."""
@@ -78,7 +70,7 @@ class Free(WithStart):
     groups = (("free starts", STARTS),)
 
     def __post_init__(self) -> None:
-        self._check_start()
+        self.check_start()
         object.__setattr__(self, "driver", checked_driver(self.driver))
 
     @property
@@ -109,10 +101,10 @@ class Free(WithStart):
         if choices.lanes and self.ahead and kind < OTHER_LANE:
             lane = int(rng.integers(choices.lanes)) - choices.ego_lane
             return replace(self, beside=min(max(lane, -MOST_BESIDE), MOST_BESIDE))
-        if abs(self.ahead) < _row(choices) and kind < (1 + OTHER_LANE) / 2:
+        if abs(self.ahead) < choices.nearest_row and kind < (1 + OTHER_LANE) / 2:
             # Nobody else starts between it and the ego.
             return replace(self, ahead=_toward(self.ahead, JUMP * rng.random()))
-        return replace(self, speed=_speed(choices, abs(self.ahead), rng))
+        return replace(self, speed=choices.safe_speed(abs(self.ahead), rng))
 
     def beside_others(self, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Free:
         """Return another free NPC, whose start is free."""
@@ -169,48 +161,6 @@ def checked_driver(name: object) -> str:
 
 
 def random_free(choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Free:
-    """Sample a free NPC beside ``others``.
-
-    NPCs with cells start level with the ego, or in a row ahead of it or behind it. Free ones start in stretches of the
-    road that no other NPC has, so that no two of them touch, whatever their lanes are: the first on each side between
-    the ego and that row if there is room, the others beyond it.
-    """
-    row, reach = _row(choices), choices.longest + MARGIN
-    free = list[tuple[int, float, float]]()  # side, the least gap and the part of it that is sampled
-    taken = [chain[0].ahead for chain in others if isinstance(chain[0], WithStart)]
-    between = row - NEAR - reach
-    for place in count():
-        for side in (1, -1):
-            least, spread = (row + reach + (LARGEST_SPREAD + reach) * (place - 1), LARGEST_SPREAD)
-            if place == 0:
-                least, spread = NEAR, min(between, LARGEST_SPREAD)
-            if spread < 0 or least + spread > choices.room[side > 0]:
-                continue
-            if not any(least - reach < side * each < least + spread + reach for each in taken):
-                free.append((side, least, spread))
-        if len(free) > 1 or place > len(others) + 1:
-            break
-    if not free:
-        expected, fix = "room for another free NPC", "ask for fewer NPCs"
-        raise ScenarioError(field="npcs", expected=expected, received=f"{len(others) + 1} NPCs", fix=fix)
-    side, least, spread = free[int(rng.integers(len(free)))]
-    ahead = round(least + spread * rng.random(), 1)
-    lane = int(rng.integers(choices.lanes)) if choices.lanes else choices.ego_lane
-    return Free(
-        beside=min(max(lane - choices.ego_lane, -MOST_BESIDE), MOST_BESIDE),
-        ahead=side * ahead,
-        speed=_speed(choices, ahead, rng),
-        driver=choices.drivers[int(rng.integers(len(choices.drivers)))],
-    )
-
-
-def _row(choices: Choices) -> float:
-    """Return the gap between the ego and the NPCs with cells that start ahead of it or behind it [m]."""
-    headway, clearance = choices.row
-    return max(headway * choices.ego_speed, clearance)
-
-
-def _speed(choices: Choices, gap: float, rng: Generator) -> float:
-    most = min(FASTER, math.sqrt(2 * BRAKING * max(gap - CAR.length / 2, 0.0)))
-    speed = round(SPEED_STEPS_PER_MPS * (choices.ego_speed + most * (2 * rng.random() - 1)))
-    return min(max(speed, choices.low), choices.top) / SPEED_STEPS_PER_MPS
+    """Sample a free NPC beside ``others``."""
+    start = Free.random_start(choices, others, rng)
+    return Free(**start, driver=choices.drivers[int(rng.integers(len(choices.drivers)))])

@@ -3,7 +3,8 @@
 A kind is a frozen dataclass derived from :class:`Instruction`, in a file of its own. It has a field ``speed``, and
 overrides what differs from the defaults here. :data:`~pytest_pafot.model.instructions.KINDS` lists it, and
 ``world/kernel/director.py:DRIVES`` names how it drives; what moves a kind that drives itself is in
-``world/engines/npc_drivers.py:MOVERS``.
+``world/engines/npc_drivers.py:MOVERS``. ``world/engines/npc_drivers.py:register`` adds the kind of a package of
+somebody else to all three.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import lru_cache
+from itertools import count
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
 
 from pytest_pafot.model.grid import Cell
@@ -44,6 +46,16 @@ SPEED_BIN = 5.0
 
 LARGEST_SPEED_STEP = 1.5
 """The largest step of a single speed from a scenario to its neighbour [m/s]."""
+
+# The starts that a search samples where no other NPC starts.
+
+MARGIN = 5.0
+"""The room that stays between two starts [m]."""
+NEAR, LARGEST_SPREAD = 8.0, 15.0
+"""The smallest gap to the ego, and the part of it that is sampled [m]."""
+FASTER, BRAKING = 8.0, 2.0
+"""The largest difference to the ego's first speed [m/s], and the braking with which it may be lost before contact
+[m/s^2], so that there is no danger at the start."""
 
 Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str] | tuple[str, str, str]
 """A thing that coverage counts: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("lane", "left")``;
@@ -80,6 +92,18 @@ class Choices(NamedTuple):
     def any_speed(self, rng: Generator) -> float:
         """Sample a target speed, uniform over the steps of 0.1 m/s [m/s]."""
         return int(rng.integers(self.low, self.top + 1)) / SPEED_STEPS_PER_MPS
+
+    def safe_speed(self, gap: float, rng: Generator) -> float:
+        """Sample a speed that is no danger to an ego at a gap [m], nor the ego to the NPC [m/s]."""
+        most = min(FASTER, math.sqrt(2 * BRAKING * max(gap - CAR.length / 2, 0.0)))
+        speed = round(SPEED_STEPS_PER_MPS * (self.ego_speed + most * (2 * rng.random() - 1)))
+        return min(max(speed, self.low), self.top) / SPEED_STEPS_PER_MPS
+
+    @property
+    def nearest_row(self) -> float:
+        """The gap between the ego and the NPCs with cells that start ahead of it or behind it [m]."""
+        headway, clearance = self.row
+        return max(headway * self.ego_speed, clearance)
 
 
 class Space(Protocol):
@@ -237,6 +261,11 @@ class Instruction(Pasteable, ABC):
 
     # Search.
 
+    @classmethod
+    def drawn(cls, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Instruction | None:
+        """Sample an instruction for an NPC beside ``others``; None if a search draws none of a registered kind."""
+        return None
+
     @abstractmethod
     def is_drawn_in(self, space: Space) -> bool:
         """Return whether a search in a space may have this instruction. A world need not check that it fits."""
@@ -251,7 +280,7 @@ class Instruction(Pasteable, ABC):
 
     def beside_others(self, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Instruction:
         """Return an instruction, as sampled for an NPC alone, that leaves room for the starts of other NPCs."""
-        return self
+        return self.drawn(choices, others, rng) or self
 
     def for_lane(self, before: int, now: int) -> Instruction:
         """Return the instruction whose NPC starts in the same lane if the ego's first lane is another one."""
@@ -443,7 +472,16 @@ class WithStart(Instruction):
 
     keeps_start = True
 
-    def _check_start(self) -> None:
+    def is_drawn_in(self, space: Space) -> bool:
+        """Return True: a search that is given such an NPC may vary it."""
+        return True
+
+    def check_start(self, **bounds: tuple[float, float]) -> None:
+        """Check the start, and more numbers within bounds, in steps of 0.1: ``self.check_start(period=(4.0, 20.0))``.
+
+        Raises:
+            ScenarioError: for a number that is wrong.
+        """
         beside = plain_whole(self.beside)
         if beside is None or abs(beside) > MOST_BESIDE:
             expected = f"a whole number of lanes from {-MOST_BESIDE} to {MOST_BESIDE}, positive to the right"
@@ -454,6 +492,43 @@ class WithStart(Instruction):
         if self.ahead == 0 and self.beside == 0:
             expected, fix = "a distance other than 0 in the ego's lane", "0 is level with the ego"
             raise ScenarioError(field="ahead", expected=expected, received="0", fix=fix)
+        for name, (least, most) in bounds.items():
+            object.__setattr__(self, name, tenths_within(name, getattr(self, name), least, most))
+
+    @staticmethod
+    def random_start(choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> dict[str, Any]:
+        """Sample ``beside``, ``ahead`` and ``speed`` of an NPC beside ``others``.
+
+        NPCs with cells start level with the ego, or in a row ahead of it or behind it. This one starts in a stretch of
+        the road that no other NPC has, so that no two of them touch, whatever their lanes are: the first on each side
+        between the ego and that row if there is room, the others beyond it.
+
+        Raises:
+            ScenarioError: if there is no room.
+        """
+        row, reach = choices.nearest_row, choices.longest + MARGIN
+        free = list[tuple[int, float, float]]()  # side, the least gap and the part of it that is sampled
+        taken = [chain[0].ahead for chain in others if chain[0].keeps_start]
+        between = row - NEAR - reach
+        for place in count():
+            for side in (1, -1):
+                least, spread = (row + reach + (LARGEST_SPREAD + reach) * (place - 1), LARGEST_SPREAD)
+                if place == 0:
+                    least, spread = NEAR, min(between, LARGEST_SPREAD)
+                if spread < 0 or least + spread > choices.room[side > 0]:
+                    continue
+                if not any(least - reach < side * each < least + spread + reach for each in taken):
+                    free.append((side, least, spread))
+            if len(free) > 1 or place > len(others) + 1:
+                break
+        if not free:
+            expected, fix = "room for the start of another NPC", "ask for fewer NPCs"
+            raise ScenarioError(field="npcs", expected=expected, received=f"{len(others) + 1} NPCs", fix=fix)
+        side, least, spread = free[int(rng.integers(len(free)))]
+        ahead = round(least + spread * rng.random(), 1)
+        lane = int(rng.integers(choices.lanes)) if choices.lanes else choices.ego_lane
+        beside = min(max(lane - choices.ego_lane, -MOST_BESIDE), MOST_BESIDE)
+        return {"beside": beside, "ahead": side * ahead, "speed": choices.safe_speed(ahead, rng)}
 
     @property
     def start(self) -> str:

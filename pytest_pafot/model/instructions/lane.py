@@ -77,8 +77,8 @@ class LaneInstruction(TimedInstruction):
 
     @classmethod
     def reads(cls, first: Any, others: Sequence[Any]) -> bool:
-        """Return whether the first value is a word."""
-        return isinstance(first, str)
+        """Return whether the first value is a change of lanes."""
+        return first in SHIFTS
 
     @property
     def afterwards(self) -> LaneInstruction:

@@ -190,7 +190,7 @@ class Manoeuvre(WithStart):
     marks = frozenset({"beside", "ahead", "steps"})
 
     def __post_init__(self) -> None:
-        self._check_start()
+        self.check_start()
         steps = tuple(self.steps) if isinstance(self.steps, (list, tuple)) else (self.steps,)
         if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
             expected = f"at most {MOST_STEPS} of pafot.Step(...)"
@@ -320,7 +320,7 @@ def random_manoeuvre(choices: Choices, others: Sequence[Sequence[Instruction]], 
     The NPCs of a scenario start one behind the other, ahead of the ego or behind it, so that no two of them touch,
     whatever their lanes are.
     """
-    taken = {_slot(chain[0]) for chain in others if isinstance(chain[0], Manoeuvre)}
+    taken = {slot for chain in others for slot in _slots(chain[0], choices.longest)}
     slot = next(each for each in count() if not {(-1, each), (1, each)} & taken)
     gap = FIRST_GAP + SPREAD * rng.random()
     lane = int(rng.integers(choices.lanes)) if choices.lanes else choices.ego_lane
@@ -349,9 +349,15 @@ def places(room: tuple[float, float], side: int) -> int:
     return int(min(room[side > 0], MOST_ROOM) // SPACING)
 
 
-def _slot(manoeuvre: Manoeuvre) -> tuple[int, int]:
-    side = 1 if manoeuvre.ahead > 0 else -1
-    return side, max(0, int((abs(manoeuvre.ahead) - FIRST_GAP + 0.05) // SPACING))
+def _slots(first: Instruction, longest: float) -> set[tuple[int, int]]:
+    """Return the slots that a start takes: one for a manoeuvre; two for others, which start anywhere."""
+    if not first.keeps_start or first.follows_track:  # around a recording, the starts are compared with all tracks
+        return set()
+    side, gap, reach = 1 if first.ahead > 0 else -1, abs(first.ahead), longest + 1
+    ends = [gap - reach, gap + reach - FIRST_GAP]
+    if isinstance(first, Manoeuvre):
+        ends = [gap - FIRST_GAP + 0.05]
+    return {(side, max(0, int(end // SPACING))) for end in ends}
 
 
 def random_step(choices: Choices, rng: Generator) -> Step:

@@ -1,16 +1,29 @@
-"""NPCs that the director does not move: free ones, each of which is the ego of its driver."""
+"""NPCs that the director does not move, each of which is the ego of its driver, and the kinds that others register."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from types import MappingProxyType
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 
-from pytest_pafot.model.instructions import Free, Instruction, ScenarioError
+from pytest_pafot.model.instructions import (
+    KINDS,
+    SHIFTS,
+    Free,
+    Instruction,
+    LaneInstruction,
+    Manoeuvre,
+    PositionInstruction,
+    Recorded,
+    ScenarioError,
+    kind_of,
+    required_keys,
+)
+from pytest_pafot.model.instructions.free import NAME
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.trace import AdsError, FloatArray
 from pytest_pafot.model.vehicle_type import CAR
@@ -23,7 +36,7 @@ from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import without_reversing
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Start
+from pytest_pafot.world.kernel.director import DRIVES, Start
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import EgoDriver, ModelDriver, PlannerDriver
 from pytest_pafot.world.kernel.network_vehicle import StaticObstacle
@@ -125,7 +138,7 @@ class OwnMover(Protocol):
 
 
 class FreeNpc:
-    """A free NPC of one run.
+    """A free NPC of one run, or one whose instruction has a driver of its own: a method ``planner`` that makes an ADS.
 
     Args:
         rules, scenario: the world's rules, and a scenario that fits them.
@@ -139,8 +152,10 @@ class FreeNpc:
         self._stock_road = stock_road
         self._scenario = scenario
         self._npc = npc
-        self._free = cast("Free", scenario.npcs[npc][0])
-        self._name: str = self._free.driver
+        told: Any = scenario.npcs[npc][0]
+        self._planner = getattr(told, "planner", None)
+        self._name: str = told.driver if self._planner is None else told.name
+        self._speed: float = told.speed
         self._seed = (scenario.seed + (npc + 1) * SEED_STEP) % (MAX_SEED + 1)
         self._draws = OwnDraws(self._seed)
         self._ads: Ads | None = None
@@ -151,7 +166,7 @@ class FreeNpc:
     def _body(self, start: Start) -> Body:
         rules, constants, changes_lanes = self._rules, IDM, self._name == "mobil"
         kind = self._scenario.vehicle_of(self._npc)
-        if self._name not in ("idm", "mobil"):
+        if self._planner is not None or self._name not in ("idm", "mobil"):
             self._ads = self._made()
             if not self._ads.drives_itself:
                 body = Body(kind.length, kind.width)
@@ -182,7 +197,7 @@ class FreeNpc:
                 repr(self._name),
                 "name a planner in drivers=, or give the NPC a Manoeuvre",
             )
-        vehicle.want(min(self._free.speed, kind.top_speed))  # also where a bend makes it start more slowly
+        vehicle.want(min(self._speed, kind.top_speed))  # also where a bend makes it start more slowly
         return vehicle
 
     def _on_network(
@@ -203,7 +218,7 @@ class FreeNpc:
 
     def _made(self) -> Ads:
         """Return a new ADS."""
-        given = self._rules.drivers.get(self._name)
+        given = self._planner or self._rules.drivers.get(self._name)
         if given is None:
             raise self._refused(
                 "a run that knows the policy under test, which acts in SI units or is a vehicle class",
@@ -223,10 +238,15 @@ class FreeNpc:
             with self._draws:
                 return policy.make()
         except AdsFactoryError as error:
-            raise AdsFactoryError(f"drivers[{self._name!r}]: {str(error).removeprefix('ads: ')}") from error
+            place = f"drivers[{self._name!r}]" if self._planner is None else self._place
+            raise AdsFactoryError(f"{place}: {str(error).removeprefix('ads: ')}") from error
+
+    @property
+    def _place(self) -> str:
+        return f"npcs[{self._npc}][0].{'driver' if self._planner is None else 'planner'}"
 
     def _refused(self, expected: str, received: str, fix: str) -> ScenarioError:
-        return ScenarioError(field=f"npcs[{self._npc}][0].driver", expected=expected, received=received, fix=fix)
+        return ScenarioError(field=self._place, expected=expected, received=received, fix=fix)
 
     def driver(self, places: Places, record: Any, guard: HangGuard) -> EgoDriver:
         """Return the driver of the NPC; its decisions are under the same guard as the ego's."""
@@ -258,6 +278,60 @@ MOVERS: dict[type[Instruction], Callable[[Rules, Scenario, int, Start, Callable[
     Free: FreeNpc,
 }
 """What moves the NPC of each kind of instruction that ``drives_itself``, made for each run."""
+
+WAYS: Mapping[str, tuple[type[Instruction], frozenset[str]]] = MappingProxyType(
+    {
+        "grid": (PositionInstruction, frozenset({"cell", "on_grid", "target", "aimed"})),
+        "lanes": (LaneInstruction, frozenset({"lane", "column", "target", "aimed"})),
+        "steps": (Manoeuvre, frozenset({"beside", "ahead", "steps"})),
+        "track": (Recorded, frozenset({"beside", "ahead", "steps", "at", "is_as_recorded", "follows_track", "track"})),
+        "itself": (Free, frozenset({"beside", "ahead", "drives_itself"})),
+    }
+)
+"""The names of the ways to drive, see :data:`~pytest_pafot.world.kernel.director.DRIVES`, each with the kind of this
+package that drives so, and what is read of an instruction in addition to its speed; a flag among it must be true."""
+
+
+def register(kind: Any, drives: str, mover: Callable[..., OwnMover] | None = None) -> None:
+    """Let scenarios, files, searches and reports have instructions of a kind, as those of this package.
+
+    Args:
+        kind: the kind, a frozen dataclass. One that replaces a class of the same module and name, as in a notebook, is
+            the kind from now on.
+        drives: how its NPCs drive: ``"grid"``, ``"lanes"``, ``"steps"``, ``"track"`` or ``"itself"``.
+        mover: what moves an NPC that drives by itself. If it is None, its method ``planner`` makes a planner for each
+            run, which is asked as that of a free NPC: it sees the road from the NPC's place.
+
+    Raises:
+        ScenarioError: if the kind lacks something, or cannot be told from another one.
+    """
+    is_data = isinstance(kind, type) and issubclass(kind, Instruction) and is_dataclass(kind)
+    if not is_data or not kind.__dataclass_params__.frozen:
+        raise ScenarioError(field="kind", expected="a frozen dataclass of Instruction", received=f"{kind!r:.100}")
+    ways = [way for way in WAYS if (way == "itself") == kind.drives_itself]
+    if drives not in ways or (mover is not None and drives != "itself"):
+        expected = f"one of {', '.join(ways)} for a kind with drives_itself = {kind.drives_itself}"
+        raise ScenarioError(field="drives", expected=expected, received=repr(drives), fix="only itself has a mover")
+    needed = {"name", "marks", "speed", *WAYS[drives][1]} | ({"planner"} if kind.drives_itself and not mover else set())
+    there = {each.name for each in fields(kind)}
+    lacking = {each for each in needed - there if getattr(kind, each, None) is getattr(Instruction, each, None)}
+    if lacking := lacking | kind.__abstractmethods__:
+        expected, received = f"{', '.join(sorted(needed))} and a goal", f"none of {', '.join(sorted(lacking))}"
+        raise ScenarioError(field=kind.__name__, expected=expected, received=received)
+    was = (kind.__module__, kind.__qualname__)
+    others = [each for each in KINDS if (each.__module__, each.__qualname__) != was]
+    if not NAME.fullmatch(kind.name) or kind.name in (*SHIFTS, *(getattr(each, "name", "") for each in others)):
+        expected, fix = "a name that no other kind has", "it has up to 40 letters, digits, _ and -"
+        raise ScenarioError(field=f"{kind.__name__}.name", expected=expected, received=repr(kind.name), fix=fix)
+    for each in (*others, kind):
+        if (read := kind_of(required_keys(each), (*others, kind))) is not each:
+            expected, received = "keys of files that tell it from each other kind", f"{', '.join(sorted(kind.marks))}"
+            fix = f"a {each.__name__} would be read as a {read.__name__}; list all keys that each file of the kind has"
+            raise ScenarioError(field=f"{kind.__name__}.marks", expected=expected, received=received, fix=fix)
+    KINDS[:] = [*others, kind]
+    DRIVES[kind] = DRIVES[WAYS[drives][0]]
+    if kind.drives_itself:
+        MOVERS[kind] = mover or FreeNpc
 
 
 def movers_of(
