@@ -77,8 +77,11 @@ cdef class Loop:
 
     cpdef give(self, int npc, EgoDriver driver)
 
-    @cython.locals(driver=EgoDriver, npc=int, body=Body, own=Body)
+    @cython.locals(driver=EgoDriver, npc=int)
     cpdef command(self)
+
+    @cython.locals(body=Body, own=Body)
+    cdef _hold(self, int npc, EgoDriver driver)
 
     @cython.locals(driver=EgoDriver, npc=int)
     cdef bint _step_drivers(self) except -1

@@ -363,9 +363,12 @@ class Loop:
                 self.npc_error = npc, error
                 return
             driver.actuate()
-            # Else the next tick would begin with those of the director, and end a steering angle that is held.
-            body, own = self._places.bodies[npc + 1], driver.ego
-            body.acceleration, body.steering = own.acceleration, own.steering
+            self._hold(npc, driver)
+
+    def _hold(self, npc: int, driver: EgoDriver) -> None:
+        """Copy an NPC's controls to its body on the road, which each tick begins with, so that steering can be held."""
+        body, own = self._places.bodies[npc + 1], driver.ego
+        body.acceleration, body.steering = own.acceleration, own.steering
 
     def _step_drivers(self) -> bool:
         """Let the drivers of NPCs move them, and return whether one has failed."""
