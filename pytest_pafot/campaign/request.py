@@ -386,12 +386,13 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         space: SearchSpace = world.space({**drawn, **request.space})
         if space.instructions == "manoeuvres":
             space = _with_room(space, world, "npcs" in request.space)
-        own_kinds = _registered_kinds(request, world)
+        road = world.straight_road
+        lanes = 0 if road is None else road.lane_count
+        own_kinds = _registered_kinds(request) if lanes else ()  # what drives an NPC of theirs may know no other road
         if request.drivers or own_kinds:
-            road, row = world.straight_road, (world.given.headway, world.given.clearance)
-            lanes = 0 if road is None else road.lane_count
+            row = world.given.headway, world.given.clearance
             space = replace(space, drivers=tuple(request.drivers), kinds=own_kinds, lanes=lanes, row=row)
-            if road is None:  # which may begin just behind the ego's start
+            if not lanes:  # the road may begin just behind the ego's start
                 space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
@@ -402,15 +403,13 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     return space
 
 
-def _registered_kinds(request: Request, world: BaseWorld) -> tuple[type[Instruction], ...]:
-    """Return the kinds of packages of others that a search draws: the default one, on straight roads.
+def _registered_kinds(request: Request) -> tuple[type[Instruction], ...]:
+    """Return the kinds of packages of others that a search draws: the default one.
 
-    What drives an NPC of theirs may know no other road. A mark that names its instructions asks for these alone. The
-    order is that of names, whoever was imported first.
+    A mark that names its instructions asks for these alone. The order is that of names, whoever was imported first.
     """
     algorithm = request.algorithm
-    is_default = not algorithm.is_papers and "both" in algorithm.instructions and "instructions" not in request.space
-    if not is_default or world.straight_road is None:
+    if algorithm.is_papers or "both" not in algorithm.instructions or "instructions" in request.space:
         return ()
     drawn = [kind for kind in KINDS if any("drawn" in vars(each) for each in kind.__mro__ if each is not Instruction)]
     return tuple(sorted(drawn, key=lambda kind: kind.name))

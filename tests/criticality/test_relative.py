@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from pytest_pafot.criticality import Encounters, RoadFrame, longitudinal_gap
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, Lane, X, Y
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.kernel.bodies import Body
@@ -87,7 +88,7 @@ def driven(*vehicles, touched=False):
         places.see(rows, tick * count * COLUMNS)
     scenario = scenario_of(count - 1)
     run = object.__new__(VehiclesOfRun)
-    run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=())
+    run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=(), ego=CAR)
     run.scenario, run.director = (
         scenario,
         SimpleNamespace(executed=scenario, arrivals=(), driven=(), begun=(), handed_over=()),

@@ -64,7 +64,7 @@ class TurnedRoad(StraightRoad):
     def places(self, vehicles, bodies, scenario, **_):
         return TurnedPlaces(self, vehicles, bodies)
 
-    def sensor(self, places, record, scenario, rates, sight):
+    def sensor(self, places, record, scenario, rates, sight, ego, seat=0):
         return TurnedSensor(self, record, places, rates)
 
 
