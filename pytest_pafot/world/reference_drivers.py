@@ -469,6 +469,8 @@ def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width:
         return True
     side = 1.0 if ego.y > other.y else -1.0
     offset = side * (other.y - other.lane * lane_width)
+    if other.lane == ego.lane:  # Its centre is over the line, and its box, if it is narrow, not yet in the ego's way.
+        offset += lane_width
     next_lane = abs(ego.y - other.y) < 1.5 * lane_width
     stays = is_known and offset + _half_width(other) > lane_width / 2
     return next_lane and offset > KEEPING and (stays or side * drift >= DRIFTING)

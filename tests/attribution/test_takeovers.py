@@ -11,6 +11,7 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.world import Highway
+from pytest_pafot.world.reference_drivers import CarefulHuman
 from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, collision_at, trace_of, vehicle
 
@@ -217,3 +218,10 @@ def test_braking_avoids_while_the_distance_suffices(closing):
     assert trace.npcs[-45:, 0, SPEED] == pytest.approx(22.0 - closing, abs=0.01)
     expected = max(tick for tick in range(0, trace.ticks, 3) if gap[tick] > needed)
     assert avoidance(trace, "leader-unanswered", world.take_over).time == round(expected / 15, 3)
+
+
+def test_careful_human_keeps_braking_for_a_motorcycle_that_is_over_the_line_and_not_yet_in_its_way():
+    """Its centre is nearer than half a lane, and its box is narrow."""
+    chain = [PositionInstruction(cell, speed) for cell, speed in ((2, 0.0), (1, 18.0), (1, 18.0), (1, 18.0), (2, 0.0))]
+    scenario = Scenario(npcs=[chain], gene_seconds=4.0, vehicles=("motorcycle",))
+    assert Highway(ads_hz=15).rollout(scenario, CarefulHuman).outcome is Outcome.SAFE
