@@ -26,7 +26,7 @@ class TestAPullRequest:
     """A pull request runs through the workflow, with a shorter search."""
 
     @pytest.fixture(autouse=True)
-    def variables(self, copied):  # noqa: F811
+    def variables(self, copied):
         self.copied = copied
 
     def run(self, folder, summary, **changes):
