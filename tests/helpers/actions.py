@@ -109,7 +109,7 @@ class Asked(socketserver.BaseRequestHandler):
         command, folder, variables = json.loads(text)
         stdin, stdout, stderr = streams
         with Copy(command, cwd=folder, env=variables, stdin=stdin, stdout=stdout, stderr=stderr) as process:
-            self.request.send(bytes([process.wait()]))
+            self.request.send(bytes([process.wait() % 256]))
         for stream in streams:
             os.close(stream)
 
@@ -127,8 +127,10 @@ def copies():
         python.chmod(0o700)
         with socketserver.UnixStreamServer(address, Asked) as server:
             threading.Thread(target=server.serve_forever, args=(0.02,)).start()
-            yield {"PATH": os.pathsep.join([folder, os.environ.get("PATH", os.defpath)])}
-            server.shutdown()
+            try:
+                yield {"PATH": os.pathsep.join([folder, os.environ.get("PATH", os.defpath)])}
+            finally:
+                server.shutdown()  # or its thread would keep this process
 
 
 def git(folder, *args):
