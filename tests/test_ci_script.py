@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.actions import SCRIPT, environment, git, inputs_of, run_action, shell
+from tests.helpers.actions import SCRIPT, copies, environment, git, inputs_of, run_action, shell
 from tests.helpers.processes import begun
 from tests.helpers.sessions import command_in_a_copy, read_record
 
@@ -56,7 +56,7 @@ QUICK = "--pafot-shrink-rollouts=0 --pafot-neighbours=0"
 """The options of searches whose findings only have to be there."""
 
 FAKE = """#!/bin/sh
-[ "$1" != -I ] || exec "$PYTHON" "$@"
+[ "$1" != -I ] || exec "$PYTHON" -S "$@"
 echo "$@" >>"$CALLS"
 [ "$1" != -c ] || exit "${IMPORTS:-0}"
 if [ -n "${FINDS_NOW:-}" ]; then
@@ -76,12 +76,22 @@ echo "{\\"exit\\": ${JSON:-${CODE:-0}}, \\"day\\": $day, \\"commit\\": $commit}"
 [ -z "${LAST:-}" ] || sh -c "$LAST" || exit
 exit "${CODE:-0}"
 """
-"""A fake Python that records its calls, returns given results, and sees changes made elsewhere meanwhile."""
+"""A fake Python that records its calls, returns given results, and sees changes made elsewhere meanwhile.
+
+What the script itself asks of Python needs no installed packages: without them it starts in a third of the time.
+"""
 
 
 @pytest.fixture
 def summary(tmp_path):
     return tmp_path / "summary.md"
+
+
+@pytest.fixture
+def copied():
+    """Return variables with which sessions are copies of this process."""
+    with copies() as variables:
+        yield variables
 
 
 @pytest.fixture(scope="session")
@@ -136,20 +146,19 @@ def test_incomparable_pull_request_is_refused_with_advice(repository, changes, e
     assert (code, expected in printed) == (2, True), printed
 
 
-def test_fleet_searches_with_own_seeds_and_merges(repository, summary):
+def test_fleet_searches_with_own_seeds_and_merges(repository, copied, summary):
     commit(repository, {"test_it.py": FAILS}, "A test")
     found = []
     for seed in (1, 2):
         inputs = inputs_of("fleet", "search", {"matrix.seed": seed, "github.run_number": 7})
         assert (inputs["seed"], inputs["artifact"]) == (f"700{seed}", f"pafot-{seed}")
         inputs |= {"runs": "4", "requirements": "", "options": f"{QUICK} -q"}
-        code, printed = run_action(inputs, repository)
+        code, printed = run_action(inputs, repository, **copied)
         assert code == 1, printed
         found += saved(repository)
         shutil.move(repository / "pafot_corpus", repository / "machines" / inputs["artifact"] / "pafot_corpus")
-    code, printed = run_action(
-        inputs_of("fleet", "merge") | {"requirements": ""}, repository, GITHUB_STEP_SUMMARY=str(summary)
-    )
+    inputs = inputs_of("fleet", "merge") | {"requirements": ""}
+    code, printed = run_action(inputs, repository, GITHUB_STEP_SUMMARY=str(summary), **copied)
     assert code == 1, printed  # as for any saved scenario that fails
     assert "finds are on pafot-finds" in printed
     assert "still failing" in summary.read_text()
@@ -161,7 +170,7 @@ def test_fleet_searches_with_own_seeds_and_merges(repository, summary):
     assert kept == [f"pafot_corpus/{name}" for name in saved(repository / "pafot_corpus")]
 
 
-def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
+def test_night_resumes_in_fresh_clone_from_cached_states(repository, copied, tmp_path):
     commit(repository, {"test_it.py": FAILS}, "A test")
     git(repository, "push", "-q", "origin", "main")
     git(tmp_path, "clone", "-q", "origin.git", "next")
@@ -169,7 +178,7 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     inputs = inputs_of("night", "night") | {"runs": "4", "requirements": "", "options": options}
     found = []
     for folder in (repository, tmp_path / "next"):
-        code, printed = run_action(inputs, folder)
+        code, printed = run_action(inputs, folder, **copied)
         assert code == 1, printed
         found.append([finding.file for finding in record_of(folder).findings if finding.status == "new"])
         if folder is repository:
@@ -188,7 +197,7 @@ def test_night_resumes_in_fresh_clone_from_cached_states(repository, tmp_path):
     assert git(repository, "show", f"FETCH_HEAD:{filed}") == (tmp_path / "next" / "pafot.json").read_text().strip()
 
 
-def test_jobs_that_divide_the_replays_replay_each_file_once(repository):
+def test_jobs_that_divide_the_replays_replay_each_file_once(repository, copied):
     pytest.importorskip("pytest_split")
     pytest.importorskip("xdist")
     commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
@@ -197,7 +206,7 @@ def test_jobs_that_divide_the_replays_replay_each_file_once(repository):
     assert command_in_a_copy("pytest", *search, folder=repository).code == 1
     replayed = []
     for job in ("--splits 2 --group 1", "--splits 2 --group 2 -n 2"):
-        code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins)
+        code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins, **copied)
         record = record_of(repository)
         assert (code, record.exit, record.orphans) == (1, 1, []), printed
         assert {finding.result for finding in record.findings} == {"failed"}

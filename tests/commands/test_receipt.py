@@ -68,6 +68,8 @@ def ended(folder, command, *, options=None, **parts):
 def outside_of_ci(monkeypatch):
     """In CI a search isolates its policy, so that its end is a finding and needs no receipt."""
     monkeypatch.delenv("CI", raising=False)
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
+    monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
     monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
 
@@ -121,9 +123,8 @@ def session(folder, test, *options, docstring=""):
     imports = "import pytest_pafot as pafot\nfrom helper import holds\nfrom planner import Old\n"
     (folder / "test_it.py").write_text(f"{docstring}{imports}{test}")
     (folder / "planner.py").write_text(re.sub("[A-Z]+_[A-Z]+", "pass", POLICY))
-    line = [sys.executable, "-O", "-m", "pytest", "-p", "pafot", "--pafot-runs=8", "--pafot-seed=1", *options]
-    alone = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    return subprocess.run(line, cwd=folder, env=alone, capture_output=True, text=True, check=False).stdout
+    line = [sys.executable, "-O", "-m", "pytest", "--pafot-runs=8", "--pafot-seed=1", *options]
+    return subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False).stdout
 
 
 MARKED = "@pafot.search(ads=Old)\ndef test_it(run):\n    assert not run.collision\n"

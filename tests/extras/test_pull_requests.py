@@ -12,6 +12,7 @@ from tests.test_ci_script import (  # noqa: F401
     TEST,
     begun_repository,
     commit,
+    copied,
     record_of,
     repository,
     saved,
@@ -24,11 +25,15 @@ pytestmark = pytest.mark.processes
 class TestAPullRequest:
     """A pull request runs through the workflow, with a shorter search."""
 
+    @pytest.fixture(autouse=True)
+    def variables(self, copied):
+        self.copied = copied
+
     def run(self, folder, summary, **changes):
         values = {"github.event.pull_request.base.sha": git(folder, "rev-parse", "main")}
         inputs = inputs_of("pull-request", "pull-request", values) | {"runs": "16", "seed": "5", "requirements": ""}
         summary.write_text("")
-        code, printed = run_action(inputs | changes, folder, GITHUB_STEP_SUMMARY=str(summary))
+        code, printed = run_action(inputs | changes, folder, GITHUB_STEP_SUMMARY=str(summary), **self.copied)
         has_page = (folder / "pafot.html").exists() or "nothing" not in printed  # to write, or to compare
         for name in ("pafot.json", "pafot.xml", *["pafot.html"][:has_page]):
             assert (folder / name).is_file(), printed

@@ -1,12 +1,20 @@
 """Run the repository's composite action as GitHub does, as far as a shell can: only the steps that are commands."""
 
+import json
 import os
 import re
+import socket
+import socketserver
 import subprocess
 import sys
+import tempfile
+import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
+
+from tests.helpers.sessions import CORE, Copy, imported
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "ci" / "pafot.sh"
@@ -80,6 +88,49 @@ def shell(command, folder, **variables):
         check=False,
     )
     return done.returncode, done.stdout
+
+
+ASKING = """#!{python} -IS
+import json, os, socket, sys
+if sys.argv[1] != "-m":
+    os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+tests = socket.socket(socket.AF_UNIX)
+tests.connect({address!r})
+asked = [[sys.executable, *sys.argv[1:]], os.getcwd(), dict(os.environ)]
+socket.send_fds(tests, [json.dumps(asked).encode()], [0, 1, 2])
+sys.exit(tests.recv(1)[0])
+"""
+"""A Python that starts in a hundredth of the time of a session, and asks the tests' process for the session."""
+
+
+class Asked(socketserver.BaseRequestHandler):
+    def handle(self):
+        text, streams, *_ = socket.recv_fds(self.request, 2**20, 3)
+        command, folder, variables = json.loads(text)
+        stdin, stdout, stderr = streams
+        with Copy(command, cwd=folder, env=variables, stdin=stdin, stdout=stdout, stderr=stderr) as process:
+            self.request.send(bytes([process.wait() % 256]))
+        for stream in streams:
+            os.close(stream)
+
+
+@contextmanager
+def copies():
+    """Yield variables with which a script's sessions, and this package's commands, are copies of this process.
+
+    Signals do not reach a copy, and it is no interpreter of its own: see ``Copy``.
+    """
+    imported(*CORE)
+    with tempfile.TemporaryDirectory() as folder:  # its name is short enough for a socket's
+        python, address = Path(folder, "python"), str(Path(folder, "asked"))
+        python.write_text(ASKING.format(python=sys.executable, address=address), encoding="utf-8")
+        python.chmod(0o700)
+        with socketserver.UnixStreamServer(address, Asked) as server:
+            threading.Thread(target=server.serve_forever, args=(0.02,)).start()
+            try:
+                yield {"PATH": os.pathsep.join([folder, os.environ.get("PATH", os.defpath)])}
+            finally:
+                server.shutdown()  # or its thread would keep this process
 
 
 def git(folder, *args):

@@ -9,6 +9,7 @@ import json
 import os
 import pkgutil
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -256,7 +257,7 @@ WORKER = "import sys;exec(eval(sys.stdin.readline()))"
 
 
 class Copy(subprocess.Popen):
-    """What `subprocess.Popen` starts, but pytest, a command of this package and a worker of pytest-xdist as copies.
+    """What `subprocess.Popen` starts, but scripts, pytest, this package and workers of pytest-xdist as copies.
 
     A copy of this process has already imported everything, and importing takes longer than most sessions. It cannot
     test what an interpreter settles when it starts, such as finders and hash seeds, and does not come to the end of an
@@ -289,6 +290,8 @@ def _call_of(command):
             return ["-c", *arguments], lambda: _with_room(exec, program, {"__name__": "__main__"})
         case [sys.executable, "-u", "-c", str() as program] if program == WORKER:
             return ["-c"], lambda: _with_room(exec, program, {"__name__": "__main__"})
+        case [sys.executable, str() as script, *arguments] if script.endswith(".py") and script == Path(script).name:
+            return [script, *arguments], lambda: _with_room(runpy.run_path, script, run_name="__main__") and 0
     return None
 
 

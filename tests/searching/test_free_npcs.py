@@ -228,7 +228,10 @@ def test_search_that_can_have_no_free_npcs_is_refused(world, more, message):
         space_of(base_world(world), **more)
 
 
-explored = partial(pafot.explore, lambda: following, runs=100, seed=5, blame="ego", neighbours=5, shrink_rollouts=40)
+SHORT = Highway(duration=12.0)
+explored = partial(
+    pafot.explore, lambda: following, world=SHORT, runs=100, seed=5, blame="ego", neighbours=5, shrink_rollouts=40
+)
 
 
 def no_collision(run):
@@ -276,7 +279,9 @@ class Pure:
 def test_cached_decisions_are_those_of_a_run_with_all_drivers():
     drivers = {"drawing": Drawing, "policy": "policy"}
     cached, anew = (
-        pafot.explore(ads, holds=no_collision, drivers=drivers, runs=120, seed=3, blame="ego", neighbours=0, npcs=2)
+        pafot.explore(
+            ads, holds=no_collision, drivers=drivers, world=SHORT, runs=120, seed=6, blame="ego", neighbours=0, npcs=2
+        )
         for ads in (Pure, lambda: following)
     )
     assert cached.summary.outcomes == anew.summary.outcomes
