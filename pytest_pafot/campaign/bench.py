@@ -15,7 +15,7 @@ from pytest_pafot.campaign.tallies import BlockDriver, Tally, facts_of
 from pytest_pafot.campaign.verdict import Verdict, evaluated
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Runner, replay_in_gym_apart
+from pytest_pafot.execution.runner import Isolated, Runner
 from pytest_pafot.execution.scenario_pool import trace_of
 from pytest_pafot.findings.finding import disagreement, failed_as, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
@@ -189,8 +189,8 @@ class Bench:
         with self._recorded(), refusals():
             if policy.elsewhere is not None:
                 trace = policy.elsewhere.driven("rollout_in_gym", world, scenario)
-            elif self.harness.request.settings.isolate:
-                trace = replay_in_gym_apart(self.harness.job(), self.record, scenario)
+            elif isinstance(self.runner.processes, Isolated):
+                trace = self.runner.processes.in_gym(scenario)
             else:
                 self.record.write(scenario)
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(policy).factory)

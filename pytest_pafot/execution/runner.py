@@ -34,6 +34,7 @@ from pytest_pafot.execution.scenario_pool import (
     Digest,
     ExecutionError,
     ExecutorPool,
+    InGym,
     Job,
     LostRun,
     Made,
@@ -758,10 +759,30 @@ class Isolated(Processes):
         __tracebackhide__ = True
         if not afresh and scenario in self.ready:
             return made_apart(self.ready.pop(scenario))
-        pool = self._begun()
-        answer = pool.fetch(scenario)
+        answer = self._fetched(scenario)
         if isinstance(answer, tuple):
             self.count(1, answer[2])
+        return made_apart(answer)
+
+    def in_gym(self, scenario: Scenario) -> Trace:
+        """Return the run of a scenario with ``env.step`` of highway-env's own environment, from a different process.
+
+        It is one of the processes that make the other runs, so that no more policies drive at once than there are
+        workers. An executor's worker need not have the environment, so for an executor it is one of this machine.
+        """
+        __tracebackhide__ = True
+        if self._executor is None:
+            return trace_of(made_apart(self._fetched(InGym(scenario))))
+        here = Isolated(self._job, workers=1)
+        try:
+            return here.in_gym(scenario)
+        finally:
+            here.close(at_once=False)
+
+    def _fetched(self, task: Any) -> Answer:
+        __tracebackhide__ = True
+        pool = self._begun()
+        answer = pool.fetch(task)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
         if self._executor is not None and (unable := cast("ExecutorPool", pool).unable):
@@ -771,7 +792,7 @@ class Isolated(Processes):
                 f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "
                 f"{flag('isolate')}, so that this process makes such runs"
             )
-        return made_apart(answer)
+        return answer
 
     def _begun(self) -> ScenarioPool | ExecutorPool:
         try:
@@ -970,20 +991,6 @@ def _threads_below(folders: Iterable[Path]) -> list[str]:
         if any(each.is_relative_to(folder) for each in own for folder in folders):
             found.append(f"the thread {visible(thread.name)}")
     return found
-
-
-def replay_in_gym_apart(job: Job, record: CrashRecord, scenario: Scenario) -> Trace:
-    """Run a scenario with ``env.step`` of highway-env's own environment in a separate process.
-
-    Raises:
-        ProcessLostError: if the separate process died or hung.
-        ExecutionError: if no other process can be started.
-        Exception: any exception of the separate process.
-    """
-    __tracebackhide__ = True
-    in_gym = replace(job, world=_OtherRuns(job.world, job.world.rollout_in_gym))
-    with runner_for(in_gym, record, isolate=True) as runner:
-        return runner.run(scenario)
 
 
 # A scenario in which a process died runs again in a separate process before it is called a finding.

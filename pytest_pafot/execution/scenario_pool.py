@@ -172,12 +172,23 @@ class BlockTask:
         return f"block {self.number} of the search"
 
 
+@dataclass(frozen=True, slots=True)
+class InGym:
+    """A task of a process that runs a scenario with ``env.step`` of highway-env's own environment."""
+
+    scenario: Scenario
+
+    def __str__(self) -> str:
+        return str(self.scenario)
+
+
 Answer: TypeAlias = Timed | Exception
 """The answer to a scenario: a run, or an exception. This process may repeat the run after any exception, except after a
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-"""Its tasks are scenarios with an :data:`Answer`, or a :class:`BlockTask`, of which it says several :data:`Timed`."""
+"""Its tasks are scenarios, also :class:`InGym`, with an :data:`Answer`, or a :class:`BlockTask`, of which it says
+several :data:`Timed`."""
 
 
 class ExecutorPool(Protocol):
@@ -245,15 +256,17 @@ class Job:
         return self.world.hang_limit + GRACE
 
     @staticmethod
-    def run(made: Callable[[], Job], scenario: Scenario) -> tuple[Trace, CapturedOutput, float]:
-        """Run a scenario of the job that a function returns.
+    def run(
+        made: Callable[[], Job], scenario: Scenario, method: str = "rollout"
+    ) -> tuple[Trace, CapturedOutput, float]:
+        """Run a scenario of the job that a function returns, by a method of its world.
 
         Return the trace, the output of that function and of the run, and the duration of the run [s].
         """
         with capture_output() as output:
             job = made()
             started = time.perf_counter()
-            trace = rollout_of(job.world)(scenario, job.policy.factory)
+            trace = rollout_of(job.world, method)(scenario, job.policy.factory)
             seconds = time.perf_counter() - started
         return trace, output, seconds
 
@@ -309,13 +322,15 @@ def _memory(job: Job, size: int) -> int | None:
 
 
 def _run_task(
-    job: Job, record: CrashRecord, task: Scenario | BlockTask, say: Callable[[Timed], object]
+    job: Job, record: CrashRecord, task: Scenario | InGym | BlockTask, say: Callable[[Timed], object]
 ) -> Timed | None:
     """Run a scenario or a block in a process of the pool; the crash record of each scenario is on disk during its run.
 
     The record is closed after each task, since nothing would remove it after the session.
     """
     with record, GENERATORS.held():
+        if isinstance(task, InGym):
+            return run_recorded(job, record, task.scenario, read_nothing, "rollout_in_gym")
         if not isinstance(task, BlockTask):
             return run_recorded(job, record, task, job.read)
         assert job.drive is not None  # noqa: S101  (only then there are such tasks)
@@ -324,12 +339,16 @@ def _run_task(
 
 
 def run_recorded(
-    job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Facts | Digest | None]
+    job: Job,
+    record: CrashRecord,
+    scenario: Scenario,
+    read: Callable[[Trace], Facts | Digest | None],
+    method: str = "rollout",
 ) -> Timed:
-    """Run a scenario with its crash record on disk. The trace is read as ``Job.read`` does."""
+    """Run a scenario by a method of the world, with its crash record on disk. The trace is read as by ``Job.read``."""
     made = None
     record.write(scenario, reference=job.reference)
-    trace, output, seconds = Job.run(lambda: job, scenario)
+    trace, output, seconds = Job.run(lambda: job, scenario, method)
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
         made = read(trace)
     if isinstance(made, Digest) and made.facts is None:

@@ -99,7 +99,7 @@ class VehicleType(Pasteable):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle so that a ready vehicle is the same object in every process, which is compared in no time."""
-        return VehicleType.of, (self.plain(),)
+        return _unpickled, (self.plain(),)
 
     def __repr__(self) -> str:
         # Not super(), which a dataclass with slots does not have.
@@ -200,6 +200,11 @@ MOTORCYCLE = VehicleType(name="motorcycle", length=2.2, width=0.9, acceleration=
 """A motorcycle of SUMO's size, acceleration and braking. Usual worlds have lower limits, and then these hold."""
 
 READY = MappingProxyType({each.name: each for each in (CAR, VAN, TRUCK, MOTORCYCLE)})
+
+
+def _unpickled(plain: Any) -> VehicleType:
+    # Not the class method itself: cloudpickle sends its code, which is called before the names in it are there.
+    return VehicleType.of(plain)
 
 
 def without_last_cars(vehicles: Sequence[VehicleType]) -> tuple[VehicleType, ...]:

@@ -78,9 +78,19 @@ def searched(tmp_path, monkeypatch):
     return search
 
 
-def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, monkeypatch):
+ALONE = []
+
+
+@pytest.fixture
+def alone(searched):
+    """Return what a search tells that the session has driven alone, which the first test makes for all."""
+    if not ALONE:
+        ALONE.append(searched("alone")[0])
+    return {**ALONE[0]}
+
+
+def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, alone, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
-    alone, _ = searched("alone")
     began, give = [], blocks.Blocks.give
 
     def note(self, *given):
@@ -97,8 +107,8 @@ def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
     alone, numbers = searched("alone", drives=True, algorithm=algorithm)
     assert not numbers
     assert len(alone["files"]) >= 2
+    assert searched("2", workers=2, algorithm=algorithm) == (alone, [])
     for count, driven in ((2, [1, 2, 3, 4]), (3, [])):  # fewer than two blocks for each process are not given away
-        assert searched(f"{count}", workers=count, algorithm=algorithm) == (alone, [])
         assert searched(f"{count} driven", drives=True, workers=count, algorithm=algorithm) == (alone, driven)
 
 
@@ -139,13 +149,12 @@ def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
 
 @pytest.mark.parametrize("is_apart", [False, True])
 def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_note(
-    searched, tmp_path, monkeypatch, is_apart
+    searched, alone, tmp_path, monkeypatch, is_apart
 ):
     monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
     task = blocks.BlockTask
     if is_apart:
         monkeypatch.setattr(blocks, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
-    alone, _ = searched("alone")
     flag = tmp_path / "flag"
 
     def killed(observation):
@@ -208,10 +217,8 @@ def saved_early(monkeypatch):
 
 
 @pytest.mark.parametrize("drives", [True, False])
-def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch, drives):
+def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, alone, saved_early, monkeypatch, drives):
     monkeypatch.setattr(runner, "DEAR", 0.0)
-    alone, _ = searched("alone")
-    assert not saved_early
     assert searched("early", drives=drives, workers=2)[0] == alone
     names = [each.name for each in saved_early]
     assert names
@@ -241,6 +248,7 @@ def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early
 
 def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searched, saved_early):
     alone, _ = searched("alone", stop_after=STOP)
+    assert not saved_early
     assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
     assert saved_early
 
@@ -390,12 +398,11 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
 
 
 def test_what_a_session_that_was_killed_has_left_is_known_if_it_is_accepted(
-    searched, saved_early, tmp_path, monkeypatch
+    searched, alone, saved_early, tmp_path, monkeypatch
 ):
     given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
     end_when_something_is_saved_early(signal.SIGKILL, lambda: searched("parts", **given), monkeypatch)
     before = {path.name: path for path in (tmp_path / "parts").rglob("*.yaml")}
-    alone, _ = searched("alone")
     (left,) = before.keys() - {*alone["files"]}
     before[left].write_text(before[left].read_text() + "xfail: known\n")
     rest, _ = searched("parts", **given)
@@ -406,9 +413,8 @@ def test_what_a_session_that_was_killed_has_left_is_known_if_it_is_accepted(
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_a_session_that_is_killed_keeps_what_failed_and_the_next_one_has_all_in_order(
-    searched, saved_early, tmp_path, monkeypatch, end
+    searched, alone, saved_early, tmp_path, monkeypatch, end
 ):
-    alone, _ = searched("alone")
     given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
     end_when_something_is_saved_early(end, lambda: searched("parts", **given), monkeypatch)
     left = {each.name for each in (tmp_path / "parts").rglob("*.yaml")}

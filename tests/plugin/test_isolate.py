@@ -118,12 +118,12 @@ def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
 
 def test_ads_never_runs_in_the_session_process(isolated):
     project = isolated(test=MANY.replace("npcs=2", "npcs=2, isolate=True"))
-    _, contents = session(project, generations=2)
-    assert contents
+    _, contents = session(project, generations=3)
+    assert len(contents) > 1
+    assert len(pids(project)) == 2, "one process for the search, one for what follows it, and no more for each finding"
     project.run("-p", "no:cacheprovider", generations=1)
-    pids = [path.name for path in project.path.glob("pid-*")]
-    assert len(pids) > 3
-    assert f"pid-{os.getpid()}" not in pids
+    assert len(pids(project)) > 3
+    assert f"pid-{os.getpid()}" not in pids(project)
 
 
 def test_ads_that_ends_its_process_is_a_finding(isolated):

@@ -206,13 +206,13 @@ def simulated(state):
 
 
 @pytest.mark.processes
-def test_four_times_a_hundred_runs_are_four_hundred(project):
+def test_four_times_forty_runs_are_a_hundred_and_sixty(project):
     source = SOURCE.replace("SHORT, shrink_rollouts=10", "blame='ego', shrink_rollouts=30")
     project.write(source)
-    project.run("--pafot-runs=400", generations=None)
+    project.run("--pafot-runs=160", generations=None)
     whole = forget(project)
     for _ in range(4):
-        night(project, runs=100)
+        night(project, runs=40)
     assert project.contents == whole
 
 

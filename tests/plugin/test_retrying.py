@@ -7,9 +7,9 @@ import time
 import pytest
 
 import pytest_pafot.execution.scenario_pool
-from pytest_pafot.campaign import bench
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.crash_records import CrashRecord
+from pytest_pafot.execution.runner import Isolated
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
@@ -121,8 +121,8 @@ def test_no_record_of_the_session_stands_while_another_process_drives_in_highway
     standing, seen = [], []
     monkeypatch.setattr(CrashRecord, "write", lambda self, *scenarios, **_: standing.append(self))
     monkeypatch.setattr(CrashRecord, "clear", lambda _: standing.clear())
-    in_gym = bench.replay_in_gym_apart
-    monkeypatch.setattr(bench, "replay_in_gym_apart", lambda *given: seen.append(len(standing)) or in_gym(*given))
+    in_gym = Isolated.in_gym
+    monkeypatch.setattr(Isolated, "in_gym", lambda *given: seen.append(len(standing)) or in_gym(*given))
     write(project, "None", TEST.replace("pass", "assert not run.collision"))
     project.run("--pafot-isolate", generations=3)
     assert seen

@@ -171,9 +171,21 @@ def test_kill_loses_no_announced_finding_or_file(project):
     assert result.parseoutcomes()["failed"] >= 2
 
 
+IDLES = """
+import time
+
+def idles():
+    def drive(observation):
+        time.sleep(0.003)
+        return 0.0, 0.0
+    return drive
+"""
+
+
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(project):
-    project.write(TWO.replace("SHORT", "SHORT, runs=100000"))
+    # The workers search on for some seconds before pytest-xdist interrupts them.
+    project.write(IDLES + TWO.replace("SHORT", "SHORT, runs=100000, ads=idles"))
     command = [sys.executable, "-m", "pytest", "-q", "-n2", "-p", "xdist", "-p", "pafot"]
     with begun(
         [*command, "--pafot-json=x.json", "--pafot-report=x.html"], stdout=subprocess.PIPE, text=True
@@ -219,7 +231,7 @@ def test_a_finding_that_the_controller_has_read_and_not_yet_taken_is_not_lost(pr
     project.write(TWO.replace("SHORT", "SHORT, stop_after=1"))
     with (project.path / "conftest.py").open("a") as conftest:
         conftest.write(IN_BETWEEN)
-    result = project.run("-n1", "--pafot-json=x.json", generations=None, fresh=True)
+    result = project.run("-n1", "--pafot-json=x.json", generations=None, apart=True)
     record = json.loads((project.path / "x.json").read_text())
     assert (result.ret, record["exit"]) == (2, 2)
     files = [each["file"] for each in record["findings"]]
