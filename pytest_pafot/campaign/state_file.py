@@ -28,7 +28,7 @@ from pytest_pafot.support.errors import FieldError, RequestError, flag
 from pytest_pafot.support.files import hold, open_regular, way_out, write_whole
 from pytest_pafot.support.text import differences, visible
 
-VERSION = 9
+VERSION = 10
 """The version of the state's format. With a state of any other version a search begins anew."""
 
 MAX_BYTES = 1 << 28

@@ -64,7 +64,7 @@ _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
 WORLDS: Mapping[str, Keys] = MappingProxyType(
     {
         "highway": Keys(("kind", "lanes", "speed_limit", "physics_hz", "ads_hz", "duration", *_BUILT_IN), ("ego",)),
-        "gym": Keys(("kind", "env_id", "config", "duration", *_BUILT_IN), ("wrappers", "planner_hz", "ego")),
+        "gym": Keys(("kind", "env_id", "config", "duration", *_BUILT_IN), ("wrappers", "planner_hz", "ego", "ends")),
         "own": Keys(("kind",), ("class", "data")),
     }
 )

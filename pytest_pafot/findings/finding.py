@@ -699,9 +699,12 @@ def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: 
 def unhandled(finding: Finding, run: Run) -> str:
     """Return why a passing run did not handle the situation of a file; empty if it handled it, or if that is unknown.
 
-    Either the situation did not come up, or the ego still collides with the file's NPC and the test accepts that.
+    Either the environment ended the run before the time of the failure, or the situation did not come up, or the ego
+    still collides with the file's NPC and the test accepts that.
     """
-    expect, hit = finding.expect, run.collision
+    expect, hit, ended = finding.expect, run.collision, run.trace.ended
+    if ended and not run.trace.users_error_text and run.duration < expect.time:
+        return f"{ended} ended the run after {run.duration:.1f} s, before the saved failure at {expect.time:.1f} s"
     why = missed(expect.situation, run)
     is_about_it = expect.outcome is Outcome.COLLISION and expect.check is None and not finding.signature.is_property
     if why or expect.situation is None or not is_about_it or hit is None or hit.npc != expect.situation.npc:

@@ -37,7 +37,7 @@ class Outcome(StrEnum):
     """The ways in which a run can end."""
 
     SAFE = "safe"
-    """The run lasted for its full duration, and none of the other outcomes occurred."""
+    """The run lasted for its full duration or the environment ended it, and none of the other outcomes occurred."""
     OFF_ROAD = "off_road"
     """The ego's centre was off the road, which ends runs on roads that are not straight."""
     LEFT_ROUTE = "left_route"
@@ -47,8 +47,8 @@ class Outcome(StrEnum):
     COLLISION = "collision"
     """The ego's box touched an NPC's or a fixed object; the run ended there."""
     INVALID = "invalid"
-    """Two NPCs touched, an NPC touched a fixed object, or the driver of a free NPC failed; the run says nothing about
-    the ego and ended there."""
+    """Two NPCs touched, an NPC touched a fixed object, or the user's code failed that drives a free NPC or ends
+    episodes; the run says nothing about the ego and ended there."""
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned no valid action; the run ended there."""
     HANG = "hang"
@@ -510,6 +510,8 @@ class Trace(Shown):
             [m].
         drew: True if the run drew from a global random generator, so that another seed may give another run.
         ego_vehicle: what vehicle the world says that the ego is.
+        ended: what of the environment's own ended the run before its time, such as ``GoalEnv._is_terminated``. With
+            the outcome ``invalid``, it also has the error that was raised there. Else empty.
     """
 
     scenario: Scenario
@@ -538,12 +540,13 @@ class Trace(Shown):
     drew: bool = False
     npc_error: tuple[int, AdsError] | None = None
     ego_vehicle: VehicleType = CAR
+    ended: str = ""
 
     @property
-    def npc_error_text(self) -> str:
-        """A line on the driver of a free NPC that failed, with its error; empty if none did."""
+    def users_error_text(self) -> str:
+        """A line on the user's code that made the run invalid, with its error: the driver of a free NPC, or an end."""
         if self.npc_error is None:
-            return ""
+            return self.ended if self.outcome is Outcome.INVALID else ""
         npc, error = self.npc_error
         first = self.scenario.npcs[npc][0]
         return f"the driver {getattr(first, 'driver', first.name)} failed: {error.text}"

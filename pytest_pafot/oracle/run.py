@@ -580,12 +580,13 @@ class Run(Shown):
             return f"{kind} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
         if self.outcome is Outcome.INVALID:
             more = ", or one touched a fixed object" if self.trace.obstacles else ""
-            why, npc = self.trace.npc_error_text or f"two NPCs touched{more}", self.trace.npc_error
+            why, npc = self.trace.users_error_text or f"two NPCs touched{more}", self.trace.npc_error
             why += "" if npc is None else f" (NPC {npc[0]})"
             return f"invalid after {self.duration:.1f} s: {why}"
+        over = f", which {self.trace.ended} ended" if self.trace.ended else ""
         if self.off_road:
-            return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s"
-        return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, '')}"
+            return f"the ego left the road after {self.event_time:.1f} s; no collision in {self.duration:.1f} s{over}"
+        return f"no collision in {self.duration:.1f} s{_DEPARTURES.get(self.outcome, over)}"
 
     def _measures(self) -> list[str]:
         brake, hit = self._hardest_brake(), self.collision

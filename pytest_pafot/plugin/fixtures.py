@@ -133,11 +133,11 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
         hypothesis = sys.modules.get("hypothesis")
         is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
         if run.outcome is Outcome.INVALID and not is_generated:
-            why = "two NPCs or an NPC and a fixed object touched"
-            why = run.trace.npc_error_text or why
+            why = run.trace.users_error_text or "two NPCs or an NPC and a fixed object touched"
+            what = "driver" if run.trace.npc_error else "environment" if run.trace.ended else "scenario"
             warnings.warn(
                 f"pafot_simulate: the run is invalid, because {why}; it ended there and says nothing about the ego. "
-                f"Correct the {'driver' if run.trace.npc_error else 'scenario'}",
+                f"Correct the {what}",
                 pytest.PytestWarning,
                 stacklevel=2,
             )

@@ -72,7 +72,9 @@ class Evaluation:
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
         at_object: whether the run is invalid because an NPC touched a fixed object, see :func:`ended_at_object`.
-        npc_error: the name and the error of the driver of a free NPC that failed, so that the run is invalid.
+        users_error: the user's code that failed, the driver of a free NPC or what ends episodes, and its error, so that
+            the run is invalid.
+        ended: what of the environment's own ended the run before its time; empty if nothing did.
         note: any data that ``evaluate`` adds, to get it back with the evaluation, also if the evaluation is reused.
     """
 
@@ -97,7 +99,8 @@ class Evaluation:
     demand: Demand = (0, 0, False)
     crossing: int | None = None
     at_object: bool = False
-    npc_error: str = ""
+    users_error: str = ""
+    ended: str = ""
     note: Any = field(default=None, compare=False, repr=False)
     _measured: float | None = field(init=False, repr=False)  # compared for fitness; NaN is not equal to itself
 
@@ -147,7 +150,8 @@ class Evaluation:
             demand=demand_of(trace),
             crossing=nearest_crossing(trace),
             at_object=ended_at_object(trace),
-            npc_error=trace.npc_error_text,
+            users_error=trace.users_error_text,
+            ended=trace.ended,
         )
 
     @property
@@ -238,7 +242,7 @@ def nearest_crossing(trace: Trace) -> int | None:
 
 def ended_at_object(trace: Trace) -> bool:
     """Return whether a run is invalid because an NPC touched a fixed object: no two NPCs touch at its end."""
-    if trace.outcome is not Outcome.INVALID or not trace.obstacles or trace.npc_error is not None:
+    if trace.outcome is not Outcome.INVALID or not trace.obstacles or trace.users_error_text:
         return False
     last = Encounters(trace).boxes.part(slice(1, None), slice(-1, None))
     npcs = [last.part(slice(npc, npc + 1), slice(None)) for npc in range(len(last.x))]

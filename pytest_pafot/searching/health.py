@@ -121,9 +121,9 @@ class Health:
 
     evaluated: int = 0  # scenarios that the algorithm requested
     simulated: int = 0  # those of them that were run; the others were known
-    invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched, or the driver of an NPC failed
+    invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched, or code of the user's failed
     at_object: int = 0  # those of them in which no two NPCs touched
-    npc_errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which the driver of an NPC failed
+    users_errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which code of the user's failed
     discarded: int = 0  # runs that the user's function declined, or whose process ended
     genes_started: int = 0  # over all NPCs, like the next; without runs that an ADS error cut short
     genes_reached: int = 0
@@ -136,6 +136,7 @@ class Health:
     outran: int = 0  # runs in which the ego left all NPCs behind
     barely_moved: int = 0  # runs in which the ego hardly drove
     immediate: int = 0  # collisions within the first second
+    over: Counter[str] = field(default_factory=Counter)  # runs that the environment ended within the first second
     coverage: Coverage = field(default_factory=Coverage)  # requested, driven and reached instructions
 
     @classmethod
@@ -157,7 +158,7 @@ class Health:
             simulated=len(runs),
             invalid=invalid,
             at_object=sum([each.at_object for each in runs]),
-            npc_errors=Counter([each.npc_error for each in runs if each.npc_error]),
+            users_errors=Counter([each.users_error for each in runs if each.users_error]),
             discarded=len(runs) - len(valid) - invalid,
             genes_started=sum([each.genes_started for each in whole]),
             genes_reached=sum([each.genes_reached for each in whole]),
@@ -169,6 +170,7 @@ class Health:
             outran=sum([each.outran for each in driven]),
             barely_moved=sum([each.barely_moved for each in driven]),
             immediate=sum([each.duration < IMMEDIATE for each in hits]),
+            over=Counter([each.ended for each in driven if each.ended and each.duration <= IMMEDIATE]),
             coverage=Coverage.of(runs),
         )
 
@@ -214,11 +216,16 @@ class Health:
             where = "where an NPC touched a fixed object"
             crash = where if self.at_object == self.invalid else f"{crash} or, {self.at_object} of them, {where},"
             remedy = "NPCs do not avoid objects: use shorter runs (duration= of the world), fewer NPCs or fewer objects"
-        if failed := sum(self.npc_errors.values()):
-            where = "when the driver of a free NPC failed"
+        if failed := sum(self.users_errors.values()):
+            (most, _), *_ = self.users_errors.most_common(1)
+            where, remedy = (
+                "when a method that ends episodes failed",
+                'correct it, or write ends="duration" in the world',
+            )
+            if most.startswith("the driver "):
+                where = "when the driver of a free NPC failed"
+                remedy = "correct that driver, or leave it out of drivers="
             crash = where if failed == self.invalid else f"{crash} or, {failed} of them, {where},"
-            remedy = "correct that driver, or leave it out of drivers="
-            (most, _), *_ = self.npc_errors.most_common(1)
             found.append(f"{plural(failed, 'simulated scenario')} tested nothing; most often {most:.300}; {remedy}")
         if self.vacuous:
             found.append(
@@ -250,6 +257,13 @@ class Health:
             if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
                 told = advice.format(actions=IN_SI if acts_in_si else IN_ENVIRONMENT)
                 found.append(f"{_percent(count, self.valid)} valid runs {what}; {told}")
+        if _share(self.over.total(), self.valid) > MAX_USELESS_SHARE:
+            (most, _), *_ = self.over.most_common(1)
+            found.append(
+                f"{_percent(self.over.total(), self.valid)} valid runs were ended by the environment within the first "
+                f"second, most often by {most}, before an NPC can have caused anything; correct it, or write "
+                'ends="duration" in the world, so that runs go on'
+            )
         return found
 
 

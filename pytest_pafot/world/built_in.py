@@ -21,7 +21,7 @@ from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.lock_step import rollouts
-from pytest_pafot.world.engines.run import SteppedRun, drives_itself
+from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun, drives_itself
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
@@ -337,7 +337,13 @@ class BuiltInWorld(BaseWorld):
         """Simulate a scenario by the given rules with a planner in SI units; see :func:`planner_run`."""
         guard = HangGuard(rules.hang_limit)
         stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
-        return planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body).finish()
+        run = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
+        run.ends = self._own_ends(rules, scenario, run.vehicles, guard)
+        return run.finish()
+
+    def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
+        """Return what may end a run before its time, in the environment of this world; None if nothing does."""
+        return None
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""

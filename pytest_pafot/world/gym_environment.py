@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import difflib
 import inspect
+import itertools
 import math
 import textwrap
 import warnings
@@ -104,6 +105,12 @@ LEAST_NUMBERS = MOST_NUMBERS // 20
 WITH_EGO = ("controlled_vehicles", "road", "action_type", "observation_type")
 """The attributes of an environment through which highway-env reaches the ego, and in which a run puts its own."""
 
+ENDS = ("_is_terminated", "_is_truncated")
+"""The methods of environments that say after a step that the episode is over."""
+ENDED_ANYWAY = ("AbstractEnv", "ExitEnv", "LaneKeepingEnv", "RacetrackEnv", "RoundaboutEnv", "TwoWayEnv", "UTurnEnv")
+"""The classes of highway-env that terminate episodes only by a crash, or where the ego leaves a bent road, at which
+runs end without being asked; or never."""
+
 LEFT_OUT = ("_reward", "_rewards", "_info", "_is_terminated", "_is_truncated")
 """The methods of environments that only their ``step`` and ``reset`` call, and what a run needs does not."""
 
@@ -116,8 +123,7 @@ PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
 
-These wrappers check calls or end episodes; they change neither observations nor actions. The world, and not
-``TimeLimit``, decides the duration of a run, just as the world overrides the environment's own ``duration``.
+These wrappers check calls or end episodes; they change neither observations nor actions.
 """
 
 
@@ -308,6 +314,36 @@ class GymEnvironment:
         has_own_road = steps or "step" in vars(road) or has_own_act(road)
         return has_own_road or not (drives_itself or has_known_step(type(env)))
 
+    @cached_property
+    def own_ends(self) -> tuple[str, ...]:
+        """The methods of the environment that may end an episode for other reasons than runs know.
+
+        Runs know contacts, the time and, on roads that are not straight, that the ego has left the road.
+        """
+        found, cls, config = [], type(self.unwrapped), self.unwrapped.config
+        for name in ENDS:
+            method = getattr(cls, name)
+            owner = method.__qualname__.partition(".")[0]
+            by_crash = owner in ENDED_ANYWAY or (owner == "HighwayEnv" and not config.get("offroad_terminal"))
+            is_stock = str(method.__module__).startswith("highway_env.")
+            if not is_stock or (name == "_is_terminated" and not by_crash):
+                found.append(name)
+        return tuple(found)
+
+    @cached_property
+    def step_limit(self) -> int | None:
+        """The number of steps of the environment to which gymnasium's ``TimeLimit`` limits an episode; None without.
+
+        A limit outside of other wrappers, which may repeat steps, only counts where runs step these wrappers.
+        """
+        inner = itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
+        return min((each._max_episode_steps for each in inner if isinstance(each, TimeLimit)), default=None)
+
+    @property
+    def has_own_ends(self) -> bool:
+        """True if an episode may end where a run would go on that only its duration ends."""
+        return bool(self.own_ends) or self.step_limit is not None
+
     def episodes_itself(self, *, drives_itself: bool) -> bool:
         """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
 
@@ -391,7 +427,9 @@ class GymEnvironment:
                 return str(name)
         return ""
 
-    def without_effect(self, *, is_planner: bool, drives_itself: bool, simulates: bool) -> dict[str, list[str]]:
+    def without_effect(
+        self, *, is_planner: bool, drives_itself: bool, simulates: bool, ends: bool
+    ) -> dict[str, list[str]]:
         """Return the given options that have no effect in a search, under what has it in their place.
 
         Rewards and drawing are not among them: they keep their meaning for wrappers and for a ``step`` of the user's.
@@ -400,6 +438,7 @@ class GymEnvironment:
             is_planner: whether the ego decides in SI units.
             drives_itself: whether the ego is a vehicle class, which may follow others as highway-env's traffic does.
             simulates: whether the ego's policy gets the environment, with vehicles of its traffic's class.
+            ends: whether the environment's own ends end runs.
         """
         given, is_straight = self.config or {}, self.straight_road is not None
         found: dict[str, list[str]] = {}
@@ -415,7 +454,7 @@ class GymEnvironment:
                 told = "headway= of the world sets the gaps at the start"
             elif name == "initial_lane_id" and is_straight and given[name] is not None:
                 told = f"write ego_lane={given[name]!r:.20}"
-            elif name == "offroad_terminal" and is_straight and given[name]:
+            elif name == "offroad_terminal" and is_straight and given[name] and not ends:
                 told = "runs on a straight road go on, and run.off_road says that the ego left it"
             elif name in ("offroad_terminal", "terminate_off_road") and not is_straight and not given[name]:
                 told = "runs on this road end where the ego leaves it"
@@ -516,10 +555,14 @@ def has_known_step(cls: Any) -> bool:
 
 def wrapper_names(env: Any) -> list[str]:
     """Return the class names of an environment's wrappers that are not in :data:`NEUTRAL`, the innermost first."""
+    return [type(each).__name__ for each in wrappers_of(env) if type(each) not in NEUTRAL]
+
+
+def wrappers_of(env: Any) -> list[Any]:
+    """Return all wrappers of an environment, the innermost first."""
     found = []
     while isinstance(env, gymnasium.Wrapper):
-        if type(env) not in NEUTRAL:
-            found.append(type(env).__name__)
+        found.append(env)
         env = env.env
     return found[::-1]
 

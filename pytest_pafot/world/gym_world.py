@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
-from pytest_pafot.world.engines.run import SteppedRun
+from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
@@ -37,6 +37,9 @@ from pytest_pafot.world.validation import (
 
 if TYPE_CHECKING:
     from pytest_pafot.world.gym_environment import GymEnvironment
+
+ENDS = ("environment", "duration")
+"""What may end runs in an environment besides their events: also its own ends, or their duration alone."""
 
 LONGEST_RUN = 60.0
 """The paper's duration of a run [s]. It is the default if an environment states no duration, and on roads that are not
@@ -64,6 +67,8 @@ class World(BuiltInWorld):
             ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
             ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
         lasts, npc_drivers, ego: as in :class:`pytest_pafot.Highway`.
+        ends: ``"environment"`` if a run also ends where an episode of the environment does: by its own
+            ``_is_terminated`` and ``_is_truncated``, by wrappers and by a limit of steps; ``"duration"`` if it goes on.
 
     Raises:
         WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by
@@ -82,6 +87,7 @@ class World(BuiltInWorld):
     lasts: float | None = field(default=None, compare=False)
     npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
     ego: VehicleType = CAR
+    ends: str = "environment"
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:
@@ -97,6 +103,8 @@ class World(BuiltInWorld):
             object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
         if self.planner_hz is not None:
             object.__setattr__(self, "planner_hz", whole_within("planner_hz", self.planner_hz, *ADS_HZ))
+        if self.ends not in ENDS:
+            raise WorldError(field="ends", expected=f"one of {', '.join(ENDS)}", received=f"{self.ends!r:.200}")
         if self.wrappers is None:
             return
         if self.planner_hz is not None:
@@ -242,13 +250,20 @@ class World(BuiltInWorld):
         is_planner, rules = self.planner_hz is not None, self.driven_in((scenario,), ads_factory).rules
         return replay_environment(self.environment, rules, scenario, Policy(ads_factory), is_planner=is_planner)
 
+    def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
+        from pytest_pafot.world.engines.policies import ends_beside  # noqa: PLC0415  (imports highway-env)
+
+        return ends_beside(self.environment, rules, scenario, vehicles, guard)
+
     def _can_drive_npcs(self, factory: AdsFactory) -> bool:
         """Return whether a policy could drive an NPC, too, which has no observation or action of the environment."""
         return self.planner_hz is not None or Policy(factory).drives_itself
 
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         if self.planner_hz is not None:
-            return planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
+            run = planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
+            run.ends = self._own_ends(self.rules, scenario, run.vehicles, guard)
+            return run
         self.environment.check_keeps_no_ego()
         from pytest_pafot.world.engines.policies import begin  # noqa: PLC0415  (imports highway-env)
 
@@ -268,14 +283,18 @@ class World(BuiltInWorld):
 
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the options of ``config`` that have no effect in a search, under what has it in their place."""
-        is_planner = self.planner_hz is not None
-        return self.environment.without_effect(is_planner=is_planner, drives_itself=drives_itself, simulates=simulates)
+        is_planner, ends = self.planner_hz is not None, self.ends == "environment"
+        return self.environment.without_effect(
+            is_planner=is_planner, drives_itself=drives_itself, simulates=simulates, ends=ends
+        )
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:
         """The environment's own methods that change its state, but are not called in runs, with what they change."""
         is_episode = self.wrappers is not None or self.environment.episodes_itself(drives_itself=False)
-        return {} if is_episode or self.planner_hz is not None else self.environment.left_out
+        left_out = {} if is_episode or self.planner_hz is not None else self.environment.left_out
+        asked = () if self.ends == "duration" else self.environment.own_ends
+        return {name: changed for name, changed in left_out.items() if name not in asked}
 
     @property
     def has_traffic_in_reset(self) -> bool:
@@ -304,6 +323,8 @@ class World(BuiltInWorld):
         data["duration"] = self._wanted if self.road.is_straight else min(self._wanted, self._longest)
         if self.planner_hz is None:
             del data["planner_hz"]
+        if self.ends == "environment" or not (self.wrappers or self.environment.has_own_ends):
+            del data["ends"]
         return data if self.wrappers is None else {**data, "wrappers": self.environment.wrapper_names}
 
     @cached_property
@@ -351,7 +372,14 @@ class World(BuiltInWorld):
                 duration = min(duration, (way.end - way.start) / way.ego_speed)
         rates = {"physics_hz": physics_hz, "ads_hz": ads_hz}
         obstacles = self.environment.obstacles
-        return self._rules_on(road, **rates, duration=duration, obstacles=obstacles)
+        made = self._rules_on(road, **rates, duration=duration, obstacles=obstacles)
+        if self.ends == "duration":
+            return made
+        made = replace(made, ends=self.environment.own_ends)
+        if (steps := self.environment.step_limit) is None:
+            return made
+        limit = steps * made.step_ticks
+        return replace(made, step_limit=limit, duration=min(duration, limit / physics_hz))
 
     @property
     def _wanted(self) -> float:

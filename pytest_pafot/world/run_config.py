@@ -46,6 +46,8 @@ class Rules:
         obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
         drivers: the factories of the drivers of free NPCs, by name; ``policy`` is the policy under test.
         drivers_hz: their decisions per second; None for ``ads_hz``, which reference drivers change.
+        ends: the environment's own methods that may end a run, see ``OwnEnds``; None if only the duration ends it.
+        step_limit: the number of ticks after which a limit of the environment's steps ends a run; None without one.
     """
 
     road: Road
@@ -61,6 +63,13 @@ class Rules:
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drivers: Mapping[str, Any] = field(default_factory=dict)
     drivers_hz: int | None = None
+    ends: tuple[str, ...] | None = None
+    step_limit: int | None = None
+
+    @property
+    def step_ticks(self) -> int:
+        """The number of ticks of a step of the environment, which is as long as a decision of the policy under test."""
+        return self.physics_hz // (self.drivers_hz or self.ads_hz)
 
     @property
     def crossings(self) -> Crossings | None:
@@ -279,7 +288,8 @@ class Rules:
     def ticks(self, scenario: Scenario) -> int:
         """Return the number of physics ticks of a run that no collision or failure ends early."""
         seconds = min(self.duration, scenario.seconds) if self.lasts is None else self.lasts
-        return int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
+        ticks = int(seconds * self.physics_hz + 1e-9)  # rounding must not lose a tick
+        return ticks if self.step_limit is None else min(ticks, self.step_limit)
 
 
 def _not_crossing(scenario: Scenario) -> list[tuple[int, Instruction, VehicleType]]:

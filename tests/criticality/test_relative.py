@@ -88,7 +88,9 @@ def driven(*vehicles, touched=False):
         places.see(rows, tick * count * COLUMNS)
     scenario = scenario_of(count - 1)
     run = object.__new__(VehiclesOfRun)
-    run.rules = SimpleNamespace(physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=(), ego=CAR)
+    run.rules = SimpleNamespace(
+        physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=(), ego=CAR, step_limit=None
+    )
     run.scenario, run.director = (
         scenario,
         SimpleNamespace(executed=scenario, arrivals=(), driven=(), begun=(), handed_over=()),

@@ -91,16 +91,18 @@ def test_observations_and_rewards_match_the_original_environment(env_id, action)
 
 
 def test_episode_that_the_environment_ends_has_its_record():
-    """The environment ends where the ego is beyond 370 m, and the run at the end of the road, at 460 m."""
+    """The environment ends where the ego is beyond 370 m, and the road at 460 m."""
     world = pafot.World("merge-v0")
     behind = Scenario(npcs=[[PositionInstruction(6, 10.0)] * 3], ego_speed=30.0)
     env = pafot.training_env(world, [behind], share=1.0)
     _, results = driven(env, 0, keeping(1))
     assert results[-1][2:4] == (True, False)
     trace = world.rollout(env.trace.scenario, lambda: keeping(1))
-    assert (env.trace.outcome, trace.outcome) == ("safe", "end_of_road")
-    assert 370 < env.trace.states[-1, 0, 0] < 395 < trace.states[-1, 0, 0]
-    assert np.array_equal(env.trace.states, trace.states[: len(env.trace.states)])
+    assert (env.trace.outcome, env.trace.ended) == ("safe", "MergeEnv._is_terminated")
+    assert 370 < env.trace.states[-1, 0, 0] < 395
+    assert np.array_equal(env.trace.states, trace.states)
+    longer = pafot.World("merge-v0", ends="duration").rollout(env.trace.scenario, lambda: keeping(1))
+    assert (longer.outcome, longer.ended) == ("end_of_road", "")
 
 
 def test_crash_ends_scenario_with_the_reward_for_crashes():

@@ -55,8 +55,11 @@ WITH_GAPS = ("roundabout-v0", "roundabout-v1")
 
 @functools.cache
 def world_of(env_id, duration=None):
-    """Return a world, made once because the survey of a road takes as long as many runs on it."""
-    return World(env_id, duration=duration)
+    """Return a world, made once because the survey of a road takes as long as many runs on it.
+
+    Runs go on to the end of the road, past those of merges and intersections.
+    """
+    return World(env_id, duration=duration, ends="duration")
 
 
 def space_of(world, npcs=2, traffic="paper"):

@@ -363,7 +363,7 @@ def test_error_of_a_kinds_planner_names_the_kind():
     register(kind, drives="itself")
     scenario = Scenario(npcs=((kind(beside=1, ahead=20.0, speed=20.0, period=4.0),),))
     trace = Highway().rollout(scenario, lambda: lambda seen: (0.0, 0.0))
-    assert trace.npc_error_text.startswith("the driver late failed: ZeroDivisionError")
+    assert trace.users_error_text.startswith("the driver late failed: ZeroDivisionError")
     kind = changed(name="late", planner=lambda self: 3)
     register(kind, drives="itself")
     scenario = Scenario(npcs=((kind(beside=1, ahead=20.0, speed=20.0, period=4.0),),))

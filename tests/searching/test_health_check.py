@@ -55,6 +55,25 @@ def test_a_search_without_a_valid_run_is_vacuous(make_evaluation, fields):
     assert any(warning.startswith("none of 4 simulated scenarios gave a valid run") for warning in health.warnings())
 
 
+def test_a_search_whose_runs_the_environment_ends_at_once_says_so(make_evaluation):
+    over, later = ({"ended": "GoalEnv._is_terminated", "duration": seconds} for seconds in (0.8, 8.0))
+    assert health_of(make_evaluation, (9, later)).warnings() == []
+    assert health_of(make_evaluation, (3, later), (6, over)).warnings() == [
+        "67 % (6) of 9 valid runs were ended by the environment within the first second, most often by "
+        'GoalEnv._is_terminated, before an NPC can have caused anything; correct it, or write ends="duration" in '
+        "the world, so that runs go on"
+    ]
+
+
+def test_an_error_in_what_ends_episodes_is_named_with_what_to_do(make_evaluation):
+    failed = {"outcome": Outcome.INVALID, "users_error": "GoalEnv._is_terminated failed: KeyError: 'goal'"}
+    (first, *_) = health_of(make_evaluation, (4, failed)).warnings()
+    assert first == (
+        "4 simulated scenarios tested nothing; most often GoalEnv._is_terminated failed: KeyError: 'goal'; correct it, "
+        'or write ends="duration" in the world'
+    )
+
+
 def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
     invalid = {"outcome": Outcome.INVALID}
     assert health_of(make_evaluation, (3, {}), (1, invalid)).warnings() == []

@@ -158,8 +158,8 @@ def test_what_json_cannot_hold_is_refused():
         (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
         (Steps, [0.5, 3], "", "a list of 3"),
         (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
-        (Evaluation, plain([None]) * 22, "[0]", "a scenario"),
-        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 22, "[0].speed", "m/s"),
+        (Evaluation, plain([None]) * 23, "[0]", "a scenario"),
+        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 23, "[0].speed", "m/s"),
         (Collision | None, [], "", "a list of 8"),
     ],
 )

@@ -145,7 +145,7 @@ CASES = {
 )
 def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     config, wrappers = CASES[case]
-    world = World("highway-v0", config=config, duration=4.0, wrappers=wrappers)
+    world = World("highway-v0", config=config, duration=4.0, wrappers=wrappers, ends="duration")
     listener = Listener(world.environment.make().action_space)
     trace = world.rollout(SCENARIO, lambda: listener)
 
@@ -332,7 +332,7 @@ def test_wrapper_list_is_added_to_the_registered_wrappers(how, register):
 def test_default_gymnasium_wrappers_are_no_reason_to_refuse(register):
     register("mine-v0", entry_point=HighwayEnv, max_episode_steps=3)
     assert gymnasium.make("mine-v0").spec.max_episode_steps == 3
-    assert World("mine-v0", duration=5.0).rollout(SCENARIO, lambda: lambda seen: 1).duration == 5.0
+    assert World("mine-v0", duration=5.0).rollout(SCENARIO, lambda: lambda seen: 1).duration == 3.0
     assert "wrappers" not in World("mine-v0").to_dict()
 
 
@@ -876,7 +876,9 @@ def test_rewards_that_change_the_state_are_named_where_no_run_calls_them(registe
     assert World("mine-v0").left_out == {"_reward": ("fuel", "vehicle.calls")}
     assert World("mine-v0", wrappers=[]).left_out == World("mine-v0", planner_hz=5).left_out == {}
     register("third-v0", entry_point=Urging)
-    assert World("third-v0").left_out == {"_rewards": ("vehicle.target_speed",), "_is_terminated": ("asked",)}
+    rewards = {"_rewards": ("vehicle.target_speed",)}
+    assert World("third-v0").left_out == rewards
+    assert World("third-v0", ends="duration").left_out == rewards | {"_is_terminated": ("asked",)}
     register("other-v0", entry_point=Scoring)
     assert World("other-v0").left_out == World("highway-v0").left_out == {}
 
@@ -1145,8 +1147,7 @@ def test_every_option_of_highway_env_is_used_refused_or_named():
     ("env_id", "config", "names"),
     [
         ("highway-v0", {"initial_lane_id": 0, "vehicles_density": 2, "offroad_terminal": True, "lanes_count": 3},
-         {"write ego_lane=0": ["initial_lane_id"], TRAFFIC_TOLD: ["vehicles_density"],
-          "runs on a straight road go on, and run.off_road says that the ego left it": ["offroad_terminal"]}),
+         {"write ego_lane=0": ["initial_lane_id"], TRAFFIC_TOLD: ["vehicles_density"]}),
         ("highway-v0", {"ego_spacing": 3}, {"headway= of the world sets the gaps at the start": ["ego_spacing"]}),
         ("highway-v0", {"initial_lane_id": None, "offroad_terminal": False, "collision_reward": -9}, {}),
         ("intersection-v0", {"spawn_probability": 0, "initial_vehicle_count": 3},
@@ -1157,6 +1158,12 @@ def test_every_option_of_highway_env_is_used_refused_or_named():
     ])  # fmt: skip
 def test_option_that_something_replaces_is_named_with_what_does(env_id, config, names):
     assert World(env_id, config=config).options_without_effect(drives_itself=False) == names
+
+
+def test_option_that_ends_episodes_is_named_where_the_duration_ends_runs():
+    world = World("highway-v0", config={"offroad_terminal": True}, ends="duration")
+    told = "runs on a straight road go on, and run.off_road says that the ego left it"
+    assert world.options_without_effect(drives_itself=False) == {told: ["offroad_terminal"]}
 
 
 @table(
@@ -1276,7 +1283,10 @@ def test_wrapper_exception_is_ads_failure_at_its_decision(seen_before):
 
 
 def test_wrapper_that_does_not_step_is_reported():
-    world = World("highway-v0", duration=5.0, wrappers=[partial(TimeLimit, max_episode_steps=2), Autoreset])
+    wrappers = [partial(TimeLimit, max_episode_steps=2), Autoreset]
+    trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
+    assert (trace.duration, trace.ended) == (2.0, "the limit of 2 steps")
+    world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
     with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
 
@@ -1321,4 +1331,6 @@ def test_a_crash_that_only_the_environment_sees_is_no_collision(register):
     queue = Scenario(npcs=[[PositionInstruction(2, 5.0)]], gene_seconds=10.0)
     assert World("highway-v0").rollout(queue, IDLE).outcome is Outcome.COLLISION
     trace = World("mine-v0").rollout(queue, IDLE)
-    assert (trace.outcome, trace.duration) == (Outcome.SAFE, 10.0)
+    assert (trace.outcome, trace.ended, trace.duration < 10.0) == (Outcome.SAFE, "Cautious.step", True)
+    trace = World("mine-v0", ends="duration").rollout(queue, IDLE)
+    assert (trace.outcome, trace.ended, trace.duration) == (Outcome.SAFE, "", 10.0)

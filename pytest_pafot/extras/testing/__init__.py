@@ -503,7 +503,7 @@ def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
         usual = "a run in the world of lasting begins as usual"
         _promise(begins, usual, f"other states or lanes for {each.scenario}")
         # An event may end it earlier.
-        least = seconds if longer.outcome is Outcome.SAFE else trace.duration
+        least = seconds if longer.outcome is Outcome.SAFE and not longer.ended else trace.duration
         _promise(
             least - trace.dt - ROUNDING <= longer.duration <= seconds + trace.dt + ROUNDING,
             "a run in the world of lasting lasts as long as asked",

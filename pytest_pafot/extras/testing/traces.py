@@ -282,7 +282,7 @@ def contacts(trace: Trace) -> Promises:
     gaps = [-deep[-1] - np.abs(rows[:, a, SPEED] - rows[:, b, SPEED]).max() * trace.dt
             for (a, b), deep in zip(pairs, most, strict=True)]  # fmt: skip
     count = trace.states.shape[1] - 1  # The pairs with the ego come first.
-    if trace.outcome is Outcome.INVALID and trace.npc_error is None:
+    if trace.outcome is Outcome.INVALID and not trace.users_error_text:
         gap, at_object = min(gaps[count:], default=np.inf), any(_at_object(trace, npc + 1) for npc in range(count))
         promise = "boxes of two NPCs, or of one and an obstacle, touch at the end of a run with the outcome invalid"
         yield gap <= DEEP or at_object, promise, f"{gap:.1f} m"
@@ -373,7 +373,7 @@ def end(world: Any, trace: Trace) -> Promises:
     """Yield that a run lasts as long as its outcome says, and that its ticks of events are ticks of the run."""
     scenario, off = trace.scenario, np.flatnonzero(trace.ego[:, LANE] < 0)
     longest = min(float(world.longest_run), scenario.seconds) if not scenario.crossings else 0.0
-    is_whole = trace.outcome is not Outcome.SAFE or trace.duration >= longest - 2.5 * trace.dt
+    is_whole = trace.outcome is not Outcome.SAFE or bool(trace.ended) or trace.duration >= longest - 2.5 * trace.dt
     promise = f"states of a run with the outcome safe last {longest:g} s, with physics_hz rows a second"
     received = f"{trace.ticks} ticks at {trace.physics_hz} Hz, {trace.duration:g} s"
     yield is_whole or not trace.road.is_straight, promise, received

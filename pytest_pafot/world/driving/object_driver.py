@@ -75,6 +75,9 @@ class ObjectDriver(GuardedDriver):
         foresee(cars, places, road)
         self.road.vehicles = [self.vehicle, *cars]
 
+    def show_ego(self) -> None:
+        """Let the vehicle of highway-env be where the ego is, which it is if it moves itself."""
+
     def decided(self, tick: int) -> Any:
         """Call the vehicle's own ``act``."""
         self.vehicle.act()

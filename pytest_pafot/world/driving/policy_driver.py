@@ -118,9 +118,13 @@ class ModelPolicyDriver(PolicyDriver):
         self._model = self._compiled.vehicle(env.vehicle)
         super().__init__(ads, env, guard, every, view, sight, self._model)
 
+    def show_ego(self) -> None:
+        """Let the environment's vehicle be where the ego is."""
+        self._compiled.show(self.vehicle, self._model)
+
     def observe(self, tick: int) -> Any:
         """Return the ADS's observation at the current tick."""
-        self._compiled.show(self.vehicle, self._model)
+        self.show_ego()
         return super().observe(tick)
 
     def _applied(self, action: Any) -> Any:

@@ -14,10 +14,12 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from types import MethodType
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.wrappers import TimeLimit
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Trace
@@ -30,15 +32,17 @@ from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, usual_class
-from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import (
+    ENDS,
     GymEnvironment,
     has_own_act,
     obstacles_of,
     vehicle_classes_kept,
     wrapper_names,
+    wrappers_of,
 )
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import TrackedNpc
@@ -108,6 +112,7 @@ class StockPolicy(GuardedDriver):
             check_action_space(outer.action_space, wrapper_names(outer))
         super().__init__(ego, every, guard)
         self.failure: BaseException | None = None
+        self.is_over = False
         self._seen: Any = None
         self._action: Any = None
         self._ads = ads
@@ -151,9 +156,13 @@ class StockPolicy(GuardedDriver):
         self._see(lambda: self.outer.step(self._action))
 
     def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
-        """Store the observation of a reset or step; a wrapper's exception is raised later, in the next decision."""
+        """Store the observation of a reset or step, and whether that ended the episode.
+
+        A wrapper's exception is raised later, in the next decision.
+        """
         try:
-            self._seen, *_ = call()
+            self._seen, *others = call()
+            self.is_over = any(map(bool, others[1:3]))  # a reset returns only an info in addition
         except UNFIT as error:
             if self.outer is self.outer.unwrapped:
                 raise
@@ -324,9 +333,29 @@ class _Loop:
         self._moved = ""  # how the environment's own code has moved an NPC
         if isinstance(env.road, RegulatedRoad) and not is_regulated(env.vehicle):
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
+        self._ends: OwnEnds | None = None
+        if (ends := vehicles.rules.ends) is not None:
+            self._ends = OwnEnds(env, ENDS if isinstance(driver, StockPolicy) else ends, vehicles.rules, guard)
+            for name in ENDS:
+                setattr(env, name, self._asking(self._ends, name))
         self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
+
+    def _asking(self, ends: OwnEnds, name: str) -> MethodType:
+        """Return what the environment's own ``step`` calls in place of one of its methods that end episodes.
+
+        A copy of the environment, in which a policy simulates, asks its own method. A run that is no episode asks by
+        itself, because its steps may be shorter than decisions of the policy.
+        """
+        itself, is_episode = self._env, isinstance(self._driver, StockPolicy)
+
+        def says(env: Any) -> Any:
+            if env is not itself:
+                return getattr(type(env), name)(env)
+            return is_episode and ends.says(name)
+
+        return MethodType(says, itself)
 
     def __deepcopy__(self, memo: object) -> _Loop:
         """Return itself, because highway-env deep-copies vehicles and their road to predict them."""
@@ -368,12 +397,29 @@ class _Loop:
                         f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
                         f"episodes"
                     )
+                if self._ends is not None and not self._is_over:
+                    self._end(self._ends)
         trace = self._run.trace(driver, self._error)
         if not isinstance(driver, StockPolicy):
             return trace
         trace = replace(trace, ads_hz=hz)
         # A wrapper or the environment's own step may have repeated actions.
         return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
+
+    def _end(self, ends: OwnEnds) -> None:
+        """End the run after a step if the environment or one of its wrappers ends the episode."""
+        run, driver = self._run, self._driver
+        if isinstance(driver, StockPolicy):
+            if driver.is_over and not ends.ended:
+                limits = [each for each in wrappers_of(driver.outer) if isinstance(each, TimeLimit)]
+                passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
+                said = " in ".join(wrapper_names(driver.outer)) or f"{type(self._env).__name__}.step"
+                ends.ended = f"the limit of {passed[0]} steps" if passed else said
+            elif not driver.is_over and not ends.has_failed:  # a wrapper goes on
+                ends.ended = ""
+        elif run.loop.tick % ends.every == 0:
+            ends.ask(run.loop.tick)
+        run.ended, run.has_failed = ends.ended, ends.has_failed
 
     def _rate(self) -> int:
         """Return the decisions per second after the reset, which may have changed the environment's configuration.
@@ -515,4 +561,4 @@ class _Loop:
     @property
     def _is_over(self) -> bool:
         loop = self._run.loop
-        return loop.is_over or loop.tick == self._last or self._error is not None
+        return loop.is_over or loop.tick == self._last or self._error is not None or bool(self._run.ended)

@@ -428,9 +428,15 @@ class ScenarioSteps:
         trace = run.trace
         if trace is not None and trace.error is not None:
             raise RuntimeError(f"{trace.error.kind}: {trace.error.message}\n{trace.error.traceback}")
+        if trace is not None and run.vehicles.has_failed:
+            raise RuntimeError(trace.ended)
         seen = run.observe()
         env.vehicle.crashed = trace is not None and trace.collision is not None
-        reward, is_terminated = float(env._reward(action)), bool(env._is_terminated())
+        reward, ends = float(env._reward(action)), run.ends
+        if ends is not None and ends.asked == run.vehicles.loop.tick:  # a method may count its calls
+            is_terminated = ends.ended.endswith("_is_terminated")
+        else:
+            is_terminated = bool(env._is_terminated())
         if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
             run.trace = trace = run.vehicles.trace(run.driver)
         return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)

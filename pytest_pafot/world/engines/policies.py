@@ -24,9 +24,9 @@ from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.policy_driver import ModelPolicyDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import policy_sight
-from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
+from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.engines.egos import built_as, vehicle_of
-from pytest_pafot.world.engines.run import SteppedRun, VehiclesOfRun
+from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
@@ -64,14 +64,18 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, polic
             ego = vehicle_of(given, env.road, start, rules.ego_speed(scenario), environment.route)
             lanes = _lanes_of_idm(environment, env.road)
             if idm_model(given) is None or lanes is None:
-                return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard).finish()
+                if rules.ends:
+                    put_ego(env, ego)
+                return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard, env).finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             model_driver = ModelDriver(model, others, egos_rules(env.road, model, vehicles.places, rules, lanes))
-            return SteppedRun(vehicles, model_driver, guard).finish()
+            run = SteppedRun(vehicles, model_driver, guard)
+            run.ends = ends_beside(environment, rules, scenario, vehicles, guard)
+            return run.finish()
         driver = _policy_driver(environment, rules, scenario, ads.decides, env, guard, view, ads.sight)
-        return _begun(rules, scenario, driver, guard).finish()
+        return _begun(rules, scenario, driver, guard, env).finish()
 
 
 def begin(
@@ -80,7 +84,27 @@ def begin(
     """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
     env = _env_of(environment, scenario)
     put_policys_ego(environment, env, rules, scenario)
-    return _begun(rules, scenario, _policy_driver(environment, rules, scenario, None, env, guard, None, sight), guard)
+    driver = _policy_driver(environment, rules, scenario, None, env, guard, None, sight)
+    return _begun(rules, scenario, driver, guard, env)
+
+
+def ends_beside(
+    environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
+) -> OwnEnds | None:
+    """Return the environment's own ends in a run whose ego is none of its vehicles; None if it has none."""
+    if not rules.ends:
+        return None
+    env, (body, *npcs) = _env_of(environment, scenario), vehicles.vehicles
+    put_policys_ego(environment, env, rules, scenario)
+    ego = env.vehicle
+    env.road.vehicles = [ego, *(Car(env.road, npc) for npc in npcs)]
+
+    def show() -> None:
+        ego.position, ego.heading, ego.speed = np.array([body.x, body.y]), body.heading, body.speed
+        ego.action = {"steering": body.steering, "acceleration": body.acceleration}
+        ego.on_state_update()
+
+    return OwnEnds(env, rules.ends, rules, guard, show)
 
 
 def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Network | None:
@@ -112,10 +136,13 @@ def _policy_driver(
     return PolicyDriver(ads, env, guard, every, view, seen)
 
 
-def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard) -> SteppedRun:
+def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard, env: Any) -> SteppedRun:
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
     driver.show(vehicles.places, rules.road)
-    return SteppedRun(vehicles, driver, guard)
+    run = SteppedRun(vehicles, driver, guard)
+    if rules.ends:
+        run.ends = OwnEnds(env, rules.ends, rules, guard, driver.show_ego)
+    return run
 
 
 def put_ego(env: Any, ego: Any) -> None:

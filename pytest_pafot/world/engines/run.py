@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,12 @@ class VehiclesOfRun:
         rows: seven numbers for each vehicle at each tick; see :data:`pytest_pafot.world.kernel.observation.COLUMNS`.
         loop: the loop, at tick 0.
         sizes: length and width of each vehicle [m].
+        ended: what of the environment's own has ended the run, see :class:`pytest_pafot.model.trace.Trace`.
+        has_failed: true if that raised an error.
     """
+
+    ended = ""
+    has_failed = False
 
     def __init__(self, rules: Rules, scenario: Scenario, ego: Body, stock_road: Callable[[], Any]) -> None:
         self.rules = rules
@@ -119,6 +124,10 @@ class VehiclesOfRun:
         elif loop.is_over:
             touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
             outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
+        elif self.has_failed:
+            outcome = Outcome.INVALID
+        elif loop.tick == self.rules.step_limit:
+            self.ended = f"the limit of {loop.tick // self.rules.step_ticks} steps"
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,
@@ -144,6 +153,7 @@ class VehiclesOfRun:
             handed_over=self.director.handed_over,
             obstacles=self.rules.obstacles,
             ego_vehicle=self.rules.ego,
+            ended=self.ended,
         )
 
     def _plans(self, driver: EgoDriver, on_road: RoadOfRun) -> tuple[Plan | None, ...]:
@@ -213,10 +223,15 @@ class SteppedRun:
         driver: the ego's driver, which decides itself in :meth:`finish`, or by decisions that are passed to
             :meth:`take`.
         guard: the guard of the ADS's decisions.
+
+    Attributes:
+        trace: the trace; None before the end of the run.
+        ends: what of the environment's own may end the run; None if nothing does.
     """
 
     def __init__(self, vehicles: VehiclesOfRun, driver: EgoDriver, guard: HangGuard) -> None:
         self.trace: Trace | None = None
+        self.ends: OwnEnds | None = None
         self.vehicles = vehicles
         self.driver: Any = driver
         self._guard = guard
@@ -243,8 +258,9 @@ class SteppedRun:
         except UNFIT as unfit:
             error = error_of(unfit, loop.tick, guard)
         else:
-            error = loop.run(self.driver, min(loop.tick + self.driver.every, self._ticks))
-        if error is not None or loop.is_over or loop.tick == self._ticks:
+            run = loop.run if self.ends is None else self._run_to_ends
+            error = run(self.driver, min(loop.tick + self.driver.every, self._ticks))
+        if error is not None or loop.is_over or loop.tick == self._ticks or self.vehicles.ended:
             self.trace = self.vehicles.trace(self.driver, error)
             self.vehicles.close()
 
@@ -252,6 +268,89 @@ class SteppedRun:
         """Drive to the end of the run, with decisions of the driver itself, and return the trace."""
         try:
             with self._guard:
-                return self.vehicles.trace(self.driver, self.vehicles.loop.run(self.driver, self._ticks))
+                run = self.vehicles.loop.run if self.ends is None else self._run_to_ends
+                return self.vehicles.trace(self.driver, run(self.driver, self._ticks))
         finally:
             self.vehicles.close()
+
+    def _run_to_ends(self, driver: EgoDriver, ticks: int) -> AdsError | None:
+        """Run the loop, and ask the environment between its steps whether it ends the run.
+
+        So the loop itself knows nothing of such ends, which most runs do not have.
+        """
+        vehicles, loop, ends = self.vehicles, self.vehicles.loop, self.ends
+        assert ends is not None  # noqa: S101  (see the callers)
+        while loop.tick < ticks and not ends.ended:
+            error = loop.run(driver, min(loop.tick + ends.every, ticks))
+            if error is not None or loop.is_over:
+                return error
+            if loop.tick < self._ticks:  # else it has lasted for its whole time
+                ends.ask(loop.tick)
+                vehicles.ended, vehicles.has_failed = ends.ended, ends.has_failed
+        return None
+
+
+class OwnEnds:
+    """What an environment's own ``_is_terminated`` and ``_is_truncated`` say after each of its steps in a run.
+
+    They are asked at the ticks at which ``env.step`` asks them. The ``config["duration"]`` that they read is at least
+    as long as the run, because the world decides its duration.
+
+    Args:
+        env: the environment of this run alone, with its road and vehicles.
+        names: the names of the methods that may end the run.
+        rules: the rules of the run.
+        guard: the guard of the user's code.
+        show: lets the vehicles of the environment be where those of the run are.
+
+    Attributes:
+        every: the number of ticks of a step of the environment.
+        ended: the method that has ended the run, with its error if it failed; empty if none has.
+        has_failed: true if the method raised an error.
+        asked: the tick at which the methods were asked most recently; 0 before.
+    """
+
+    def __init__(
+        self, env: Any, names: Sequence[str], rules: Rules, guard: HangGuard, show: Callable[[], None] | None = None
+    ) -> None:
+        self.every = rules.step_ticks
+        self.ended, self.has_failed, self.asked = "", False, 0
+        self._env, self._guard, self._show = env, guard, show
+        self._methods = {name: getattr(env, name) for name in names}
+        self._longest = max(rules.duration, rules.lasts or 0.0)
+        self._step_time, self._time = 1 / (rules.physics_hz / self.every), 0.0
+
+    def ask(self, tick: int) -> None:
+        """Ask all methods at a tick that ends a step."""
+        self.asked = tick
+        self._time += self._step_time  # as highway-env does, with the same rounding
+        if self._show is not None:
+            self._show()
+        self._env.steps, self._env.time = tick, self._time
+        for name in self._methods:
+            self.says(name)
+
+    def says(self, name: str) -> bool:
+        """Return whether a method says that the episode is over. An error that it raises ends the run, too."""
+        method = f"{type(self._env).__name__}.{name}"
+        try:
+            is_over = self._answer(self._methods[name])
+        except UNFIT as error:
+            self.ended, self.has_failed = f"{method} failed: {error_of(error, self.asked, self._guard).text}", True
+            return True
+        if is_over:
+            self.ended = self.ended or method
+        return is_over
+
+    def _answer(self, method: Callable[[], Any]) -> bool:
+        env, guard, config = self._env, self._guard, self._env.config
+        try:
+            guard.decision_starts()
+            if "duration" in config:
+                env.config = {**config, "duration": max(config["duration"], self._longest)}
+            is_over = bool(method())
+        finally:
+            env.config = config
+            guard.decision_ends()
+        guard.raise_swallowed()
+        return is_over

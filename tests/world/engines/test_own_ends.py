@@ -1,0 +1,308 @@
+"""The environment's own ends of a run: at the tick at which ``env.step`` ends an episode, on every route of a run."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeLimit
+from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
+
+from pytest_pafot.extras.testing import check_world
+from pytest_pafot.extras.training import training_env
+from pytest_pafot.findings.finding import Finding, Found, replay_label, unhandled
+from pytest_pafot.findings.signature import Failure
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome, X
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.codec import from_dict
+from pytest_pafot.world.gym_environment import vehicle_classes_kept
+
+IDLE, FASTER, SLOWER = 1, 3, 4
+
+
+class Goal(HighwayEnvFast):
+    """The goal is a line across the road."""
+
+    def _is_terminated(self):
+        return super()._is_terminated() or self.vehicle.position[0] > 260.0
+
+
+class TooFast(HighwayEnv):
+    """Whoever drives too fast is stopped, in a run of which nothing else ends."""
+
+    def _is_terminated(self):
+        return self.vehicle.speed > 27.0
+
+
+class Keyed(HighwayEnv):
+    """How far an episode goes is an option of the user's own."""
+
+    @classmethod
+    def default_config(cls):
+        return super().default_config() | {"far": 250.0, "policy_frequency": 5}
+
+    def _is_truncated(self):
+        return super()._is_truncated() or self.vehicle.position[0] > self.config["far"]
+
+
+class Crawling(HighwayEnvFast):
+    """Who is too slow for three steps in a row is given up: the environment counts them."""
+
+    def _reset(self):
+        super()._reset()
+        self.slow = 0
+
+    def _is_truncated(self):
+        self.slow = self.slow + 1 if self.vehicle.speed < 21.0 else 0
+        return self.slow == 3
+
+
+class Exit(ExitEnv):
+    """The episode is over at the exit or where it has been missed."""
+
+    def _is_terminated(self):
+        return self._is_success() or self.vehicle.position[0] > 430.0
+
+
+class Timed(HighwayEnvFast):
+    """Times that are sums of tenths are not exact, and the episode is as long as highway-env makes it."""
+
+    @classmethod
+    def default_config(cls):
+        return super().default_config() | {"simulation_frequency": 10, "policy_frequency": 10, "least": 1.0}
+
+    def _is_truncated(self):
+        return self.time >= self.config["least"]
+
+
+class Rewarded(gymnasium.Wrapper):
+    """The episode is won with a sum of rewards."""
+
+    def reset(self, **given):
+        self.won = 0.0
+        return super().reset(**given)
+
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        self.won += reward
+        return seen, reward, terminated or self.won > 3.5, truncated, info
+
+
+class Fenced(gymnasium.Wrapper):
+    """The episode is cut at a place."""
+
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated, truncated or self.unwrapped.vehicle.position[0] > 300.0, info
+
+
+@pytest.fixture
+def register(monkeypatch):
+    """Register an environment for one test."""
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
+    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+    return gymnasium.register
+
+
+def limited(env):
+    return TimeLimit(env, max_episode_steps=4)
+
+
+STEERING = {"type": "ContinuousAction"}
+CASES = {
+    "a goal line": ({"entry_point": Goal}, {}, IDLE, "Goal._is_terminated"),
+    "a registered limit of steps": (
+        {"entry_point": HighwayEnvFast, "max_episode_steps": 4}, {}, IDLE, "the limit of 4 steps",
+    ),
+    "a limit by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [limited]}, IDLE, "the limit of 4 steps"),
+    "off the road": (
+        {"entry_point": HighwayEnv}, {"config": {"offroad_terminal": True, "action": STEERING}},
+        np.array([0.0, 0.05], dtype=np.float32), "HighwayEnv._is_terminated",
+    ),
+    "too fast": ({"entry_point": TooFast}, {}, FASTER, "TooFast._is_terminated"),
+    "an option of its own": ({"entry_point": Keyed}, {"config": {"far": 270.0}}, IDLE, "Keyed._is_truncated"),
+    "an exit": ({"entry_point": Exit}, {}, IDLE, "Exit._is_terminated"),
+    "too slow": ({"entry_point": Crawling}, {}, SLOWER, "Crawling._is_truncated"),
+    "a sum of times": ({"entry_point": Timed}, {}, IDLE, "Timed._is_truncated"),
+    "rewards in a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [Rewarded]}, FASTER, "Rewarded"),
+    "truncated by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [Fenced]}, IDLE, "Fenced"),
+    "behind a merge": ({"entry_point": "highway_env.envs:MergeEnv"}, {}, IDLE, "MergeEnv._is_terminated"),
+    "across an intersection": (
+        {"entry_point": "highway_env.envs:IntersectionEnv"}, {"duration": 13.0}, 1, "IntersectionEnv._is_terminated",
+    ),
+}  # fmt: skip
+
+
+def scenario_in(world):
+    """Return a scenario of 30 s in which an NPC stays behind, where it does not matter."""
+    lane, speed = (1, 20.0) if world.start is None else world.start
+    return Scenario(npcs=[[PositionInstruction(Cell.REAR, 0.0)] * 3], ego_lane=lane, ego_speed=speed, gene_seconds=10.0)
+
+
+def by_env_step(env_id, world, action, start):
+    """Return after how many ticks ``env.step`` ends an episode in which the ego, alone, begins as in a run."""
+    config = world.make().unwrapped.config
+    with vehicle_classes_kept():
+        env = gymnasium.make(env_id, config=config, disable_env_checker=True)
+        for wrapper in world.wrappers or ():
+            env = wrapper(env)
+        env.reset(seed=0)
+    plain = env.unwrapped
+    own, (x, y, heading, speed) = plain.vehicle, start[:4]
+    ego = plain.action_type.vehicle_class(plain.road, [x, y], heading, speed)
+    if getattr(own, "route", None):
+        ego.plan_route_to(own.route[-1][1])
+    plain.controlled_vehicles, plain.road.vehicles = [ego], [ego]
+    plain.define_spaces()
+    plain.config["duration"] = 1000.0  # which the world decides
+    steps, is_over = 0, False
+    while not is_over:
+        _, _, terminated, truncated, _ = env.step(action)
+        steps, is_over = steps + 1, terminated or truncated
+    return steps * plain.config["simulation_frequency"] // plain.config["policy_frequency"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_ends_at_the_tick_of_env_step(register, case):
+    registered, given, action, name = CASES[case]
+    register("ending-v0", **registered)
+    world = World("ending-v0", **given)
+    scenario = scenario_in(world)
+    trace = world.rollout(scenario, lambda: lambda seen: action)
+    assert trace.ticks == by_env_step("ending-v0", world, action, trace.ego[0])
+    assert (trace.ended, trace.outcome) == (name, Outcome.OFF_ROAD if case == "off the road" else Outcome.SAFE)
+    again = world.rollout_in_gym(scenario, lambda: lambda seen: action)
+    assert (again.ended, again.outcome) == (trace.ended, trace.outcome)
+    assert again.states == pytest.approx(trace.states, abs=1e-9)
+    longer = World("ending-v0", **given, ends="duration").rollout(scenario, lambda: lambda seen: action)
+    assert (longer.ended, longer.ticks > trace.ticks) == ("", True)
+    assert longer.states[: len(trace.states)].tobytes() == trace.states.tobytes()
+
+
+class Careless(IDMVehicle):
+    """A vehicle class with code of its own, which compiled code does not drive."""
+
+    def act(self, action=None):
+        super().act()
+
+
+def idle():
+    return lambda seen: IDLE
+
+
+def straight():
+    return lambda observation: (0.0, 0.0)
+
+
+@pytest.mark.parametrize("ego", [straight, lambda: IDMVehicle, lambda: Careless, lambda: ControlledVehicle])
+def test_every_kind_of_ego_ends_at_the_goal(register, ego):
+    """Decisions are once a second, except those of the planner."""
+    register("ending-v0", entry_point=Goal)
+    world = World("ending-v0", planner_hz=5 if ego is straight else None)
+    scenario = scenario_in(world)
+    trace = world.rollout(scenario, ego)
+    every = trace.physics_hz // trace.ads_hz
+    assert (trace.ended, trace.ticks % every) == ("Goal._is_terminated", 0)
+    assert trace.ego[-1 - every, X] <= 260.0 < trace.ego[-1, X]
+    again = world.rollout_in_gym(scenario, ego)
+    assert (again.ended, again.ticks) == (trace.ended, trace.ticks)
+
+
+def test_reference_drivers_end_there_too_and_no_run_is_driven_on_past_an_end(register):
+    register("ending-v0", entry_point=Goal)
+    register("limited-v0", entry_point=HighwayEnvFast, max_episode_steps=4)
+    for world in (World("ending-v0"), World("limited-v0")):
+        scenario = scenario_in(world)
+        trace = world.rollout(scenario, idle)
+        for other in (
+            world.rollout_reference(scenario, "careful-human"),
+            world.take_over(trace, trace.ticks - 5, "careful-human"),
+            world.lasting(40.0).rollout(scenario, idle),
+        ):
+            assert other.ended == trace.ended
+    assert world.longest_run == 4.0
+    assert World("limited-v0", ends="duration").longest_run == 30.0
+
+
+class Batching:
+    def __call__(self, seen):
+        return IDLE
+
+    def batch(self, observations):
+        return [IDLE for _ in observations]
+
+
+def test_runs_in_lock_step_and_in_training_end_there_too(register):
+    register("ending-v0", entry_point=Crawling)
+    world = World("ending-v0", config={"action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]}})
+    slow = Scenario(npcs=[[PositionInstruction(Cell.REAR, 0.0)] * 3], ego_speed=20.0, gene_seconds=10.0)
+    fast = Scenario(npcs=slow.npcs, ego_speed=25.0, gene_seconds=10.0)
+    alone = [world.rollout(each, Batching) for each in (slow, fast)]
+    assert [each.ended for each in alone] == ["Crawling._is_truncated", ""]
+    together = world.rollout_batch([slow, fast], Batching)
+    assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
+    env = training_env(world, [slow], share=1.0)
+    env.reset(seed=1)
+    results = [env.step(IDLE)[2:4] for _ in range(3)]
+    assert results == [(False, False), (False, False), (False, True)]
+    assert (env.trace.ended, env.trace.ticks) == (together[0].ended, together[0].ticks)
+
+
+class Wrong(HighwayEnvFast):
+    """Its end has an error, which shows after 60 m."""
+
+    def _is_terminated(self):
+        return self.vehicle.position[0] > 260.0 and self.config["goal"]
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+def test_an_error_in_an_end_makes_the_run_invalid_and_is_named(register, wrappers):
+    register("ending-v0", entry_point=Wrong)
+    world = World("ending-v0", wrappers=wrappers)
+    trace = world.rollout(scenario_in(world), idle)
+    assert (trace.outcome, trace.ended) == (Outcome.INVALID, "Wrong._is_terminated failed: KeyError: 'goal'")
+    assert trace.users_error_text in Run(trace).explain()
+
+
+def test_a_file_says_what_ends_runs_only_where_that_matters(register):
+    register("ending-v0", entry_point=Goal)
+    register("limited-v0", entry_point=HighwayEnvFast, max_episode_steps=4)
+    assert "ends" not in World("ending-v0").to_dict()
+    assert World("highway-v0", ends="duration").to_dict() == World("highway-v0").to_dict()
+    for env_id in ("ending-v0", "limited-v0", "merge-v0"):
+        world = World(env_id, ends="duration")
+        assert world.to_dict() == {**World(env_id).to_dict(), "ends": "duration"}
+        assert from_dict(world.to_dict()).ends == "duration"
+    assert World("highway-v0", wrappers=[Fenced], ends="duration").to_dict()["ends"] == "duration"
+    with pytest.raises(WorldError, match="ends: expected one of environment, duration, received 'never'"):
+        World("highway-v0", ends="never")
+
+
+def test_a_failure_behind_the_end_has_drifted(register):
+    register("ending-v0", entry_point=Goal)
+    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], gene_seconds=10.0)
+    found = World("ending-v0", ends="duration").rollout(stops, idle)
+    assert (found.outcome, found.ego[-1, X] > 261.0) == (Outcome.COLLISION, True)
+    failed = Failure(kind="AssertionError", assertion="assert not run.collision")
+    seen = Found(seed=1, generation=0, algorithm="")
+    finding = Finding.of(Run(found), failed, test="t.py::t", world={}, found=seen)
+    now = World("ending-v0").rollout(stops, idle)
+    assert replay_label(finding, Run(now), None, {}) == "drifted"
+    said = unhandled(finding, Run(now))
+    assert said == "Goal._is_terminated ended the run after 3.0 s, before the saved failure at 6.4 s"
+
+
+def test_the_checks_of_worlds_know_ends(register):
+    register("ending-v0", entry_point=Goal)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # nothing collides before the goal
+        check_world(World("ending-v0"), ads=idle, npcs=1, runs=4)
