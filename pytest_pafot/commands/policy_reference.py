@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.request import named_world
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.references import factory_named
 from pytest_pafot.support.source_files import source_digests
@@ -84,13 +83,21 @@ def add_world_arguments(parser: argparse.ArgumentParser, note: str, *, is_needed
     parser.add_argument("--config", metavar="JSON", help=of_config)
 
 
-def chosen_world(reference: str | None, config: Mapping[str, Any] | None, *, is_planner: bool = False) -> Any:
+def chosen_world(
+    reference: str | None, config: Mapping[str, Any] | None, policies: Iterable[str], *, is_planner: bool = False
+) -> Any:
     """Return the world that ``--world`` names, with the options of ``--config``; None without ``--world``.
 
+    The modules of the policies are imported first, since they may register its environment.
+
     Raises:
-        RequestError: if there is no such world.
+        RequestError: if there is no such world or policy.
     """
+    for each in policies:
+        ads_factory(each)
     if reference is not None:
+        from pytest_pafot.campaign.request import named_world  # noqa: PLC0415  (takes a while, and few commands need it)
+
         return named_world(reference, "--world", config=None if config is None else dict(config), is_planner=is_planner)
     if config is not None:
         raise RequestError("--config: expected an environment, received none; give --world")

@@ -301,7 +301,7 @@ def _test(arguments: argparse.Namespace) -> str:
 def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
     """Return the argument of the mark for the world, and the import that registers its environment, if any."""
     config, is_planner = config_of(arguments.config), arguments.ads.endswith(PLANNER)
-    world = chosen_world(arguments.world, config, is_planner=is_planner)
+    world = chosen_world(arguments.world, config, [arguments.ads], is_planner=is_planner)
     if world is None:
         return [], ""
     module, _, name = arguments.world.partition(":")

@@ -128,7 +128,7 @@ def short(seconds):
 
 
 class Road:
-    speed_limit, longest_run = 30.0, 10.0
+    speed_limit, longest_run = 20.0, 10.0
     rollout = pafot.Highway().rollout
 
     def to_dict(self):
@@ -146,12 +146,12 @@ class Road:
 )
 def test_search_command_drives_in_a_world_of_the_user(here, policy, world, argument):
     (here / "worlds.py").write_text(WORLDS)
-    given = ["pytest_pafot", "search", policy, "--world", world]
+    given = ["pytest_pafot", "search", policy, "--world", world, "--blame=any", "--check=a_planner:keeps_moving"]
     code, told = python(*given, "--runs", "4", "--seed", "2", "--", "-q")
     assert (code, "1 new finding" in told) == (1, True), told
     assert python(*given, "--write-test")[0] == 0
     test = (here / "test_safety.py").read_text()
-    assert (f'@pafot.search(blame="ego", {argument})' in test, "import worlds\n" in test) == (True, "mine" in world)
+    assert (f"@pafot.search({argument})" in test, "import worlds\n" in test) == (True, "mine" in world)
     assert python("pytest", "-q", "--pafot-runs=1", "--pafot-seed=2")[0] == 1
 
 

@@ -238,9 +238,7 @@ class RatePlan:
         Raises:
             RequestError: if the world has none.
         """
-        for name in self.policies.values():
-            factory_of(name)  # whose module may register the environment
-        return episodic(chosen_world(self.world_name, self.config), "rate")
+        return episodic(chosen_world(self.world_name, self.config, self.policies.values()), "rate")
 
     def episode(self, name: str, seed: int) -> Any:
         """Drive the episode with a seed again, with the policy of a name, and record it."""
