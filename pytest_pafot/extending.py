@@ -18,20 +18,16 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import refusals as refusals
     from pytest_pafot.campaign.harness import same_policy as same_policy
     from pytest_pafot.campaign.request import drawn_space as drawn_space
-    from pytest_pafot.campaign.request import named_world as named_world
     from pytest_pafot.campaign.setup_fault import SetupFaultError as SetupFaultError
     from pytest_pafot.campaign.setup_fault import check_drives as check_drives
     from pytest_pafot.campaign.verdict import Verdict as Verdict
     from pytest_pafot.campaign.verdict import judged_with_drivers as judged_with_drivers
     from pytest_pafot.commands.inventory import Inventory as Inventory
-    from pytest_pafot.commands.policy_reference import ABOUT_POLICIES as ABOUT_POLICIES
-    from pytest_pafot.commands.policy_reference import PLANNER as PLANNER
     from pytest_pafot.commands.policy_reference import add_world_arguments as add_world_arguments
     from pytest_pafot.commands.policy_reference import ads_factory as ads_factory
     from pytest_pafot.commands.policy_reference import caution as caution
     from pytest_pafot.commands.policy_reference import check_function as check_function
     from pytest_pafot.commands.policy_reference import chosen_world as chosen_world
-    from pytest_pafot.commands.policy_reference import config_of as config_of
     from pytest_pafot.commands.policy_reference import identity as identity
     from pytest_pafot.commands.results import Session as Session
     from pytest_pafot.corpus.layout import SUFFIX as SUFFIX
@@ -98,7 +94,6 @@ if TYPE_CHECKING:
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
 
 _HOMES = {
-    "ABOUT_POLICIES": "commands.policy_reference",
     "ACCELERATION": "model.trace",
     "ALGORITHMS": "searching.algorithms.catalogue",
     "AdsFactory": "world.driving.ads",
@@ -122,7 +117,6 @@ _HOMES = {
     "LocalSearchStarted": "searching.events",
     "NewBest": "searching.events",
     "NicheSearch": "searching.algorithms.distinct",
-    "PLANNER": "commands.policy_reference",
     "Policy": "world.driving.policy",
     "ProcessLostError": "execution.pool",
     "RequestError": "support.errors",
@@ -156,7 +150,6 @@ _HOMES = {
     "checked_action": "world.driving.policy_driver",
     "chosen_world": "commands.policy_reference",
     "code_of": "world.codec",
-    "config_of": "commands.policy_reference",
     "drawn_episode": "report.animation",
     "drawn_space": "campaign.request",
     "drive_episode": "world.engines.ordinary_traffic",
@@ -168,7 +161,6 @@ _HOMES = {
     "judged_runs": "campaign.explore",
     "judged_with_drivers": "campaign.verdict",
     "mutate": "searching.operators",
-    "named_world": "campaign.request",
     "policy_of": "plugin.collection",
     "refusals": "campaign.harness",
     "register": "world.engines.npc_drivers",

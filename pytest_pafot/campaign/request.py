@@ -581,7 +581,7 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         RequestError: if the text names no world.
     """
     module, colon, name = reference.partition(":")
-    is_factory, made = name.partition(":")[0].isidentifier(), None
+    is_factory = name.partition(":")[0].isidentifier()
     try:
         if colon:
             imported(reference)
@@ -590,10 +590,9 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         factory = factory_named(reference, "a factory of a world")
     except ValueError as error:
         raise RequestError(f"{place}: {error}") from error
-    if config is not None or is_planner:
-        received = f"{'--config' if config is not None else '@planner after a policy'} with {reference!r}"
-        fix = "write it into the factory, as in pafot.World(..., config=..., planner_hz=5)"
-        raise RequestError(f"{place}: expected the id of an environment, received {received}; {fix}")
+    if config is not None:
+        fix = "write the options into the factory, as in pafot.World(..., config=...)"
+        raise RequestError(f"{place}: expected the id of an environment with --config, received {reference!r}; {fix}")
     try:
         made = factory()
     except (Exception, SystemExit) as error:
@@ -602,6 +601,9 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
     if lacking := base_world(made).missing:
         received = f"{reference!r}, which returns {made!r:.100}, without {', '.join(lacking)}{hint_at_world(made)}"
         raise RequestError(f"{place}: expected a factory of a world, received {received}")
+    if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
+        fix = "let the factory return pafot.World(..., planner_hz=5)"
+        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none; {fix}")
     return made
 
 

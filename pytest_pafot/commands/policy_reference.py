@@ -6,12 +6,12 @@ import argparse
 import importlib.util
 import json
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot.support.errors import RequestError, check_asserts
-from pytest_pafot.support.references import factory_named
+from pytest_pafot.support.references import PLANNER, factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import meant
 from pytest_pafot.world.driving.policy import Policy
@@ -30,9 +30,6 @@ ABOUT_POLICIES = (
     "environment defines, unless @planner follows its name."
 )
 """The text on policies in the help of commands."""
-
-PLANNER = "@planner"
-"""The suffix of the name of a policy that is a planner in SI units, although it drives in an environment."""
 
 
 def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") -> Callable[..., Any]:
@@ -74,32 +71,49 @@ def whole_name(reference: str) -> str:
     return f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}" if name.startswith(f"{EXAMPLES}.") else name
 
 
-def add_world_arguments(parser: argparse.ArgumentParser, note: str, *, is_needed: bool = False) -> None:
-    """Declare ``--world`` and ``--config``, which mean the same in all commands; ``note`` is about this command."""
+def add_world_arguments(
+    parser: argparse.ArgumentParser, note: str, *, is_needed: bool = False, has_config: bool = True
+) -> None:
+    """Declare ``--world`` and ``--config``, which mean the same in all commands; ``note`` is about this command.
+
+    The help of the command ends with what a policy is.
+    """
+    parser.epilog = ABOUT_POLICIES
     of_world = "the world: the id of a highway-env environment such as highway-v0, module:id if that module registers "
     of_world += f"it, or module:factory for what returns a pafot.World or a world of your own ({note})"
     parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
     of_config = "options of an environment that --world names by its id, as for gymnasium.make"
-    parser.add_argument("--config", metavar="JSON", help=of_config)
+    if has_config:
+        parser.add_argument("--config", metavar="JSON", help=of_config)
 
 
 def chosen_world(
-    reference: str | None, config: Mapping[str, Any] | None, policies: Iterable[str], *, is_planner: bool = False
+    reference: str | None,
+    config: str | None = None,
+    policies: Iterable[str] = (),
+    *,
+    is_planner: bool = False,
+    place: str = "--world",
 ) -> Any:
     """Return the world that ``--world`` names, with the options of ``--config``; None without ``--world``.
 
-    The modules of the policies are imported first, since they may register its environment.
+    Args:
+        reference, config: the texts.
+        policies: the names of policies, whose modules are imported first: they may register the environment.
+        is_planner: whether an environment is for a planner in SI units.
+        place: the argument or option that has the reference, for errors.
 
     Raises:
         RequestError: if there is no such world or policy.
     """
     for each in policies:
         ads_factory(each)
+    options = config_of(config)
     if reference is not None:
         from pytest_pafot.campaign.request import named_world  # noqa: PLC0415  (takes a while, and few commands need it)
 
-        return named_world(reference, "--world", config=None if config is None else dict(config), is_planner=is_planner)
-    if config is not None:
+        return named_world(reference, place, config=options, is_planner=is_planner)
+    if options is not None:
         raise RequestError("--config: expected an environment, received none; give --world")
     return None
 

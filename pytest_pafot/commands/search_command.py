@@ -24,7 +24,6 @@ from pytest_pafot.campaign.request import BLAMES, checked_drivers
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
     BAD_USE,
-    PLANNER,
     add_world_arguments,
     ads_factory,
     check_function,
@@ -40,7 +39,7 @@ from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, fla
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.receipts import taken_receipt, unfinished
-from pytest_pafot.support.references import REVISION
+from pytest_pafot.support.references import PLANNER, REVISION
 from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
@@ -301,7 +300,7 @@ def _test(arguments: argparse.Namespace) -> str:
 def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
     """Return the argument of the mark for the world, and the import that registers its environment, if any."""
     config, is_planner = config_of(arguments.config), arguments.ads.endswith(PLANNER)
-    world = chosen_world(arguments.world, config, [arguments.ads], is_planner=is_planner)
+    world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
     if world is None:
         return [], ""
     module, _, name = arguments.world.partition(":")

@@ -17,6 +17,9 @@ from pytest_pafot.support.text import one_line
 MOST_NAMES = 8
 """The largest number of a module's names that an error lists."""
 
+PLANNER = "@planner"
+"""The suffix of the name of a policy that is a planner in SI units, although it drives in an environment."""
+
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
 

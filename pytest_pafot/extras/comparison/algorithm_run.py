@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot import WorldLike
-from pytest_pafot.extending import PLANNER, AlgorithmRun, Policy, SetupFaultError, caution
+from pytest_pafot.extending import AlgorithmRun, Policy, SetupFaultError, caution
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import csv_text
 
 COLUMNS: Mapping[str, str] = {

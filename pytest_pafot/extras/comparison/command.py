@@ -14,12 +14,10 @@ from typing import Any
 from pytest_pafot import Highway, World
 from pytest_pafot.extending import (
     ALGORITHMS,
-    PLANNER,
     WorldData,
     add_world_arguments,
     base_world,
     chosen_world,
-    config_of,
     drawn_space,
 )
 from pytest_pafot.extras.comparison.algorithm_run import run_all
@@ -27,6 +25,7 @@ from pytest_pafot.extras.comparison.plan import Plan, checked
 from pytest_pafot.extras.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.references import PLANNER
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
 SAMPLED_NPCS = "sampled, or 2 in the paper's scenarios and on a bent road where none crosses the ego's way"
@@ -149,9 +148,8 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         for name in ("lanes", "speed_limit", "duration", "clearance")
         if (value := getattr(arguments, name)) is not None
     }
-    config = config_of(arguments.config)
     is_planner = arguments.ads.endswith(PLANNER)
-    world = chosen_world(arguments.world, config, [arguments.ads], is_planner=is_planner)
+    world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
     is_own = world is not None and not isinstance(world, World)
     for name in road if is_own else ("lanes", "speed_limit") if world is not None else ():
         if name in road:

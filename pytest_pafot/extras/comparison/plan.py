@@ -18,9 +18,9 @@ from pytest_pafot.extending import (
     SearchSpace,
     WorldData,
     ads_factory,
+    chosen_world,
     code_of,
     identity,
-    named_world,
     require,
     resolve_algorithm,
 )
@@ -253,4 +253,4 @@ def world_of(plan: Plan) -> WorldLike:
 
 @cache
 def _named(reference: str) -> Any:
-    return named_world(reference, "--world")
+    return chosen_world(reference)

@@ -24,8 +24,6 @@ import numpy as np
 
 from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
 from pytest_pafot.extending import (
-    ABOUT_POLICIES,
-    PLANNER,
     GenerationFinished,
     Policy,
     ProcessLostError,
@@ -40,7 +38,6 @@ from pytest_pafot.extending import (
     check_drives,
     check_function,
     chosen_world,
-    config_of,
     drawn_space,
     files_below,
     judged_runs,
@@ -57,7 +54,7 @@ from pytest_pafot.extras.revisions.revision_process import Served
 from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
-from pytest_pafot.support.references import REVISION, described
+from pytest_pafot.support.references import PLANNER, REVISION, described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
 
@@ -262,7 +259,7 @@ class ProgressPlan:
     old: str  # as in ``rate``; a planner in SI units with an environment has ``@planner`` after its name
     new: str
     world_name: str | None = None  # the arguments --world and --config
-    config: Mapping[str, Any] | None = None
+    config: str | None = None
     scenarios: int = 200  # random ones; also the runs of each search for what only one policy fails
     episodes: int = 300
     saved: tuple[Path, ...] = ()
@@ -277,14 +274,15 @@ class ProgressPlan:
     @cached_property
     def traffic(self) -> Any:
         """The world of episodes in ordinary traffic, if it has them."""
-        return chosen_world(self.world_name, self.config, [self.new])
+        self.factory("new")  # whose module may register the environment
+        return chosen_world(self.world_name, self.config)
 
     @cached_property
     def world(self) -> Any:
         """The world of the scenarios."""
         world = self.traffic
         if isinstance(world, World) and world.planner_hz is None and self.new.endswith(PLANNER):
-            world = chosen_world(self.world_name, self.config, [self.new], is_planner=True)
+            world = chosen_world(self.world_name, self.config, is_planner=True)
         return Highway() if world is None else world
 
     @property
@@ -540,7 +538,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_exit = "worse: exit with 1 if any line is worse; not-better: exit with 1 unless the new version is better "
     of_exit += "(default: exit with 0 whatever the verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
-    parser.epilog = ABOUT_POLICIES
 
 
 def run(given: argparse.Namespace, command: Sequence[str]) -> int:
@@ -553,11 +550,11 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         if given.corpus is not None and not given.corpus.is_dir():
             raise RequestError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
         episodes = EPISODES if given.episodes is None else given.episodes
-        saved, config = files_below() if given.corpus is None else files_below(given.corpus), config_of(given.config)
+        saved = files_below() if given.corpus is None else files_below(given.corpus)
         same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "check", "seed")}
         same["episodes"] = episodes
         plan = ProgressPlan(
-            world_name=given.world, config=config, saved=tuple(file.absolute() for file in saved), **same
+            world_name=given.world, config=given.config, saved=tuple(file.absolute() for file in saved), **same
         )
         if given.episodes is not None:
             if given.world is None:
@@ -585,7 +582,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
                 **same,
                 "old_commit": None if plan.revision is None else plan.revision.commit,
                 "world": plan.world_name,
-                "config": plan.config,
+                "config": None if plan.config is None else json.loads(plan.config),
                 "verdict": verdict,
                 "sentence": sentence,
                 "lines": [{**asdict(line), "verdict": line.verdict} for line in lines],
@@ -611,7 +608,7 @@ def _hint(plan: ProgressPlan, rows: Sequence[PairRow], copy: Sequence[str]) -> s
         return ""
     old = plan.old.removesuffix(PLANNER)
     given = [] if plan.world_name is None else ["--world", plan.world_name]
-    given += [] if plan.config is None else ["--config", json.dumps(plan.config)]
+    given += [] if plan.config is None else ["--config", plan.config]
     given += [] if plan.check is None else ["--check", plan.check]
     given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--against", old]
     given += ["--copy", *copy] if copy else []

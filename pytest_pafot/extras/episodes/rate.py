@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome, World
-from pytest_pafot.extending import PLANNER, AdsFactory, WorldData, ads_factory, caution, chosen_world, code_of, identity
+from pytest_pafot.extending import AdsFactory, WorldData, ads_factory, caution, chosen_world, code_of, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import csv_text, plural
 from pytest_pafot.support.versions import installed_versions
@@ -223,7 +224,7 @@ class RatePlan:
     ads: str
     against: str | None = None
     world_name: str
-    config: Mapping[str, Any] | None = None
+    config: str | None = None
     episodes: int = 1000
     seed: int = 0
 

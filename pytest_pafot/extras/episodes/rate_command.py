@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome
-from pytest_pafot.extending import Policy, add_world_arguments, config_of, drawn_episode
+from pytest_pafot.extending import Policy, add_world_arguments, drawn_episode
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
     Pair,
@@ -54,7 +54,7 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
     ``command`` is the command that made it, and ``pictures`` has the file name of the picture of each policy's crash.
     """
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
-    config = "" if plan.config is None else f" with `{json.dumps(dict(plan.config))}`"
+    config = "" if plan.config is None else f" with `{plan.config}`"
     rows = []
     for rate in rates:
         low, high = interval(len(rate.crashed), rate.episodes)
@@ -124,9 +124,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         with ExitStack() as stack:
             if arguments.json:
                 stack.enter_context(printing_elsewhere())  # also what modules and a factory of the world print
-            config = config_of(arguments.config)
             same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
-            plan = checked(RatePlan(world_name=arguments.world, config=config, **same))
+            plan = checked(RatePlan(world_name=arguments.world, config=arguments.config, **same))
             workers = worker_count(arguments.workers)
             if arguments.episode is not None and arguments.episode < 0:
                 raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
@@ -207,7 +206,7 @@ def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection:
     names = ("first_only", "second_only", "both", "neither")
     return {
         "world": plan.world_name,
-        "config": plan.config,
+        "config": None if plan.config is None else json.loads(plan.config),
         "seed": plan.seed,
         "episodes": plan.episodes,
         "policies": [

@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--any-pass", action="store_true", help=of_any)
     of_timeout = "how long the replay of a commit may take [s] (default: %(default)g)"
     parser.add_argument("--timeout", type=_seconds, default=300.0, metavar="S", help=of_timeout)
+    parser.add_argument("--world", help=argparse.SUPPRESS)
     parser.epilog = "The exit code is 0 if one commit is left, and 1 if several are, because some have no verdict."
 
 
@@ -61,6 +62,11 @@ def _seconds(text: str) -> float:
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
     here = Path(os.path.realpath(Path.cwd()))
+    if arguments.world is not None:
+        raise RequestError(
+            f"--world: expected none, because the test of the file names its world, received {arguments.world!r}; "
+            f'write world="{arguments.world}" into the mark of that test'
+        )
     saved = load(arguments.file)
     found, test = saved.path, saved.finding.test.partition("::")[0]
     history = History.of(arguments.policy, here)

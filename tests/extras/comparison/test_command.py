@@ -11,10 +11,11 @@ import sys
 from contextlib import redirect_stdout
 from itertools import pairwise
 
+import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import VAN, Scenario
+from pytest_pafot import VAN, Highway, Scenario, World
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
@@ -404,6 +405,47 @@ def test_the_help_needs_no_library():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "--algorithms" in done.stdout
+
+
+class Road:
+    """A world of the user's own, which is code."""
+
+    speed_limit, longest_run = 20.0, 10.0
+    rollout = staticmethod(Highway().rollout)
+
+    def to_dict(self):
+        return {}
+
+
+def wrapped():
+    return World("highway-fast-v0", wrappers=[gymnasium.Wrapper])
+
+
+def compare_in(world, folder, ads, *arguments):
+    given = ["--ads", ads, "--out", str(folder), "--runs", "1", "--generations", "1", "--workers", "2", *arguments]
+    return main(["compare", *given, "--world", f"{__name__}:{world}"])
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
+    random = ("--algorithms", "random")
+    assert compare_in("Road", tmp_path / "own", "constant_speed", *random) == 0
+    assert '"class": "Road"' in (tmp_path / "own" / "comparison.json").read_text()
+    given = (f"{__name__}:of_an_environment", *random, "--duration", "5")
+    assert compare_in("wrapped", tmp_path / "wrapped", *given) == 0
+    assert json.loads((tmp_path / "wrapped" / "comparison.json").read_text())["plan"]["world"]["duration"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--duration", "5"], "--duration: expected no such option with --world"),
+        (["--algorithms", "random@5"], "expected no seconds after the @ in a world of your own, received random@5"),
+    ],
+)
+def test_what_a_world_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
+    assert compare_in("Road", tmp_path, "constant_speed", *options) == BAD_USE
+    assert told in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

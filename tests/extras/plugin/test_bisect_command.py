@@ -212,6 +212,7 @@ def test_uncommitted_changes_are_reported_and_not_tried(commit, tried, capsys):
             ["--good", "HEAD~1", "--policy", "."],
             "bisect: --policy: expected only paths of the policy, received paths that contain",
         ),
+        (["--good", "HEAD~1", "--world", "a:b"], "bisect: --world: expected none, because the test of the file names"),
         (["--good", "HEAD~1", "--copy", "absent"], "bisect: --copy: expected files and folders, received absent"),
         (["--good", "HEAD~1"], "bisect: expected --bad to fail as the file says, received: no verdict: as it says"),
     ],
