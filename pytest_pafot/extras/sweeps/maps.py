@@ -364,7 +364,7 @@ def sweep(
         over: for each axis the name of a number, and its values: numbers, or ``"first:last:count"``. A number is a
             parameter of the entry, or is named by its place in the scenario: ``ego.speed``, ``npcs.0.0.speed`` for an
             instruction, ``npcs.0.steps.1.gap`` for a step of a manoeuvre.
-        world: the world; by default that of the finding, or a highway.
+        world: the world, or its name, such as ``"module:factory"``; by default that of the finding, or a highway.
         holds: the property, a function of a run that asserts; by default that there is no collision and the ego stays
             on the road.
         against: an earlier map, or the file that :meth:`Sweep.save` wrote.
