@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.verdict import Verdict as Verdict
     from pytest_pafot.campaign.verdict import judged_with_drivers as judged_with_drivers
     from pytest_pafot.commands.inventory import Inventory as Inventory
-    from pytest_pafot.commands.policy_reference import ABOUT_POLICIES as ABOUT_POLICIES
+    from pytest_pafot.commands.policy_reference import add_world_arguments as add_world_arguments
     from pytest_pafot.commands.policy_reference import ads_factory as ads_factory
     from pytest_pafot.commands.policy_reference import caution as caution
     from pytest_pafot.commands.policy_reference import check_function as check_function
-    from pytest_pafot.commands.policy_reference import config_of as config_of
+    from pytest_pafot.commands.policy_reference import chosen_world as chosen_world
     from pytest_pafot.commands.policy_reference import identity as identity
     from pytest_pafot.commands.results import Session as Session
     from pytest_pafot.corpus.layout import SUFFIX as SUFFIX
@@ -94,7 +94,6 @@ if TYPE_CHECKING:
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
 
 _HOMES = {
-    "ABOUT_POLICIES": "commands.policy_reference",
     "ACCELERATION": "model.trace",
     "ALGORITHMS": "searching.algorithms.catalogue",
     "AdsFactory": "world.driving.ads",
@@ -138,6 +137,7 @@ _HOMES = {
     "WorldData": "world.codec",
     "X": "model.trace",
     "Y": "model.trace",
+    "add_world_arguments": "commands.policy_reference",
     "ads_factory": "commands.policy_reference",
     "base_world": "world.guard.own_worlds",
     "caution": "commands.policy_reference",
@@ -148,8 +148,8 @@ _HOMES = {
     "check_parameters": "searching.ask_tell",
     "check_time": "world.guard.hang_guard",
     "checked_action": "world.driving.policy_driver",
+    "chosen_world": "commands.policy_reference",
     "code_of": "world.codec",
-    "config_of": "commands.policy_reference",
     "drawn_episode": "report.animation",
     "drawn_space": "campaign.request",
     "drive_episode": "world.engines.ordinary_traffic",

@@ -43,7 +43,7 @@ REPORTS = {
     "idm": f"{EVERY},random-manoeuvre --runs {{30|2}} --seconds {{43200|600}} --ads idm_mobil",
     "two-defects": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}two-defects",
     "sees-cut-ins-late": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}sees-cut-ins-late",
-    "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --env highway-v0",
+    "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --world highway-v0",
     "fiss": f"{EVERY} --runs {{4|1}} --seconds {{3600|60}} --ads fiss",
 }
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""

@@ -84,7 +84,8 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world, `pafot.Highway(...)` or `pafot.World(...)`.",
+    "world": "A whole world: `pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
+    "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
     "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "The parameter of the test function that receives the run.",
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '

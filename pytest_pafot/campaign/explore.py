@@ -137,7 +137,8 @@ def explore(
         ads: the factory, called once for each run, its ``module:factory[:argument]``, or a highway-env vehicle class.
         holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a test
             function. With several workers and without ``on_event``, it is called in the processes that make the runs.
-        world: the world, such as ``pafot.World("highway-v0")``; by default ``pafot.Highway()``.
+        world: the world, such as ``pafot.World("highway-v0")``, or the name of one, such as ``"module:factory"``; by
+            default ``pafot.Highway()``.
         runs: the number of runs after which the search ends; 40 if ``generations`` is not given.
         generations: the number of generations after which the search ends.
         seed: the base seed; the seed of the search is derived from it and the node id.

@@ -30,12 +30,13 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
-from pytest_pafot.support.references import REVISION, factory_named
+from pytest_pafot.support.references import REVISION, described, factory_named, imported
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.limits import PLANNER_HZ
 from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
@@ -182,6 +183,8 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
             own["ads"] = factory_named(own["ads"])
         except ValueError as error:
             raise RequestError(f"{place}(ads=...): {error}") from error
+    if isinstance(own.get("world"), str):
+        own["world"] = named_world(own["world"], f"{place}(world=...)")
     request = Request(
         settings=settings,
         algorithm=algorithm,
@@ -563,6 +566,45 @@ def _checked_world(request: Request, given: Any, origin: str) -> BaseWorld:
             "write these, or use blame='ego'",
         )
     return world
+
+
+def named_world(reference: str, place: str, *, config: dict[str, Any] | None = None, is_planner: bool = False) -> Any:
+    """Return the world of a text: an environment by its id, or by ``module:id``, or what ``module:factory`` returns.
+
+    Args:
+        reference: the text. Its module is imported, also for an environment, which it may register.
+        place: the argument or option that has the text, for errors.
+        config: the options of an environment that is named by its id.
+        is_planner: whether the ADS in that environment is a planner in SI units.
+
+    Raises:
+        RequestError: if the text names no world.
+    """
+    module, colon, name = reference.partition(":")
+    is_factory = name.partition(":")[0].isidentifier()
+    try:
+        if colon:
+            imported(reference)
+        if not is_factory:
+            return World(name or module, config, planner_hz=PLANNER_HZ if is_planner else None)
+        factory = factory_named(reference, "a factory of a world")
+    except ValueError as error:
+        raise RequestError(f"{place}: {error}") from error
+    if config is not None:
+        fix = "write the options into the factory, as in pafot.World(..., config=...)"
+        raise RequestError(f"{place}: expected the id of an environment with --config, received {reference!r}; {fix}")
+    try:
+        made = factory()
+    except (Exception, SystemExit) as error:
+        received = f"{reference!r}, which raises {described(error)}"
+        raise RequestError(f"{place}: expected a factory of a world, received {received}; correct it") from error
+    if lacking := base_world(made).missing:
+        received = f"{reference!r}, which returns {made!r:.100}, without {', '.join(lacking)}{hint_at_world(made)}"
+        raise RequestError(f"{place}: expected a factory of a world, received {received}")
+    if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
+        fix = "let the factory return pafot.World(..., planner_hz=5)"
+        raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none; {fix}")
+    return made
 
 
 def hint_at_world(given: Any) -> str:

@@ -72,7 +72,7 @@ class SavedScenario(Shown):
                 field="world",
                 expected="a world that is data",
                 received=f"{dict(self.finding.world)!r:.100}",
-                fix="a file contains no code: give the world itself, as in replay(ads, world=...)",
+                fix="a file contains no code: give the world itself, as in replay(ads, world=...) or by --world",
             )
             raise reader.located(self.path, "world", code)
         try:

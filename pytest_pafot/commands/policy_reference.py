@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import json
 import pkgutil
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.support.errors import RequestError, check_asserts
-from pytest_pafot.support.references import factory_named
+from pytest_pafot.support.references import PLANNER, factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import meant
 from pytest_pafot.world.driving.policy import Policy
@@ -25,8 +26,8 @@ ABOUT_POLICIES = (
     "A factory makes a new policy for each run; a class with the method __call__(self, observation) is one. A policy "
     "returns (acceleration [m/s^2], steering [rad]). Its observation has time, ego, others, lanes, lane_width and "
     "speed_limit; the ego and each of the others have x, y, speed, heading, lane, length and width, in SI units. "
-    "Steering, y and lanes grow to the right. With --world, a policy receives and returns what that environment "
-    "defines."
+    "Steering, y and lanes grow to the right. In an environment of --world, a policy receives and returns what that "
+    "environment defines, unless @planner follows its name."
 )
 """The text on policies in the help of commands."""
 
@@ -42,6 +43,7 @@ def ads_factory(reference: str, option: str = "--ads", what: str = "a factory") 
     Raises:
         RequestError: if there is no such factory.
     """
+    reference = reference.removesuffix(PLANNER)
     if ":" not in reference:
         examples = importlib.import_module(_package_of_examples())
         names = [each.name for each in pkgutil.iter_modules(examples.__path__)]
@@ -64,8 +66,56 @@ def whole_name(reference: str) -> str:
 
     An example policy is that of the clone in which the command runs, else the one that is installed.
     """
+    reference = reference.removesuffix(PLANNER)
     name = reference if ":" in reference else f"{EXAMPLES}.{reference}:make"
     return f"{_package_of_examples()}{name.removeprefix(EXAMPLES)}" if name.startswith(f"{EXAMPLES}.") else name
+
+
+def add_world_arguments(
+    parser: argparse.ArgumentParser, note: str, *, is_needed: bool = False, has_config: bool = True
+) -> None:
+    """Declare ``--world`` and ``--config``, which mean the same in all commands; ``note`` is about this command.
+
+    The help of the command ends with what a policy is.
+    """
+    parser.epilog = ABOUT_POLICIES
+    of_world = "the world: the id of a highway-env environment such as highway-v0, module:id if that module registers "
+    of_world += f"it, or module:factory for what returns a pafot.World or a world of your own ({note})"
+    parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
+    of_config = "options of an environment that --world names by its id, as for gymnasium.make"
+    if has_config:
+        parser.add_argument("--config", metavar="JSON", help=of_config)
+
+
+def chosen_world(
+    reference: str | None,
+    config: str | None = None,
+    policies: Iterable[str] = (),
+    *,
+    is_planner: bool = False,
+    place: str = "--world",
+) -> Any:
+    """Return the world that ``--world`` names, with the options of ``--config``; None without ``--world``.
+
+    Args:
+        reference, config: the texts.
+        policies: the names of policies, whose modules are imported first: they may register the environment.
+        is_planner: whether an environment is for a planner in SI units.
+        place: the argument or option that has the reference, for errors.
+
+    Raises:
+        RequestError: if there is no such world or policy.
+    """
+    for each in policies:
+        ads_factory(each)
+    options = config_of(config)
+    if reference is not None:
+        from pytest_pafot.campaign.request import named_world  # noqa: PLC0415  (takes a while, and few commands need it)
+
+        return named_world(reference, place, config=options, is_planner=is_planner)
+    if options is not None:
+        raise RequestError("--config: expected an environment, received none; give --world")
+    return None
 
 
 def _package_of_examples() -> str:

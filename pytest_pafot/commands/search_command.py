@@ -24,8 +24,10 @@ from pytest_pafot.campaign.request import BLAMES, checked_drivers
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
     BAD_USE,
+    add_world_arguments,
     ads_factory,
     check_function,
+    chosen_world,
     config_of,
     whole_name,
 )
@@ -37,7 +39,7 @@ from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, fla
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.receipts import taken_receipt, unfinished
-from pytest_pafot.support.references import REVISION
+from pytest_pafot.support.references import PLANNER, REVISION
 from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
@@ -84,9 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     of_whom = "the policy: module:factory, such as planner:Planner, or module:factory:argument"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
-    parser.add_argument("--world", metavar="ID", help="a highway-env environment (default: a highway, in SI units)")
-    of_config = "options of --world, as for gymnasium.make, such as those that a network was trained with"
-    parser.add_argument("--config", metavar="JSON", help=of_config)
+    add_world_arguments(parser, "default: a highway, in SI units")
     of_traffic = "how the other vehicles drive (default: hostile)"
     parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
     of_vehicles = "what vehicles NPCs can be, such as car,truck (default: all ready ones that fit the road)"
@@ -278,29 +278,38 @@ def _conftest(arguments: argparse.Namespace) -> str:
 def _test(arguments: argparse.Namespace) -> str:
     """Return the content of the file with the test."""
     given = [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
-    config = config_of(arguments.config)
-    if config is not None and arguments.world is None:
-        raise RequestError(
-            f"--config: expected options of the environment that --world names, received {arguments.config} without "
-            "--world; add --world ID"
-        )
-    of_config = "" if config is None else f", config={config!r}"
-    given += [] if arguments.world is None else [f"world=pafot.World({arguments.world!r}{of_config})"]
+    of_world, imports = _world(arguments)
+    given += of_world
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
     given += [] if arguments.vehicles is None else [f"vehicles={json.dumps(_vehicles(arguments.vehicles))}"]
     given += [f"drivers={json.dumps(_drivers(arguments.driver))}"] if arguments.driver else []
     given += [] if arguments.begin_with is None else [f"begin_with={arguments.begin_with!r}"]
-    name, holds, imports = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()", ""
+    name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
     if arguments.blame != "ego":
         name = "never_in_a_collision"
     if arguments.check is not None:
         check_function(arguments.check)
         module, name = arguments.check.split(":")
-        holds, imports = "return holds(run)", _import(module, name, "holds", "--check")
+        holds, imports = "return holds(run)", imports + _import(module, name, "holds", "--check")
     name = name if name.startswith("test") else f"test_{name}"
     return (
         f"import pytest_pafot as pafot\n{imports}\n\n@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"
     )
+
+
+def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
+    """Return the argument of the mark for the world, and the import that registers its environment, if any."""
+    config, is_planner = config_of(arguments.config), arguments.ads.endswith(PLANNER)
+    world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
+    if world is None:
+        return [], ""
+    module, _, name = arguments.world.partition(":")
+    if name and getattr(world, "env_id", "") != name:
+        _import(module, name.partition(":")[0], "", "--world")  # it checks the names
+        return [f"world={json.dumps(arguments.world)}"], ""
+    of_config = "" if config is None else f", config={config!r}"
+    of_planner = "" if world.planner_hz is None else f", planner_hz={world.planner_hz}"
+    return [f"world=pafot.World({world.env_id!r}{of_config}{of_planner})"], f"import {module}\n" if name else ""
 
 
 def _vehicles(text: str) -> list[str]:

@@ -57,6 +57,7 @@ class Catalogued:
 def _drive(item: pytest.Function, name: str, named: tuple[Any, ...], given: Mapping[str, Any]) -> None:
     __tracebackhide__ = True
     from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
+    from pytest_pafot.campaign.request import named_world  # noqa: PLC0415
     from pytest_pafot.campaign.verdict import source_file  # noqa: PLC0415
     from pytest_pafot.plugin.failure_reports import SUMMARY  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import bound_test, shown  # noqa: PLC0415
@@ -67,6 +68,8 @@ def _drive(item: pytest.Function, name: str, named: tuple[Any, ...], given: Mapp
     if isinstance(ads, str) and ":" not in ads:
         ads = checked_factory(item.funcargs[ads], ads)
     world = given.get("world", item.funcargs[WORLD_FIXTURE])
+    if isinstance(world, str):
+        world = named_world(world, "@pafot.catalogue(world=...)")
     if base_world(world).missing:
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
     # The default highway is too slow for some entries; a world that the user has chosen is used as it is.

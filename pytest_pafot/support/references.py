@@ -9,12 +9,16 @@ import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pytest_pafot.support.text import one_line
 
 MOST_NAMES = 8
 """The largest number of a module's names that an error lists."""
+
+PLANNER = "@planner"
+"""The suffix of the name of a policy that is a planner in SI units, although it drives in an environment."""
 
 REVISION = "rev:"
 """The prefix of a reference that is a revision of the repository."""
@@ -47,8 +51,25 @@ def referred_to(reference: str, what: str = "a name") -> Any:
         ValueError: if there is no such module, or no such name in it; the caller adds the place to the message.
     """
     module_name, _, name = reference.partition(":")
+    module = imported(reference)
+    if not hasattr(module, name):
+        near = difflib.get_close_matches(name, vars(module), n=1)
+        own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
+        hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
+        hint = hint or (f"; it has {', '.join(own[:MOST_NAMES])}" if own else "; it has no such name")
+        raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
+    return getattr(module, name)
+
+
+def imported(reference: str) -> ModuleType:
+    """Import the module that a text such as ``module:name`` names.
+
+    Raises:
+        ValueError: if there is no such module, or it raises; the caller adds the place to the message.
+    """
+    module_name, _, name = reference.partition(":")
     try:
-        module = importlib.import_module(module_name)
+        return importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() in its import.
         # A module that lacks another one raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
@@ -60,13 +81,6 @@ def referred_to(reference: str, what: str = "a name") -> Any:
         raise ValueError(
             f"expected a module that can be imported, received {reference!r}{received}; {way_out}"
         ) from error
-    if not hasattr(module, name):
-        near = difflib.get_close_matches(name, vars(module), n=1)
-        own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
-        hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
-        hint = hint or (f"; it has {', '.join(own[:MOST_NAMES])}" if own else "; it has no such name")
-        raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
-    return getattr(module, name)
 
 
 def name_of(factory: Callable[..., Any]) -> str:

@@ -64,7 +64,7 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
     if isinstance(kind, str) and kind in registered:
         return _from_registered(registered[kind], values)
     hint = (
-        "a file cannot hold the code of your own world; use the world object itself"
+        "a file cannot hold the code of your own world; use the world object itself, or --world module:factory"
         if kind == OWN
         else f"a package that registers its kind in the entry points {GROUP} may not be installed here"
     )
@@ -284,6 +284,15 @@ class WorldData:
         """True if the world can be made from its data: it is no code, or its class has ``from_dict``."""
         return not is_code(self.data) or (self.data["kind"] == OWN and hasattr(type(self.world), "from_dict"))
 
+    def named(self, world: Any) -> WorldLike:
+        """Return the world of a file, for which the user names a world: that one if the file's world is code.
+
+        Raises:
+            WorldError: if the user names the world of another class or environment.
+        """
+        same: WorldLike = named(self.data, world)
+        return same if is_code(self.data) else self.made()
+
     def made(self) -> WorldLike:
         """Return the world that is made from the data.
 
@@ -311,7 +320,7 @@ def named(data: Mapping[str, Any], world: Any) -> Any:
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
     expected = f"that the test names the world in which the scenario was saved, {_title(data)}"
-    way = "give it by @pafot.search(world=...) or the fixture pafot_world"
+    way = "give it by @pafot.search(world=...), the fixture pafot_world or --world"
     fix = f"{way}; if only its name has changed, write the new name into the file"
     raise WorldError(expected=f"{expected}, because a file holds no code", received=_title(now), fix=fix)
 

@@ -618,7 +618,7 @@ def _creator(env_id: str) -> Any:
         meant = f"; did you mean {near[0]!r}?" if near else ""
         fix = (
             f"highway-env's straight roads are {', '.join(known)}; import the module that registers an environment of "
-            f"your own first, or write {OTHER_KIND}{meant}"
+            f"your own first, as `--world module:id` does, or write {OTHER_KIND}{meant}"
         )
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point

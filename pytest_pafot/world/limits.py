@@ -18,6 +18,9 @@ BEND_SHARE = 0.8
 CLEARANCE, HEADWAY, HANG_LIMIT = 3.0, 2.0, 30.0
 """The defaults of worlds: the gap between the ego and the cells ahead of it and behind it [m], the headway with which
 NPCs start in these cells [s], and the wall-clock time after which a decision of an ADS is interrupted [s]."""
+PLANNER_HZ = 5
+"""The number of decisions of a planner per second, as on a Highway. In an episode with fewer ticks per second, it
+decides at every tick."""
 CONNECTED = "neighbour_vehicles_connected_lanes"
 """The option of environments for the lanes in which highway-env's IDM looks for others; only free NPCs look there, and
 egos of its class."""

@@ -116,6 +116,45 @@ def test_search_command_has_the_requested_vehicles_and_drivers(here):
     assert wanted in (here / "test_safety.py").read_text()
 
 
+WORLDS = """\
+import gymnasium
+import pytest_pafot as pafot
+
+gymnasium.register("mine-v0", entry_point="highway_env.envs.highway_env:HighwayEnvFast")
+
+
+def short(seconds):
+    return pafot.World("mine-v0", duration=float(seconds), wrappers=[lambda env: gymnasium.ObservationWrapper(env)])
+
+
+class Road:
+    speed_limit, longest_run = 20.0, 10.0
+    rollout = pafot.Highway().rollout
+
+    def to_dict(self):
+        return {}
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("policy", "world", "argument"),
+    [
+        ("a_planner:Planner", "worlds:Road", 'world="worlds:Road"'),
+        ("a_planner:Planner@planner", "worlds:mine-v0", "world=pafot.World('mine-v0', planner_hz=5)"),
+    ],
+)
+def test_search_command_drives_in_a_world_of_the_user(here, policy, world, argument):
+    (here / "worlds.py").write_text(WORLDS)
+    given = ["pytest_pafot", "search", policy, "--world", world, "--blame=any", "--check=a_planner:keeps_moving"]
+    code, told = python(*given, "--runs", "4", "--seed", "2", "--", "-q")
+    assert (code, "1 new finding" in told) == (1, True), told
+    assert python(*given, "--write-test")[0] == 0
+    test = (here / "test_safety.py").read_text()
+    assert (f"@pafot.search({argument})" in test, "import worlds\n" in test) == (True, "mine" in world)
+    assert python("pytest", "-q", "--pafot-runs=1", "--pafot-seed=2")[0] == 1
+
+
 @pytest.mark.processes
 def test_search_command_uses_the_requested_world_and_check(here):
     arguments = ["search", "a_planner:idle", "--blame", "any", "--check", "a_planner:keeps_moving"]

@@ -285,7 +285,8 @@ MESSAGES = {
     "ads=lambda: lambda seen: dict(acceleration=0.0, steering=0.0)": ["return the two values as a tuple"],
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "ads=lambda: in_turn": ["an ADS is an ordinary function, without `async` and `yield`"],
-    "world='highway-fast-v0'": ["received 'highway-fast-v0'; did you mean pafot.World('highway-fast-v0')?"],
+    "world='highway-v9'": ["expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"],
+    "world='fractions:Fraction'": ["received 'fractions:Fraction', which returns Fraction(0, 1), without rollout, *"],
     "world=gymnasium.make('highway-fast-v0')": ["; did you mean pafot.World('highway-fast-v0')?"],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"

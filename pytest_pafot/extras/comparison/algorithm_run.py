@@ -12,6 +12,7 @@ from pytest_pafot.extending import AlgorithmRun, Policy, SetupFaultError, cautio
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import csv_text
 
 COLUMNS: Mapping[str, str] = {
@@ -80,13 +81,13 @@ def _set_up(fault: SetupFaultError, world: WorldLike, policy: Policy) -> Request
     asked = fault.first_decision(
         world,
         policy,
-        of_si="A policy of a highway-env environment needs that environment, such as --env highway-v0.",
-        of_env="With --env the environment has its default configuration, because config= cannot be given; a planner "
-        "in SI units needs the road without --env.",
+        of_si="A policy of a highway-env environment needs that environment, such as --world highway-v0.",
+        of_env="Without --config the environment has its default configuration; a planner in SI units needs "
+        f"{PLANNER} after its name, or the road without --world.",
     )
     return RequestError(
         f"--ads: expected a policy that drives, received {fault.received}{where}\n\n"
         f"This happened in {fault.runs}, at the first decision: it is an error of the set-up, which says nothing about "
-        "the algorithms. Correct the ADS, its factory, or the world that it drives in (--env and the options after "
+        "the algorithms. Correct the ADS, its factory, or the world that it drives in (--world and the options after "
         f"it), and run the command again.{asked}"
     )

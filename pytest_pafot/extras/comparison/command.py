@@ -12,17 +12,25 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, World
-from pytest_pafot.extending import ALGORITHMS, base_world, drawn_space
+from pytest_pafot.extending import (
+    ALGORITHMS,
+    WorldData,
+    add_world_arguments,
+    base_world,
+    chosen_world,
+    drawn_space,
+)
 from pytest_pafot.extras.comparison.algorithm_run import run_all
 from pytest_pafot.extras.comparison.plan import Plan, checked
 from pytest_pafot.extras.resumable import AGAIN, worker_count, written_into
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.references import PLANNER
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
 SAMPLED_NPCS = "sampled, or 2 in the paper's scenarios and on a bent road where none crosses the ego's way"
 SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road 3, and at most 10 in the paper's scenarios"
-START = " in the paper's scenarios and with --env, otherwise sampled; on a bent road, the environment's"
+START = " in the paper's scenarios and with --world, otherwise sampled; on a bent road, the environment's"
 
 
 SPACE = ("npcs", "genes", "gene_seconds", "traffic", "vehicles", "ego_lane", "ego_speed")
@@ -70,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--population", type=int, metavar="N", help="scenarios per generation (default: that of each algorithm)"
     )
-    parser.add_argument("--env", metavar="ID", help="a highway-env environment such as highway-v0, for its policies")
+    add_world_arguments(parser, "default: a highway, in SI units")
     for name, number, metavar, meaning in (
         ("--lanes", int, "N", f"number of lanes (default: {Highway().lanes})"),
         ("--speed-limit", float, "V", f"speed limit [m/s] (default: {Highway().speed_limit})"),
@@ -140,17 +148,17 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         for name in ("lanes", "speed_limit", "duration", "clearance")
         if (value := getattr(arguments, name)) is not None
     }
-    world: Highway | World
-    if arguments.env is None:
-        world = Highway(**road)
-    else:
-        for name in ("lanes", "speed_limit"):
-            if name in road:
-                raise RequestError(
-                    f"--{name.replace('_', '-')}: expected no such option with --env, received {road[name]!r}; leave "
-                    "it out, because the environment has its own road"
-                )
-        world = replace(World(arguments.env), **road)
+    is_planner = arguments.ads.endswith(PLANNER)
+    world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
+    is_own = world is not None and not isinstance(world, World)
+    for name in road if is_own else ("lanes", "speed_limit") if world is not None else ():
+        if name in road:
+            raise RequestError(
+                f"--{name.replace('_', '-')}: expected no such option with --world {arguments.world}, received "
+                f"{road[name]!r}; leave it out, because that world has its own"
+            )
+    world = Highway(**road) if world is None else world if is_own else replace(world, **road)
+    if isinstance(world, World):
         world.check()
     given = {name: value for name in SPACE if (value := getattr(arguments, name)) is not None}
     try:
@@ -172,7 +180,8 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         blame=arguments.blame,
         fitness=arguments.fitness,
         parameters={} if arguments.population is None else {"population": arguments.population},
-        world=world.to_dict(),
+        world=WorldData.of(world).data,
+        world_name=arguments.world or "",
         space=space.plain,
         drawn={name: value for name, value in drawn_space(world, given).items() if name != "crossings"},
     )

@@ -6,11 +6,11 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pytest_pafot import Highway, Run, WorldLike
+from pytest_pafot import Highway, Run, World, WorldLike
 from pytest_pafot.extending import (
     ALGORITHMS,
     AlgorithmClass,
@@ -18,6 +18,7 @@ from pytest_pafot.extending import (
     SearchSpace,
     WorldData,
     ads_factory,
+    chosen_world,
     code_of,
     identity,
     require,
@@ -107,6 +108,7 @@ class Plan:
     # parameters such as ``{"population": 8}``; every algorithm must accept all of them
     parameters: Mapping[str, Any] = field(default_factory=dict)
     world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # in the form of a corpus file
+    world_name: str = ""  # the argument --world: its module makes or registers the world, which may be code
     space: Mapping[str, Any] = field(default_factory=lambda: SearchSpace().plain)  # fields of a SearchSpace
     drawn: Mapping[str, Any] = field(default_factory=dict)  # fields for algorithms without the paper's scenarios
 
@@ -158,7 +160,12 @@ class Plan:
         space = SearchSpace(**{**self.space, **drawn})
         if seconds is None:
             return own, space
-        world: Any = WorldData({**self.world, "duration": seconds}).made()
+        if not isinstance(own, Highway | World):
+            raise RequestError(
+                f"--algorithms: expected no seconds after the @ in a world of your own, received {name}; let its "
+                "factory make a world with such runs, and compare there"
+            )
+        world = replace(own, duration=seconds)
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
@@ -234,5 +241,16 @@ def checked(plan: Plan) -> Plan:
 
 
 def world_of(plan: Plan) -> WorldLike:
-    """Return the world of a plan."""
-    return WorldData(plan.world).made()
+    """Return the world of a plan. It is made from its data, unless it is code."""
+    ads_factory(plan.ads)  # whose module may register the environment
+    data = WorldData(plan.world)
+    made = _named(plan.world_name) if ":" in plan.world_name else None
+    if made is None or data.can_be_made:
+        return data.made()
+    road = {name: plan.world[name] for name in ("duration", "clearance") if name in plan.world}
+    return replace(made, **road) if isinstance(made, World) else made
+
+
+@cache
+def _named(reference: str) -> Any:
+    return chosen_world(reference)

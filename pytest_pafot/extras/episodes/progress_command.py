@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from statistics import median
@@ -24,7 +24,6 @@ import numpy as np
 
 from pytest_pafot import Highway, Outcome, Run, World, WorldError, explore
 from pytest_pafot.extending import (
-    ABOUT_POLICIES,
     GenerationFinished,
     Policy,
     ProcessLostError,
@@ -33,11 +32,12 @@ from pytest_pafot.extending import (
     Severity,
     Verdict,
     WorkerPool,
+    add_world_arguments,
     ads_factory,
     base_world,
     check_drives,
     check_function,
-    config_of,
+    chosen_world,
     drawn_space,
     files_below,
     judged_runs,
@@ -46,7 +46,7 @@ from pytest_pafot.extending import (
     same_policy,
     sample,
 )
-from pytest_pafot.extras.episodes.rate import CHUNK, PLANNER, EpisodeRow, driven, p_text
+from pytest_pafot.extras.episodes.rate import CHUNK, EpisodeRow, driven, episodic, p_text
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, run_job, worker_count
 from pytest_pafot.extras.revisions.revision import PROCESS, revision_at
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
@@ -54,7 +54,7 @@ from pytest_pafot.extras.revisions.revision_process import Served
 from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError, command
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
-from pytest_pafot.support.references import REVISION, described
+from pytest_pafot.support.references import PLANNER, REVISION, described
 from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
 from pytest_pafot.support.versions import installed_versions
 
@@ -258,8 +258,8 @@ class ProgressPlan:
 
     old: str  # as in ``rate``; a planner in SI units with an environment has ``@planner`` after its name
     new: str
-    env_id: str = ""  # environment of ordinary traffic, which policies also use for scenarios
-    config: Mapping[str, Any] | None = None
+    world_name: str | None = None  # the arguments --world and --config
+    config: str | None = None
     scenarios: int = 200  # random ones; also the runs of each search for what only one policy fails
     episodes: int = 300
     saved: tuple[Path, ...] = ()
@@ -267,15 +267,28 @@ class ProgressPlan:
     seed: int = 0
     revision: RevisionPolicy | None = None  # the old policy, if ``old`` is a revision
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the plan without its worlds, which a process makes itself: they may be code."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
     @cached_property
-    def traffic(self) -> World:
-        """The environment of ordinary traffic, if there is one."""
-        return World(self.env_id, None if self.config is None else dict(self.config))
+    def traffic(self) -> Any:
+        """The world of episodes in ordinary traffic, if it has them."""
+        self.factory("new")  # whose module may register the environment
+        return chosen_world(self.world_name, self.config)
+
+    @cached_property
+    def world(self) -> Any:
+        """The world of the scenarios."""
+        world = self.traffic
+        if isinstance(world, World) and world.planner_hz is None and self.new.endswith(PLANNER):
+            world = chosen_world(self.world_name, self.config, is_planner=True)
+        return Highway() if world is None else world
 
     @property
-    def world(self) -> Highway | World:
-        """The world of the scenarios."""
-        return self.traffic if self.env_id and not self.new.endswith(PLANNER) else Highway()
+    def are_planners(self) -> bool:
+        """Whether the policies drive in SI units in ordinary traffic."""
+        return self.new.endswith(PLANNER) or self.traffic.planner_hz is not None
 
     @property
     def holds(self) -> Callable[[Run], Any]:
@@ -292,7 +305,7 @@ class ProgressPlan:
         """Return the factory of the ``old`` or the ``new`` policy."""
         if side == "old" and self.revision is not None:
             return self.revision
-        return ads_factory(getattr(self, side).removesuffix(PLANNER), side.upper())
+        return ads_factory(getattr(self, side), side.upper())
 
     def judged(self, side: str, numbers: range) -> Iterator[tuple[Run, Verdict]]:
         """Run random scenarios with a policy; each scenario depends only on the seed and its number."""
@@ -306,7 +319,10 @@ class ProgressPlan:
         """The job with its tasks; a task's name has its part and its number of situations, then the first situation."""
         sizes = {
             (f"{part}-{min(CHUNK, total - first)}", first): 2 * min(CHUNK, total - first)
-            for part, total in (("scenarios", self.scenarios), ("episodes", self.episodes if self.env_id else 0))
+            for part, total in (
+                ("scenarios", self.scenarios),
+                ("episodes", self.episodes if isinstance(self.traffic, World) else 0),
+            )
             for first in range(0, total, CHUNK)
         }
         sizes |= {("saved-1", number): 4 for number in range(len(self.saved))}
@@ -332,11 +348,10 @@ def checked(plan: ProgressPlan) -> ProgressPlan:
         (plan.new == plan.old, f"NEW: expected another version than OLD, received {plan.new!r} again; {OTHER_VERSION}"),
         (plan.new.startswith(REVISION), f"NEW: expected the present policy, received {plan.new!r}; check it out"),
         (any(are_planners) and not all(are_planners), f"NEW: expected {PLANNER} after both names or none"),
-        (plan.config is not None and not plan.env_id, "--config: expected an environment, received none; give --world"),
     ):
         if is_wrong:
             raise RequestError(problem)
-    if plan.env_id:
+    if isinstance(plan.traffic, World):
         plan.traffic.environment.with_traffic()
     if same := same_policy(plan.factory("new"), plan.factory("old")):
         raise RequestError(f"OLD: {same}")
@@ -440,7 +455,7 @@ def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator
             yield PairRow(part=part, name=str(number), old=Result.of(*old), new=Result.of(*new))
     elif part == "episodes":
         for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
-            is_planner, rows = plan.new.endswith(PLANNER), []
+            is_planner, rows = plan.are_planners, []
             for side in ("old", "new"):
                 factory = plan.factory(side)
                 if isinstance(factory, RevisionPolicy):
@@ -502,16 +517,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_old = f"the old version: {of_whom}; or {REVISION}REVISION, such as {REVISION}main: NEW as it is there"
     parser.add_argument("old", metavar="OLD", help=of_old)
     parser.add_argument("new", metavar="NEW", help=f"the new version: {of_whom.partition(',')[0]}")
-    of_world = "a highway-env environment in which its policies drive, also in its ordinary traffic; for planners in "
-    of_world += f"SI units write {PLANNER} after both names (default: a highway in SI units, without ordinary traffic)"
-    parser.add_argument("--world", default="", metavar="ID", help=of_world)
-    parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
+    of_world = "an environment has ordinary traffic, too; for planners in SI units write "
+    add_world_arguments(parser, f"{of_world}{PLANNER} after both names; default: a highway, in SI units")
     of_copy = f"with {REVISION}REVISION, files and folders that the policy needs and git ignores, such as weights"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
     of_scenarios = "random scenarios, and runs of each search for what only one version fails "
     of_scenarios += "(default: %(default)s)"
     parser.add_argument("--scenarios", type=int, default=200, metavar="N", help=of_scenarios)
-    of_episodes = f"episodes of ordinary traffic, with --world (default: {EPISODES})"
+    of_episodes = f"episodes of ordinary traffic, with an environment as --world (default: {EPISODES})"
     parser.add_argument("--episodes", type=int, metavar="N", help=of_episodes)
     of_corpus = "the folder of saved scenarios to replay (default: that in which searches save them, if it exists here)"
     parser.add_argument("--corpus", type=Path, metavar="FOLDER", help=of_corpus)
@@ -525,7 +538,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_exit = "worse: exit with 1 if any line is worse; not-better: exit with 1 unless the new version is better "
     of_exit += "(default: exit with 0 whatever the verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
-    parser.epilog = ABOUT_POLICIES
 
 
 def run(given: argparse.Namespace, command: Sequence[str]) -> int:
@@ -537,13 +549,17 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
                 raise RequestError(f"expected a file in a folder that exists, received {path}; give a different one")
         if given.corpus is not None and not given.corpus.is_dir():
             raise RequestError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
-        if given.episodes is not None and not given.world:
-            raise RequestError("--episodes: expected an environment, received none; give --world")
         episodes = EPISODES if given.episodes is None else given.episodes
-        saved, config = files_below() if given.corpus is None else files_below(given.corpus), config_of(given.config)
+        saved = files_below() if given.corpus is None else files_below(given.corpus)
         same = {name: getattr(given, name) for name in ("old", "new", "scenarios", "check", "seed")}
         same["episodes"] = episodes
-        plan = ProgressPlan(env_id=given.world, config=config, saved=tuple(file.absolute() for file in saved), **same)
+        plan = ProgressPlan(
+            world_name=given.world, config=given.config, saved=tuple(file.absolute() for file in saved), **same
+        )
+        if given.episodes is not None:
+            if given.world is None:
+                raise RequestError("--episodes: expected an environment, received none; give --world")
+            episodic(plan.traffic, "--episodes")
         workers, rows = worker_count(given.workers), []
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:
@@ -565,8 +581,8 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
             data = {
                 **same,
                 "old_commit": None if plan.revision is None else plan.revision.commit,
-                "world": plan.env_id,
-                "config": plan.config,
+                "world": plan.world_name,
+                "config": None if plan.config is None else json.loads(plan.config),
                 "verdict": verdict,
                 "sentence": sentence,
                 "lines": [{**asdict(line), "verdict": line.verdict} for line in lines],
@@ -588,11 +604,12 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
 
 def _hint(plan: ProgressPlan, rows: Sequence[PairRow], copy: Sequence[str]) -> str:
     """Return the command that saves and explains failures that only the new policy has; empty without them."""
-    if not any(row.part == "alone" and row.new.failed for row in rows) or plan.config is not None:
+    if not any(row.part == "alone" and row.new.failed for row in rows):
         return ""
-    old, new = (name.removesuffix(PLANNER) for name in (plan.old, plan.new))
-    given = ["--world", plan.env_id] if isinstance(plan.world, World) else []
+    old = plan.old.removesuffix(PLANNER)
+    given = [] if plan.world_name is None else ["--world", plan.world_name]
+    given += [] if plan.config is None else ["--config", plan.config]
     given += [] if plan.check is None else ["--check", plan.check]
     given += ["--runs", str(plan.scenarios), "--seed", str(plan.seed), "--against", old]
     given += ["--copy", *copy] if copy else []
-    return f"\nsave and see it: `{command('pytest_pafot', 'search', new, *given)}`\n"
+    return f"\nsave and see it: `{command('pytest_pafot', 'search', plan.new, *given)}`\n"

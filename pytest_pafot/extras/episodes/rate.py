@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome, World
-from pytest_pafot.extending import AdsFactory, ads_factory, caution, code_of, identity
+from pytest_pafot.extending import AdsFactory, WorldData, ads_factory, caution, chosen_world, code_of, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import csv_text, plural
 from pytest_pafot.support.versions import installed_versions
@@ -202,8 +203,8 @@ def rows_of(text: str) -> list[EpisodeRow]:
 QUESTION = "rate.json"
 CHUNK = 25
 """The number of episodes in a task; if the command is interrupted, finished tasks are saved."""
-PLANNER = "@planner"
-"""The suffix that a user adds to the name of a policy that is a planner in SI units."""
+FIRST = 10
+"""The number of first episodes: a policy that raises in each of them is refused, because it does not drive at all."""
 SIDES = ("ads", "against")
 
 
@@ -215,22 +216,38 @@ class RatePlan:
         ads: name of the policy, in the form of the command ``compare``; with ``@planner`` at its end for a planner in
             SI units.
         against: name of a second policy that drives on the same seeds, or None.
-        env_id, config: environment, as in :class:`pytest_pafot.World`.
+        world_name, config: the arguments ``--world`` and ``--config``.
         episodes: number of episodes; their seeds are ``seed``, ``seed + 1`` and so on.
         seed: seed of the first episode.
     """
 
     ads: str
     against: str | None = None
-    env_id: str
-    config: Mapping[str, Any] | None = None
+    world_name: str
+    config: str | None = None
     episodes: int = 1000
     seed: int = 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the plan without its world, which a process makes itself: it may be code."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     @cached_property
     def world(self) -> World:
-        """The environment of the episodes."""
-        return World(self.env_id, None if self.config is None else dict(self.config))
+        """The environment of the episodes.
+
+        Raises:
+            RequestError: if the world has none.
+        """
+        return episodic(chosen_world(self.world_name, self.config, self.policies.values()), "rate")
+
+    def episode(self, name: str, seed: int) -> Any:
+        """Drive the episode with a seed again, with the policy of a name, and record it."""
+        from pytest_pafot.extending import drive_episode  # noqa: PLC0415  (imports highway-env)
+
+        factory, is_planner = factory_of(name)
+        is_planner |= self.world.planner_hz is not None
+        return drive_episode(self.world, factory, seed, is_planner=is_planner, is_recorded=True)
 
     @property
     def policies(self) -> dict[str, str]:
@@ -248,7 +265,7 @@ class RatePlan:
             for first in firsts
             for count in (min(CHUNK, self.seed + self.episodes - first),)
         }
-        question = {"ads": self.ads, "against": self.against, "env_id": self.env_id, "config": self.config}
+        question = {"ads": self.ads, "against": self.against, "world": WorldData.of(self.world).data}
         names = [name.removesuffix(PLANNER) for name in self.policies.values()]
         told = {
             "plan": question,
@@ -283,8 +300,6 @@ def checked(plan: RatePlan) -> RatePlan:
         raise RequestError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
     if plan.against == plan.ads:
         raise RequestError(f"--against: expected a different policy than --ads, received {plan.ads!r} again")
-    for name in plan.policies.values():
-        factory_of(name)
     plan.world.environment.with_traffic()
     return plan
 
@@ -295,14 +310,29 @@ def factory_of(name: str) -> tuple[AdsFactory, bool]:
     Raises:
         RequestError: if there is no such factory.
     """
-    return ads_factory(name.removesuffix(PLANNER)), name.endswith(PLANNER)
+    return ads_factory(name), name.endswith(PLANNER)
+
+
+def episodic(world: Any, command: str) -> World:
+    """Return a world if it has episodes.
+
+    Raises:
+        RequestError: if it has none.
+    """
+    if isinstance(world, World):
+        return world
+    raise RequestError(
+        f"--world: expected for {command} an environment, which makes ordinary traffic itself, by its id or from a "
+        f"factory of a pafot.World, received {world!r:.100}, whose traffic a search arranges; `search`, `compare` and "
+        "`progress` drive in it"
+    )
 
 
 def driven(world: World, name: str, factory: AdsFactory, seed: int, *, is_planner: bool) -> EpisodeRow:
     """Drive one episode and return its row of the results."""
     from pytest_pafot.extending import drive_episode  # noqa: PLC0415  (imports highway-env)
 
-    episode = drive_episode(world, factory, seed, is_planner=is_planner)
+    episode = drive_episode(world, factory, seed, is_planner=is_planner or world.planner_hz is not None)
     return EpisodeRow(
         ads=name,
         seed=seed,
@@ -319,5 +349,21 @@ def _text(plan: RatePlan, task: Task, tick: Tick) -> str:
     factory, is_planner = factory_of(name)
     for number in range(int(count)):
         rows.append(driven(plan.world, name, factory, task[1] + number, is_planner=is_planner))
+        if number == FIRST - 1 and task[1] == plan.seed and all(row.outcome == Outcome.ADS_ERROR for row in rows):
+            raise _never_drives(plan, name, rows[0])
         tick((number + 1) / int(count))
     return text_of(rows)
+
+
+def _never_drives(plan: RatePlan, name: str, row: EpisodeRow) -> RequestError:
+    """Return the error for a policy that raised in each of the first episodes, with the place of the first one."""
+    error = plan.episode(name, row.seed).error
+    traceback = "" if error is None else error.traceback
+    place = traceback.rfind("  File ")
+    where = f"\n{traceback[place:].rstrip()}\n" if place >= 0 else ". "
+    is_planner = name.endswith(PLANNER) or plan.world.planner_hz is not None
+    planner = "" if is_planner else f" A planner in SI units, as for pafot.Highway, needs {PLANNER} after its name."
+    return RequestError(
+        f"{name}: expected a policy that drives, received one with an error in each of the first {FIRST} episodes, "
+        f"from seed {row.seed} on: {row.error}{where}Correct it, its factory or the environment.{planner}"
+    )

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome
-from pytest_pafot.extending import Policy, config_of, drawn_episode
+from pytest_pafot.extending import Policy, add_world_arguments, drawn_episode
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
     Pair,
@@ -54,7 +54,7 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
     ``command`` is the command that made it, and ``pictures`` has the file name of the picture of each policy's crash.
     """
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
-    config = "" if plan.config is None else f" with `{json.dumps(dict(plan.config))}`"
+    config = "" if plan.config is None else f" with `{plan.config}`"
     rows = []
     for rate in rates:
         low, high = interval(len(rate.crashed), rate.episodes)
@@ -65,7 +65,7 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
     parts = [
         f"# How often {' and '.join(rate.ads for rate in rates)} crash{'es' if len(rates) == 1 else ''}",
         f"```sh\n{shlex.join(command)}\n```",
-        f"{plan.episodes} episodes of {plan.env_id}{config}, seeds {plan.seed} to {plan.seed + plan.episodes - 1}. "
+        f"{plan.episodes} episodes of {plan.world_name}{config}, seeds {plan.seed} to {plan.seed + plan.episodes - 1}. "
         f"{packages}.",
         markdown_table(["", "episodes", "crashes", "per episode", "95 %", "per hour", "hours"], rows),
     ]
@@ -92,10 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom += "pafot.Observation and answers with acceleration and steering"
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
     parser.add_argument("--against", metavar="ADS", help="a second policy, on the same seeds")
-    parser.add_argument(
-        "--world", required=True, metavar="ID", help="a highway-env environment such as highway-fast-v0"
-    )
-    parser.add_argument("--config", metavar="JSON", help="options of the environment, as for gymnasium.make")
+    add_world_arguments(parser, "one with an environment", is_needed=True)
     parser.add_argument(
         "--episodes", type=int, default=1000, metavar="N", help="episodes to drive (default: %(default)s)"
     )
@@ -124,23 +121,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Rate the policies, write the page if there is a folder for it, and return the exit code."""
     try:
-        config = config_of(arguments.config)
-        same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
-        plan = checked(RatePlan(env_id=arguments.world, config=config, **same))
-        workers = worker_count(arguments.workers)
-        if arguments.episode is not None and arguments.episode < 0:
-            raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
-        limit = _share_of(arguments.fail_above, plan.episodes)
-        if arguments.episode is not None and (arguments.json or limit is not None):
-            raise RequestError("--episode: expected no --json and no --fail-above, which need a rate; leave them out")
-        if arguments.episode is not None:
-            return _replay(plan, arguments.episode, arguments.out or Path())
         with ExitStack() as stack:
+            if arguments.json:
+                stack.enter_context(printing_elsewhere())  # also what modules and a factory of the world print
+            same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
+            plan = checked(RatePlan(world_name=arguments.world, config=arguments.config, **same))
+            workers = worker_count(arguments.workers)
+            if arguments.episode is not None and arguments.episode < 0:
+                raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
+            limit = _share_of(arguments.fail_above, plan.episodes)
+            if arguments.episode is not None and (arguments.json or limit is not None):
+                raise RequestError(
+                    "--episode: expected no --json and no --fail-above, which need a rate; leave them out"
+                )
+            if arguments.episode is not None:
+                return _replay(plan, arguments.episode, arguments.out or Path())
             folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
             job = plan.job
             workers = min(workers, len(job.tasks))
-            if arguments.json:
-                stack.enter_context(printing_elsewhere())
             results = run_job(job, folder, workers=workers, stream=sys.stderr, clock=time.monotonic)
             rows = rows_of(results.read_text(encoding="utf-8"))
         rates = [Rate(ads=name, rows=tuple(row for row in rows if row.ads == name)) for name in plan.policies.values()]
@@ -207,8 +205,8 @@ def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection:
     pair = Pair.of(*rates) if len(rates) == 2 else None
     names = ("first_only", "second_only", "both", "neither")
     return {
-        "world": plan.env_id,
-        "config": plan.config,
+        "world": plan.world_name,
+        "config": None if plan.config is None else json.loads(plan.config),
         "seed": plan.seed,
         "episodes": plan.episodes,
         "policies": [
@@ -232,7 +230,7 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
     """Draw the first crash of each policy and return the file names by policy; warn if a needed package is missing."""
     try:
         drawn = {
-            rate.ads: drawn_episode(_episode(plan, rate.ads, rate.crashed[0]), _title(rate.ads, rate.crashed[0]))
+            rate.ads: drawn_episode(plan.episode(rate.ads, rate.crashed[0]), _title(rate.ads, rate.crashed[0]))
             for rate in rates
             if rate.crashed
         }
@@ -248,7 +246,7 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
     for rate in rates:
         hint = Policy(factory_of(rate.ads)[0]).loading_hint
         notes = [*rate.notes, *filter(None, [hint])]
-        lines += [f"{rate.ads} in {plan.env_id}: {rate.sentence}", *(f"  {note}" for note in notes)]
+        lines += [f"{rate.ads} in {plan.world_name}: {rate.sentence}", *(f"  {note}" for note in notes)]
         if not rate.episodes and "@" not in rate.ads:
             named = shlex.join(["--ads", f"{rate.ads}@planner"])
             lines.append(f"  for a planner in SI units, as for pafot.Highway, use {named}")
@@ -257,7 +255,7 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
     crashed = next((rate for rate in rates if rate.crashed), None)
     if crashed is not None:
         config = [] if arguments.config is None else ["--config", arguments.config]
-        again = ["--ads", crashed.ads, "--world", plan.env_id, *config, "--episode", crashed.crashed[0]]
+        again = ["--ads", crashed.ads, "--world", plan.world_name, *config, "--episode", crashed.crashed[0]]
         lines.append(f"see a crash: {command('pytest_pafot', 'rate', *again)}")
     return "\n".join(lines) + "\n"
 
@@ -268,21 +266,14 @@ def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     for name in plan.policies.values():
-        episode = _episode(plan, name, seed)
+        episode = plan.episode(name, seed)
         how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
         error = "" if episode.error is None else f": {episode.error.text}"
-        sys.stdout.write(f"{name} in {plan.env_id}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
+        sys.stdout.write(f"{name} in {plan.world_name}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
         if episode.recording is not None:  # there is none if the ADS could not be made
             picture = drawn_episode(episode, _title(name, seed))
             sys.stdout.write(f"{folder / _written(picture, name, seed, folder)}\n")
     return 0
-
-
-def _episode(plan: RatePlan, name: str, seed: int) -> Any:
-    from pytest_pafot.extending import drive_episode  # noqa: PLC0415  (imports highway-env)
-
-    factory, is_planner = factory_of(name)
-    return drive_episode(plan.world, factory, seed, is_planner=is_planner, is_recorded=True)
 
 
 def _title(name: str, seed: int) -> str:

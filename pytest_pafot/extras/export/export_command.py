@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import load
-from pytest_pafot.extending import ads_factory
+from pytest_pafot.extending import WorldData, add_world_arguments, ads_factory, chosen_world
 from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.extras.resumable import written_into
 from pytest_pafot.support.files import write_whole
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=ADS",
         help="a driver of free NPCs that the file names, as in drivers= of its test; again for each",
     )
+    add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own", has_config=False)
     parser.add_argument(
         "--out", type=Path, default=Path(), metavar="DIR", help="the folder for the files (default: the current one)"
     )
@@ -49,8 +50,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise ExportError(field="--ads", expected=expected, received=received)
     named = [each.partition("=") for each in arguments.driver]
     drivers = {name: ads_factory(reference, "--driver") for name, _, reference in named}
-    world: Any = saved.world if drivers else None
-    if hasattr(world, "with_drivers"):  # a world of the user's own need not have it
+    made = chosen_world(arguments.world, None, [arguments.ads])
+    world: Any = saved.world if made is None else WorldData(saved.finding.world).named(made)
+    if drivers and hasattr(world, "with_drivers"):  # a world of the user's own need not have it
         world = world.with_drivers(drivers)
     driven = saved.replay(ads_factory(arguments.ads), world=world)
     files = export(saved.finding, driven.trace)

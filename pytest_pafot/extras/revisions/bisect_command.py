@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import load
+from pytest_pafot.extending import add_world_arguments, chosen_world
 from pytest_pafot.extras.revisions.commits import History, copied, halved, inside
 from pytest_pafot.extras.revisions.revision_policy import mapped
 from pytest_pafot.support.errors import RequestError, command, flag
@@ -34,7 +35,7 @@ VERDICTS = {True: "passes", False: "fails", None: "no verdict"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--any-pass] [--timeout S]"
+    rest = "--good REV [--bad REV] --policy PATH... [--copy PATH...] [--any-pass] [--timeout S] [--world WORLD]"
     parser.usage = f"%(prog)s FILE {rest}"  # argparse would put FILE last, where it reads it as one more PATH
     parser.add_argument("file", metavar="FILE", help="a saved scenario that fails now: its file, or its id")
     parser.add_argument("--good", required=True, metavar="REV", help="a commit in which it passed")
@@ -48,6 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--any-pass", action="store_true", help=of_any)
     of_timeout = "how long the replay of a commit may take [s] (default: %(default)g)"
     parser.add_argument("--timeout", type=_seconds, default=300.0, metavar="S", help=of_timeout)
+    of_world = "the world in place of that of the test"
+    add_world_arguments(parser, of_world, has_config=False)
     parser.epilog = "The exit code is 0 if one commit is left, and 1 if several are, because some have no verdict."
 
 
@@ -61,6 +64,7 @@ def _seconds(text: str) -> float:
 def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     """Search for the commit that made a scenario fail; return the exit code: 0 if one commit is left, 1 if several."""
     here = Path(os.path.realpath(Path.cwd()))
+    chosen_world(arguments.world)
     saved = load(arguments.file)
     found, test = saved.path, saved.finding.test.partition("::")[0]
     history = History.of(arguments.policy, here)
@@ -84,8 +88,9 @@ def run(arguments: argparse.Namespace, _: Sequence[str]) -> int:
     _say(f"{plural(len(commits), 'commit')} of {', '.join(map(visible, history.paths))} after {good:.10}")
     with history.worktree([*extra, file.as_posix()]) as tree:
         trials = Trials(
-            history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass
-        )
+            history, tree, tree / here.relative_to(history.root), tree / file, arguments.timeout, arguments.any_pass,
+            arguments.world,
+        )  # fmt: skip
         history.put(tree, bad)  # Its error, such as for a submodule that is not cloned, is that of all commits.
         if trials.passes(bad) is not False:
             hint = "commit your changes" if dirty else f"try `{command('pytest', found)}`, or another --bad"
@@ -153,6 +158,7 @@ class Trials:
     file: Path
     timeout: float  # [s]
     any_pass: bool  # True if a pass counts even if the situation did not occur
+    world: str | None = None  # the world that --world names
     results: dict[str, dict[str, Any]] = field(default_factory=dict)  # results of the sessions, by the content
 
     def passes(self, commit: str) -> bool | None:
@@ -188,7 +194,7 @@ class Trials:
         above = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
         environ = {
             **os.environ,
-            TOLD: json.dumps({"file": str(told), "policy": policy}),
+            TOLD: json.dumps({"file": str(told), "policy": policy, "world": self.world}),
             # First the worktree: otherwise an editable installation would import the user's own files.
             "PYTHONPATH": os.pathsep.join([*filter(os.path.isdir, moved), *above]),
             # Python takes a compiled file as valid if the source has the same size and time in seconds. Two commits

@@ -32,6 +32,13 @@ def _end_with_command(alive: int) -> None:
     os.killpg(0, signal.SIGKILL)
 
 
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Put the world that the command names in the place of that of the test's mark."""
+    world = json.loads(os.environ[TOLD])["world"]
+    if world is not None:
+        item.add_marker(pytest.mark.pafot_search(world=world), append=False)
+
+
 def pytest_runtest_teardown(item: pytest.Item) -> None:
     """Write the result of the replay of a saved scenario to the file that the command reads."""
     replay = replay_of(item)

@@ -268,7 +268,7 @@ def _at_zone(kind: str) -> Make:
         zones = () if known is None else tuple(zone for zone in known.zones if zone.kind == kind)
         if known is None or not zones:
             fix = 'drive it in a world that has one, such as pafot.World("intersection-v0", planner_hz=5)'
-            fix += "; the command map takes --world intersection-v0"
+            fix += "; the command map takes --world intersection-v0, for a planner with @planner after its name"
             expected = f"a road on which another way is {kind} with the ego's"
             raise NoPlaceError(field="world", expected=expected, received="one without", fix=fix)
         fastest, zone = max(((known.ways[zone.way].speed_at(zone.npc[0]), zone) for zone in zones), key=itemgetter(0))

@@ -12,14 +12,20 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from pytest_pafot import World
-from pytest_pafot.extending import ABOUT_POLICIES, SUFFIX, ads_factory, check_function, config_of
+from pytest_pafot.extending import (
+    SUFFIX,
+    add_world_arguments,
+    ads_factory,
+    check_function,
+    chosen_world,
+)
 from pytest_pafot.extras.sweeps.drawing import page, png
 from pytest_pafot.extras.sweeps.entries import ENTRIES, Entry, chosen, entry_of
 from pytest_pafot.extras.sweeps.maps import WIDTH, Sweep, short, sweep
 from pytest_pafot.extras.sweeps.numbers import over_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import check_writable, way_out, write_if_free, write_whole
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import visible, wrapped_to
 
 FAILED = 1
@@ -34,14 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_over = "a number and its first and last value and their count; once or twice"
     parser.add_argument("--over", metavar="NAME=FIRST:LAST:COUNT", action="append", default=[], help=of_over)
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="another number of an entry")
-    of_world = (
-        "a highway-env environment, without --config driven in SI units (default: a highway, or that of the finding)"
-    )
-    parser.add_argument("--world", metavar="ID", help=of_world)
-    of_config = (
-        "options of --world, as for gymnasium.make; the policy then has the environment's observations and actions"
-    )
-    parser.add_argument("--config", metavar="JSON", help=of_config)
+    add_world_arguments(parser, "default: a highway in SI units, or that of the finding")
     of_check = "a function of a run, which asserts what must hold (default: no collision, never off the road)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
@@ -53,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--csv", metavar="FILE", help="save the map; --against reads it")
     parser.add_argument("--html", metavar="FILE", help="write a page on which each point plays its run")
     parser.add_argument("--png", metavar="FILE", help="write a picture")
-    parser.epilog = f"{ABOUT_POLICIES} The exit code is 1 with --fail-on, 2 for wrong arguments, else 0."
+    parser.epilog = f"{parser.epilog} The exit code is 1 with --fail-on, 2 for wrong arguments, else 0."
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -71,8 +70,6 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         )
     if arguments.fail_on == "worse" and arguments.against is None:
         raise RequestError("--fail-on worse: expected --against with a saved map, received none; save one with --csv")
-    if arguments.config is not None and arguments.world is None:
-        raise RequestError("--config: expected an environment, received none; give --world")
     kinds = ((arguments.csv, Sweep.csv), (arguments.html, page), (arguments.png, png))
     outputs = {path: content for path, content in kinds if path is not None}
     if len(outputs) < sum(path is not None for path, _ in kinds):
@@ -95,9 +92,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         arguments.what,
         ads_factory(arguments.ads),
         over=over_of(arguments.over),
-        world=None
-        if arguments.world is None
-        else World(arguments.world, config_of(arguments.config), planner_hz=5 if arguments.config is None else None),
+        world=chosen_world(
+            arguments.world,
+            arguments.config,
+            [arguments.ads],
+            is_planner=arguments.ads.endswith(PLANNER),
+        ),
         holds=None if arguments.check is None else check_function(arguments.check),
         against=arguments.against,
         on_point=_tell if is_watched else None,

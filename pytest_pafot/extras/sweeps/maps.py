@@ -21,6 +21,7 @@ from pytest_pafot.extending import (
     Verdict,
     WorldData,
     base_world,
+    chosen_world,
     driving,
     judged_with_drivers,
     refusals,
@@ -363,7 +364,7 @@ def sweep(
         over: for each axis the name of a number, and its values: numbers, or ``"first:last:count"``. A number is a
             parameter of the entry, or is named by its place in the scenario: ``ego.speed``, ``npcs.0.0.speed`` for an
             instruction, ``npcs.0.steps.1.gap`` for a step of a manoeuvre.
-        world: the world; by default that of the finding, or a highway.
+        world: the world, or its name, such as ``"module:factory"``; by default that of the finding, or a highway.
         holds: the property, a function of a run that asserts; by default that there is no collision and the ego stays
             on the road.
         against: an earlier map, or the file that :meth:`Sweep.save` wrote.
@@ -377,6 +378,8 @@ def sweep(
     """
     if holds is not None:
         check_asserts(holds)
+    if isinstance(world, str):
+        world = chosen_world(world, place="world")
     if world is not None and not hasattr(world, "rollout"):
         raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
     name, make = _source(what, world, values)
@@ -395,7 +398,8 @@ def sweep(
     factory = named_factory(ads)
     if not base_world(make.world).reference_drivers:
         raise RequestError(
-            "sweep: expected a world with reference drivers, which tell what can be avoided, received one without"
+            "sweep: expected a world with reference drivers, which tell what can be avoided, received "
+            f"{make.world!r:.100}, which has none; write reference_drivers and rollout_reference(scenario, name)"
         )
     remarks = make.check(axes)
     with driving(make.world, factory) as drive:

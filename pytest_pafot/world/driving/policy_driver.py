@@ -193,7 +193,10 @@ def _bad(expected: str, action: Any, hint: str = "") -> BadAction:
 def _hint_at_choice(array: Any, space: Any) -> str:
     """Return a hint for an array that an ADS returned in place of an action's number; empty if none fits."""
     if array.dtype.kind == "f" and array.shape == (2,) and space.n != 2:
-        return "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5)"
+        return (
+            "planners in SI units drive without world=, or in a pafot.World(..., planner_hz=5); for a command, write "
+            "@planner after the name"
+        )
     if array.dtype.kind == "f" and array.size == space.n:
         return "if these are values of the actions, return the number of the largest: `int(np.argmax(...))`"
     if array.dtype.kind == "f" and array.size == 1:

@@ -15,6 +15,7 @@ import numpy as np
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import AdsError, FloatArray, Lane, Outcome
 from pytest_pafot.support.errors import WorldError
+from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import ImperfectSensor, PolicySight
@@ -26,15 +27,13 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
+from pytest_pafot.world.limits import PLANNER_HZ
 from pytest_pafot.world.roads.straight import StraightRoad
 
 POINT_STEP = 2.0
 """The distance between the points of a lane that is not straight [m]."""
 LONGEST = 3600.0
 """The longest episode of an environment that does not specify a duration [s]."""
-PLANNER_HZ = 5
-"""The number of decisions of a planner per second, as on a Highway. With fewer ticks per second, a planner decides at
-every tick."""
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
 """The result of ``env.step``: observation, reward, terminated, truncated, info."""
@@ -183,7 +182,7 @@ class Start:
         name, ego = type(self.env).__name__, type(self.env.vehicle).__name__
         return WorldError(
             f"world: expected an environment whose steps work with an ego of the class {ego}, received {name}, "
-            f"which raised {type(error).__name__}: {error}; rate a policy that returns the environment's own "
+            f"which raised {described(error)}; rate a policy that returns the environment's own "
             "actions, or use a different environment"
         )
 

@@ -25,6 +25,7 @@ from highway_env.vehicle.objects import Obstacle
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
+from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, constants_of, obstacles_on, road_rules
 from pytest_pafot.world.driving.idm_model import CONSTANTS, ORDINARY, idm_model, is_patched, shadowed, takes
@@ -504,7 +505,11 @@ def drive(
     with vehicle_classes_kept(), HangGuard(hang_limit) as guard:
         outer = environment.with_traffic()
         observe_fast(outer.unwrapped)
-        seen, _ = outer.reset(seed=seed)
+        try:
+            seen, _ = outer.reset(seed=seed)
+        except Exception as error:
+            expected = f"that {environment.env_id}, in its wrappers, can be reset with the seed {seed}"
+            raise WorldError(field="world", expected=expected, received=described(error), fix="correct it") from error
         view, policy = None, Policy(factory)
         try:
             if policy.simulates:

@@ -11,10 +11,11 @@ import sys
 from contextlib import redirect_stdout
 from itertools import pairwise
 
+import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import VAN, Scenario
+from pytest_pafot import VAN, Highway, Scenario, World
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
@@ -179,7 +180,7 @@ def test_requested_traffic_and_vehicles_apply_to_all_algorithms(tmp_path):
 
 
 def test_vehicles_that_cannot_follow_the_road_are_refused(tmp_path, capsys):
-    assert compare(tmp_path, "--env", "racetrack-v0", "--vehicles", "car,truck") == 2
+    assert compare(tmp_path, "--world", "racetrack-v0", "--vehicles", "car,truck") == 2
     assert "--vehicles: expected some that follow the bends of World(" in capsys.readouterr().err
 
 
@@ -264,8 +265,8 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
         (["--lanes", "9"], "lanes: expected .* received 9"),
         (["--npcs", "9"], "npcs: expected 1 to 8 NPCs"),
-        (["--env", "nowhere-v0"], "nowhere-v0"),
-        (["--env", "highway-v0", "--lanes", "4"], "--lanes: expected no such option with --env"),
+        (["--world", "nowhere-v0"], "nowhere-v0"),
+        (["--world", "highway-v0", "--lanes", "4"], "--lanes: expected no such option with --world highway-v0"),
     ],
 )
 def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments, message):
@@ -340,7 +341,7 @@ def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, mon
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
-    """The cause may be a policy for an environment without --env; the folder stays free for the right command."""
+    """The cause may be a policy for an environment without --world; the folder stays free for the right command."""
     arguments = ["--ads", "tests.extras.comparison.test_command:of_an_environment", "--workers", workers, "--runs", "1"]
     assert compare(tmp_path, *arguments) == BAD_USE
     said = capsys.readouterr()
@@ -351,11 +352,11 @@ def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
         "This happened in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
         "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
-        "A policy of a highway-env environment needs that environment, such as --env highway-v0.\n",
+        "A policy of a highway-env environment needs that environment, such as --world highway-v0.\n",
     ):
         assert part in said.err
     assert not (tmp_path / "report.md").exists()
-    more = ["--env", "highway-v0", "--duration", "5", "--generations", "1", "--algorithms", "random"]
+    more = ["--world", "highway-v0", "--duration", "5", "--generations", "1", "--algorithms", "random"]
     assert compare(tmp_path, *arguments, *more, "--workers", "1") == 0
 
 
@@ -370,11 +371,11 @@ def of_an_environment():
 
 
 def test_planner_given_an_environment_gets_a_hint(tmp_path, capsys):
-    assert compare(tmp_path, "--env", "highway-v0", "--runs", "1") == BAD_USE
+    assert compare(tmp_path, "--world", "highway-v0", "--runs", "1") == BAD_USE
     error = capsys.readouterr().err
     assert "received BadAction: expected a whole number from 0 to 4, received (0.0, 0.0)" in error
     assert "The ADS was given an array of shape (5, 5) and type float32" in error
-    assert "a planner in SI units needs the road without --env.\n" in error
+    assert "a planner in SI units needs @planner after its name, or the road without --world.\n" in error
 
 
 @pytest.mark.filterwarnings("error")
@@ -406,9 +407,50 @@ def test_the_help_needs_no_library():
     assert "--algorithms" in done.stdout
 
 
+class Road:
+    """A world of the user's own, which is code."""
+
+    speed_limit, longest_run = 20.0, 10.0
+    rollout = staticmethod(Highway().rollout)
+
+    def to_dict(self):
+        return {}
+
+
+def wrapped():
+    return World("highway-fast-v0", wrappers=[gymnasium.Wrapper])
+
+
+def compare_in(world, folder, ads, *arguments):
+    given = ["--ads", ads, "--out", str(folder), "--runs", "1", "--generations", "1", "--workers", "2", *arguments]
+    return main(["compare", *given, "--world", f"{__name__}:{world}"])
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
+    random = ("--algorithms", "random")
+    assert compare_in("Road", tmp_path / "own", "constant_speed", *random) == 0
+    assert '"class": "Road"' in (tmp_path / "own" / "comparison.json").read_text()
+    given = (f"{__name__}:of_an_environment", *random, "--duration", "5")
+    assert compare_in("wrapped", tmp_path / "wrapped", *given) == 0
+    assert json.loads((tmp_path / "wrapped" / "comparison.json").read_text())["plan"]["world"]["duration"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--duration", "5"], "--duration: expected no such option with --world"),
+        (["--algorithms", "random@5"], "expected no seconds after the @ in a world of your own, received random@5"),
+    ],
+)
+def test_what_a_world_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
+    assert compare_in("Road", tmp_path, "constant_speed", *options) == BAD_USE
+    assert told in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_policy_of_an_environment_is_compared_in_it(tmp_path):
-    arguments = ["--ads", "ppo", "--env", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
+    arguments = ["--ads", "ppo", "--world", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
     assert compare(tmp_path, *arguments) == 0
     assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
 
@@ -416,7 +458,7 @@ def test_policy_of_an_environment_is_compared_in_it(tmp_path):
 @pytest.mark.usefixtures("undrawn")
 def test_ego_on_curved_road_starts_as_in_environment(tmp_path, monkeypatch):
     (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
-    arguments = ["--ads", "idle:make", "--env", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
+    arguments = ["--ads", "idle:make", "--world", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["compare", *arguments, "--algorithms=random", "--out", str(tmp_path / "out")]) == 0
     space = json.loads((tmp_path / "out" / "comparison.json").read_text())["plan"]["space"]

@@ -56,6 +56,18 @@ def keeps_speed(run):
 
 def misspelt(run):
     run.colision
+
+
+class Road:
+    speed_limit, longest_run = 20.0, 10.0
+    rollout = staticmethod(pafot.Highway(duration=10.0).rollout)
+
+    def to_dict(self):
+        return {}
+
+
+def planned():
+    return pafot.World("highway-fast-v0", config={"duration": 4}, planner_hz=5)
 """
 SHORT = ["--scenarios", "20", "--workers", "1"]
 
@@ -109,6 +121,17 @@ def test_old_policy_may_come_from_a_revision(repository, capsys):
     (repository / "before_limits.py").write_text("LIMIT = 20.0\n")
     main(["progress", "before:Careful", "versions:Careful", *SHORT, "--json", "two.json"])
     assert json.loads((repository / "two.json").read_text())["rows"] == said["rows"]
+
+
+@pytest.mark.parametrize(("world", "parts"), [("Road", {"scenarios"}), ("planned", {"scenarios", "episodes"})])
+def test_versions_are_compared_in_the_world_of_a_factory(here, capsys, world, parts):
+    more = ("--world", f"versions:{world}", "--json", "p.json", *(("--episodes", "2") if len(parts) == 2 else ()))
+    assert progress("Blind", "Careful", *more) == 0
+    rows = json.loads((here / "p.json").read_text())["rows"]
+    assert ({row["part"] for row in rows} - {"alone"}, {row["told"] for row in rows if row["part"] == "episodes"}) == (
+        parts,
+        {""} if len(parts) == 2 else set(),
+    )
 
 
 @pytest.mark.processes
@@ -251,6 +274,11 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
         (["Careful", "--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
         (["Careful", "--config", "{}"], "--config: expected an environment, received none; give --world"),
         (["Careful@planner"], "NEW: expected @planner after both names or none"),
+        (
+            ["Careful", "--world", "versions:Road", "--episodes", "9"],
+            "--world: expected for --episodes an environ",
+        ),
+        (["Careful", "--world", "versions:Rod"], "received 'versions:Rod'; did you mean 'versions:Road'?"),
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
         (["rev:main"], "NEW: expected the present policy, received 'rev:main'; check it out"),
         (["Nobody"], "NEW: expected a factory in the module versions, received 'versions:Nobody'; it has "),

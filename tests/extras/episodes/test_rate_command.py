@@ -6,9 +6,11 @@ import os
 import re
 import sys
 
+import gymnasium
 import pytest
 from scipy.stats import binomtest
 
+import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.extras.episodes import rate as rates
 from pytest_pafot.extras.episodes import rate_command
@@ -152,6 +154,72 @@ def test_failing_policy_is_counted_and_named(capsys):
         in out
     )
     assert "for a planner in SI units, as for pafot.Highway, use --ads constant_speed@planner" in out
+
+
+def fails():
+    def decide(observation):
+        raise RuntimeError("no weights")
+
+    return decide
+
+
+def test_policy_that_raises_in_the_first_ten_episodes_ends_the_command(capsys):
+    assert rate("--ads", f"{__name__}:fails", "--episodes", "200") == 2
+    told = capsys.readouterr().err
+    assert "in each of the first 10 episodes, from seed 0 on: RuntimeError: no weights\n  File " in told
+    assert ("test_rate_command.py" in told, "25 of 200 episodes" in told) == (True, False)
+
+
+class Told(gymnasium.Wrapper):
+    def reset(self, **options):
+        assert options["seed"] != 3, "no reset with the seed 3"
+        return super().reset(**options)
+
+
+def wrapped(duration):
+    print("a factory that prints")
+    return pafot.World("highway-fast-v0", config={"duration": int(duration)}, wrappers=[Told])
+
+
+def planned():
+    return pafot.World("highway-fast-v0", config={"duration": 4}, planner_hz=5)
+
+
+def rated_in(world, *arguments):
+    return main(["rate", "--ads", "idm_mobil", "--workers", "1", "--episodes", "2", "--world", world, *arguments])
+
+
+def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
+    assert rated_in(f"{__name__}:wrapped:3", "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["world"], data["policies"][0]["hours"]) == (f"{__name__}:wrapped:3", 6 / 3600)
+    assert rated_in(f"{__name__}:planned", "--against", "constant_speed") == 0
+    assert "constant_speed in test" in capsys.readouterr().out
+
+
+def test_rate_drives_in_an_environment_that_a_module_registers(tmp_path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    kwargs = 'entry_point="highway_env.envs.highway_env:HighwayEnvFast", kwargs={"config": {"duration": 3}}'
+    (tmp_path / "envs_of_mine.py").write_text(f"import gymnasium\n\ngymnasium.register('mine-v3', {kwargs})\n")
+    assert rated_in("envs_of_mine:mine-v3", "--config", '{"duration": 2}') == 0
+    assert "idm_mobil in envs_of_mine:mine-v3: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["pytest_pafot:Highway"], "--world: expected for rate an environment, which makes ordinary traffic itself, "),
+        ([f"{__name__}:fails"], "fails', which returns <function fails"),
+        ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
+        ([f"{__name__}:wraped"], "; did you mean 'tests.extras.episodes.test_rate_command:wrapped'?"),
+        ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),
+        ([f"{__name__}:wrapped:3", "--seed", "3"], "can be reset with the seed 3, received AssertionError: no reset"),
+        (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'); run where it is"),
+    ],
+)
+def test_what_is_no_environment_is_refused_by_its_name(arguments, text, capsys):
+    assert rated_in(*arguments) == 2
+    assert text in capsys.readouterr().err
 
 
 def test_json_has_the_figures_of_the_text(capsys):

@@ -46,6 +46,44 @@ def test_drivers_of_free_npcs_are_named(tmp_path, capsys):
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 
 
+class Road:
+    """A world of the user's own, which is code."""
+
+    speed_limit, longest_run = 26.8, 60.0
+    rollout = staticmethod(pafot.Highway().rollout)
+
+    def to_dict(self):
+        return {}
+
+
+class OtherRoad(Road):
+    pass
+
+
+def test_world_that_is_code_is_named(tmp_path, capsys):
+    path = tmp_path / "front-2-1f3a9c.pafot.yaml"
+    path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {}})))
+    arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
+    assert export(*arguments) == 2
+    assert "a file contains no code: give the world itself, as in replay(ads, world=...) or by --world\n" in (
+        capsys.readouterr().err
+    )
+    assert export(*arguments, "--world", f"{__name__}:OtherRoad") == 2
+    assert "received a world of the class OtherRoad; give it by " in capsys.readouterr().err
+    assert export(*arguments, "--world", f"{__name__}:Road") == 0
+    assert (tmp_path / "front-2-1f3a9c.csv").exists()
+
+
+def test_world_of_the_file_is_driven_though_its_environment_is_named(tmp_path, capsys):
+    path = tmp_path / "front-2-1f3a9c.pafot.yaml"
+    world = pafot.World("highway-v0", config={"lanes_count": 3}, planner_hz=5)
+    path.write_text(text_of(plain_finding(world=world.to_dict())))
+    arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
+    assert export(*arguments, "--world", "highway-fast-v0") == 2
+    assert export(*arguments, "--world", "pytest_pafot:highway-v0") == 0
+    assert (tmp_path / "front-2-1f3a9c.csv").exists()
+
+
 def two_files(finding, trace):
     """Export two files, in a user's own format."""
     return {f"{finding.id}.a": b"a", f"{finding.id}.b": b"b"}

@@ -212,6 +212,10 @@ def test_uncommitted_changes_are_reported_and_not_tried(commit, tried, capsys):
             ["--good", "HEAD~1", "--policy", "."],
             "bisect: --policy: expected only paths of the policy, received paths that contain",
         ),
+        (
+            ["--good", "HEAD~1", "--world", "a:b"],
+            "bisect: --world: expected a module that can be imported, rec",
+        ),
         (["--good", "HEAD~1", "--copy", "absent"], "bisect: --copy: expected files and folders, received absent"),
         (["--good", "HEAD~1"], "bisect: expected --bad to fail as the file says, received: no verdict: as it says"),
     ],
@@ -370,6 +374,31 @@ def test_guide_shows_the_real_output_of_bisect(real, capfd):
     shown = ".*".join(map(re.escape, sample.split("...\n")))  # as in other samples, "..." stands for anything
     assert code == 0
     assert re.fullmatch(shown, capfd.readouterr().out, re.DOTALL)
+
+
+ROAD = """\
+import pytest_pafot as pafot
+
+
+class Road:
+    speed_limit, longest_run, rollout = 26.8, 60.0, staticmethod(pafot.Highway().rollout)
+
+    def to_dict(self):
+        return {}
+"""
+
+
+@pytest.mark.processes
+def test_world_of_the_command_is_that_of_the_replays(real, capfd):
+    world = re.search(r"world:.*?\n(?=scenario)", FINDING, re.DOTALL)[0]
+    Path(FILE).write_text(FINDING.replace(world, "world: {kind: own, class: Road, data: {}}\n"))
+    Path("roads.py").write_text(ROAD)
+    git("add", ".")
+    first, last = real(PLANNER.replace("0.6", "0.9")), real(PLANNER)
+    assert bisect("--good", first) == 2
+    assert "received: no verdict: " in capfd.readouterr().err
+    assert bisect("--good", first, "--world", "roads:Road") == 0
+    assert f"{last} is the first that fails" in capfd.readouterr().out
 
 
 @pytest.mark.processes

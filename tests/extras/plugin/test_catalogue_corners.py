@@ -83,7 +83,7 @@ def test_parameter_that_is_taken_fails_its_item_only(project, decorator):
     assert result.parseoutcomes().get("passed", 0) >= 1
 
 
-@table("argument", ['ads="policies:keep"', 'ads="no_module:make"', "world=3"])
+@table("argument", ['ads="policies:keep"', 'ads="no_module:make"', "world=3", 'world="fractions:Fraction"'])
 def test_wrong_policy_or_world_of_an_item_is_told_without_plugin_code(project, argument):
     project.pytester.makepyfile(policies="def keeps(): pass\n")
     project.write(f'@pafot.catalogue("r157/cut-in", {argument})\ndef test_x(run): pass\n')

@@ -169,12 +169,16 @@ def test_fixture(run):
 def test_argument(run):
     assert (len(run.trace.lanes), run.duration) == (3, 20.0)
 
+@pafot.catalogue("r157/side-vehicle", world="pytest_pafot:Highway")
+def test_name_of_argument(run):
+    assert (len(run.trace.lanes), run.duration) == (4, 20.0)
+
 @pafot.catalogue("junction/crossing", world=pafot.World("intersection-v0", planner_hz=5))
 def test_junction(run):
     assert run.ego.speed[0] == 10.0
 """,
     )
-    result.assert_outcomes(passed=3)
+    result.assert_outcomes(passed=4)
 
 
 def test_wrong_mark_fails_its_own_items_only(project):

@@ -6,9 +6,11 @@ import sys
 
 import pytest
 
+import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.extras.sweeps.entries import NAMES
+from pytest_pafot.support.errors import RequestError
 from tests.findings.builders import plain_finding
 from tests.helpers.tables import table
 
@@ -190,8 +192,26 @@ def test_policy_with_another_speed_is_told_of(told):
 
 def test_points_that_cannot_be_driven_are_counted(told):
     places = ("--over", "slot=-5:0:2", "--over", "speed=8:12:2", "--world", "intersection-v0")
-    _, out, _ = told("junction/crossing", *CUT_IN[1:], *places)
+    _, out, _ = told("junction/crossing", "--ads", f"{CUT_IN[2]}@planner", *places)
     assert "\n3 of the points not as asked cannot be driven, such as slot -5 s, speed 8 m/s: " in out, out
+
+
+def highway(limit):
+    return pafot.Highway(speed_limit=float(limit), duration=20.0)
+
+
+class NoReference:
+    speed_limit, longest_run = 30.0, 20.0
+    rollout = to_dict = None
+
+
+def test_map_is_driven_in_the_world_of_a_factory(told):
+    code, out, err = told(*CUT_IN, *OVER, "--world", f"{__name__}:highway:36")
+    assert (code, out.startswith("r157/cut-in in Highway speed_limit=36.0")) == (0, True), err
+    code, _, err = told(*CUT_IN, *OVER, "--world", f"{__name__}:NoReference")
+    assert (code, "reference drivers, which tell what can be avoided, received <" in err) == (2, True)
+    with pytest.raises(RequestError, match=r"world: expected a factory of a world, received .*, without rollout"):
+        pafot.sweep("r157/cut-in", "policies:Named", over={"gap": "10:20:2"}, world="fractions:Fraction")
 
 
 @table(("before", "after"), [(None, "gap,scenario,result,words\n0,r157/cut-in,"), ("earlier", "earlier")])
@@ -238,6 +258,7 @@ def test_interrupted_map_saves_what_it_has_driven_but_over_no_other(told, here, 
         ([*CUT_IN, *OVER, "--set", "side=nan"], "--set: expected different NAME=VALUE"),
         ([*CUT_IN, *OVER, "--set", "sid=1"], "received 'sid'; did you mean 'side'"),
         ([*CUT_IN, *OVER, "--set", "ego_speed=-9"], "expected a point that can be driven, received none: speed"),
+        ([*CUT_IN, *OVER, "--world", "policies:Nam"], "--world: .* 'policies:Nam'; did you mean 'policies:Named'"),
         ([*CUT_IN, *OVER, "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),
         ([*CUT_IN, *OVER, "--check", "policies:none"], "policies:none"),
         ([*CUT_IN, *OVER, "--against", "none.csv"], "against: none.csv: expected the file of a saved map"),
