@@ -266,6 +266,9 @@ def put(*place, value):
     return change
 
 
+Stacked = moving("Stacked", lambda states: np.copyto(states, states[:, :1]))
+
+
 def lost(self, trace):
     return replace(trace, states=trace.states[:, :-1], sizes=trace.sizes[:-1])
 
@@ -308,7 +311,7 @@ BROKEN = [
     (moving("Laneless", put(-1, 0, LANE, value=9)), "the column lane is an index of lanes, or -1"),
     (moving("Fast", put(0, 0, SPEED, value=9)), "the ego starts as fast as the scenario says"),
     (moving("Pushed", put(0, 0, ACCELERATION, value=1)), "acceleration and steering of the first row are 0"),
-    (moving("Crowded", lambda states: np.copyto(states[0], states[0, :1])), "no vehicles touch at the start"),
+    (type("Crowded", (Stacked,), {"limits": None}), "no vehicles touch at the start"),
 ]
 
 
@@ -614,7 +617,7 @@ WRONG = [
     (columns("Half", X, lambda x: x / 2), r"states\[..., SPEED\] of the ego is its speed along its way"),
     (columns("Weightless", ACCELERATION, lambda a: a / 9.81), r"states\[..., ACCELERATION\] is the acceleration that"),
     (columns("Wheels", STEERING, np.degrees), r"states\[..., STEERING\] is in rad"),
-    (columns("Countersteers", STEERING, lambda angle: -angle), r"states\[..., STEERING\] is positive where"),
+    (columns("Countersteers", STEERING, lambda angle: -angle), r"states\[..., STEERING\] of NPCs is positive where"),
     (columns("Off", LANE, lambda lane: 0 * lane - 1), r"states\[..., LANE\] of the ego is -1 only off the road"),
     (columns("Next", LANE, lambda lane: np.minimum(lane + 1, 3)), r"states\[..., X\] and states\[..., Y\] of"),
     (
