@@ -39,13 +39,16 @@ DIRECTION = 0.4
 """The largest median angle between the heading and the motion of a vehicle; turned wheels make it slip [rad]."""
 MOVING = 2.0
 """The speed above which the direction of motion is known [m/s]."""
+SEVERAL = 3
+"""The fewest collisions that show whether a world ends its runs too early."""
 LEAST = 10
 """The fewest ticks from which a share is taken."""
 SMOOTH = 0.5
 """The time over which accelerations are compared with speeds [s]; speeds may be rounded, accelerations a tick late."""
-STEP = 0.5, 0.15
-"""The largest difference between a step and the speed in one tick: a share, and the rounding of places [m]."""
-WHEELS = 0.1, 10.0
+STEP = 0.4, 0.1, 2.0
+"""The largest difference between a step and the speed in one tick: a share, the rounding of places [m], and the speed
+aside of a vehicle whose speed is only that along the road [m/s]."""
+WHEELS = 0.2, 4.0
 """The turn by the wheels and the length of a vehicle, at least and at most, as a multiple of the turn of its heading.
 The distance between the axles is no part of a trace."""
 COARSE = 1.0
@@ -123,6 +126,7 @@ def of_runs(world: Any, traces: Sequence[Trace]) -> Promises:
         yield from places_at_start(trace)
         yield from contacts(trace)
         yield from end(world, trace)
+    yield from touching(traces)
 
 
 def limits(world: Any, trace: Trace) -> Promises:
@@ -199,7 +203,10 @@ def _beside(lane: Lane, states: FloatArray) -> tuple[FloatArray, FloatArray, Flo
     along, across = x * cos + y * sin, y * cos - x * sin
     away = np.hypot(across, along - np.clip(along, 0.0, length))
     row, nearest = np.arange(len(states)), away.argmin(axis=1)
-    return away[row, nearest], across[row, nearest], np.arctan2(sin, cos)[nearest]
+    # Between far points a lane turns all the way, although the line through them does so only at the points.
+    starts = np.cumsum(length) - length
+    heading = np.interp((starts + along)[row, nearest], starts + length / 2, np.unwrap(np.arctan2(sin, cos)))
+    return away[row, nearest], across[row, nearest], heading
 
 
 def _bends(lane: Lane) -> bool:
@@ -233,6 +240,8 @@ def _bent(lanes: Sequence[Lane]) -> Promises:
         promise = "lanes side by side are listed from the left, with y to the right of the driving direction"
         received = f"lanes[{number + 1}] {-across:g} m to the left of lanes[{number}]"
         yield not is_beside or across > -DEEP, promise, received
+        is_width = not is_beside or across < COARSE or across > 0.6 * width
+        yield is_width, "lanes[...].width is the width of a lane", f"{width:g} m for lanes {across:.1f} m apart"
 
 
 def _on_grid(trace: Trace) -> list[int]:
@@ -281,10 +290,12 @@ def motion(traces: Iterable[Trace]) -> Promises:
             yield median <= DIRECTION, promise, f"{median:.2f} rad between heading and motion at half of the ticks"
             # A vehicle that changes lanes in one tick jumps aside then.
             stays = states[1:, vehicle, LANE] == states[:-1, vehicle, LANE]
-            apart = np.where(stays, np.abs(driven - by_speed)[:, vehicle], 0.0)
-            is_step = apart <= STEP[0] * by_speed[:, vehicle] + STEP[1]
+            least, most = np.sort([pace[1:, vehicle], pace[:-1, vehicle]], axis=0) * dt
+            step = driven[:, vehicle]
+            spare = STEP[1] + STEP[2] * dt
+            is_step = (step >= (1 - STEP[0]) * least - spare) & (step <= (1 + STEP[0]) * most + spare) | ~stays
             tick = int(is_step.argmin())
-            received = f"a step of {driven[tick, vehicle]:.2f} m and {by_speed[tick, vehicle]:.2f} m by the speed"
+            received = f"a step of {step[tick]:.2f} m and {by_speed[tick, vehicle]:.2f} m by the speed"
             promise = f"states has a row for each tick, none left out or repeated, at {trace.physics_hz} Hz"
             yield is_step.all(), promise, f"{received}, of {_name(vehicle)} to tick {tick + 1}"
         window = max(round(SMOOTH * trace.physics_hz), 1)
@@ -355,8 +366,14 @@ def way(traces: Iterable[Trace]) -> Promises:
     is_moving = ahead > MOVING * SMOOTH
     ratio = ahead[is_moving] / np.where(along[is_moving] == 0.0, ROUNDING, along[is_moving])
     share = float(np.median(ratio)) if len(ratio) >= LEAST else 1.0
+    is_wild = (ratio < 0.4) | (ratio > 2.5)  # no road bends so much that a vehicle can follow it
     promise = "track[..., ALONG] is the place along the ego's way in m, which grows in its direction"
-    yield 0.65 <= share <= 1.5, promise, f"{share:.2f} m driven for each m of it at half of the times"
+    received = f"{share:.2f} m driven for each m of it at half of the times"
+    yield 0.65 <= share <= 1.5 and is_wild.sum() <= max(2 * OUTLIERS * len(ratio), LEAST), promise, received
+    promise = "track[..., STRETCH] has the m that a vehicle drives per m of the ego's way, above 1 outside in a bend"
+    is_positive = all((trace.road.track[..., STRETCH] > 0).any(axis=1).all() for trace in traces)
+    yield is_positive, promise, "0, less, or nothing"
+    promise = "track[..., ALONG] is the place along the ego's way in m, which grows in its direction"
     yield _agrees(beside[:, 0], beside[:, 1], 5.0, 0.3), promise, "other distances between vehicles than states has"
     promise = "track[..., ACROSS] is the distance from the ego's way in m, positive to the right of it"
     for found, told in ((beside[np.abs(beside[:, 0]) < NEAR[1]][:, 2:]).T, (right, across)):
@@ -365,7 +382,7 @@ def way(traces: Iterable[Trace]) -> Promises:
     promise = "track[..., STRETCH] has the m that a vehicle drives per m of the ego's way, above 1 outside in a bend"
     received = "other distances than states has where the road bends"
     yield _agrees(ratio - 1.0, told - 1.0, 0.05, 0.5), promise, received
-    is_wrong = np.abs(ahead - driven)[is_moving] > DISTANCE[0] * ahead[is_moving] + STEP[1]
+    is_wrong = np.abs(ahead - driven)[is_moving] > DISTANCE[0] * ahead[is_moving] + APART
     promise = "track[..., ALONG] times track[..., STRETCH] grows by what the vehicle drives along the ego's way"
     received = f"something else at {is_wrong.sum()} of {len(is_wrong)} times"
     yield is_wrong.sum() <= max(OUTLIERS * len(is_wrong), LEAST), promise, received
@@ -517,6 +534,16 @@ def _depths(trace: Trace, rows: slice = slice(None)) -> tuple[FloatArray, FloatA
     return np.min(depths, axis=0), np.max(depths, axis=0)
 
 
+def touching(traces: Iterable[Trace]) -> Promises:
+    """Yield that collisions are no earlier than contacts. One run alone may end a tick before, as it finds contacts."""
+    gaps = [-_depths(trace, slice(-1, None))[1][trace.collision.npc, -1] for trace in traces
+            if trace.collision is not None and trace.collision.npc in range(len(trace.scenario.npcs))]  # fmt: skip
+    early = [gap for gap in gaps if gap > APART]
+    promise = f"the boxes of the ego and of collision.npc touch at the last tick of a collision: {CENTRES}"
+    received = f"a gap of up to {max(early, default=0):.1f} m at {len(early)} of {len(gaps)} collisions"
+    yield len(gaps) < SEVERAL or len(early) <= len(gaps) / 2, promise, received
+
+
 def _at_object(trace: Trace, vehicle: int) -> bool:
     """Return whether a vehicle is at a fixed object at the end of a run."""
     return Encounters(trace).depth_in(trace.obstacles, vehicle) >= -APART
@@ -610,7 +637,8 @@ def end(world: Any, trace: Trace) -> Promises:
             if tick is None or not told.on_grid or tick > trace.ticks:
                 continue
             cell = positions.cell(npc, tick)
-            is_there = cell is None or told.cell in (cell, *cell.neighbours)
+            lane = int(trace.ego[tick, LANE]) + told.cell.column
+            is_there = cell is None or told.cell in (cell, *cell.neighbours) or not 0 <= lane < len(trace.lanes)
             promise = f"arrivals[{npc}][{gene}] is the tick at which the NPC reached cell {int(told.cell)} of this gene"
             yield is_there, promise, f"tick {tick}, at which it was in cell {cell!r}"
 
