@@ -119,7 +119,9 @@ def check_world(
     - Traces have the form that test functions and reports expect, also for crossing NPCs if the world has ways for
       them.
     - The states agree with each other: positions with lanes, headings and speeds with the motion, accelerations with
-      the speeds, and all of them with the start of the scenario. NPCs follow their instructions, and the ego its ADS.
+      the speeds, and all of them with the start of the scenario. Each tick has a row. On a road that bends, ``track``
+      and the points of the lanes agree with them, too.
+    - NPCs take on the speeds of their instructions and go to the sides of their cells, and the ego follows its ADS.
     - A contact of the ego's box with an NPC's is a collision, and the collision agrees with the states. If two NPCs
       touch, the outcome is ``invalid``.
     - The same scenario gives the same trace to the last bit, whatever ran before.
@@ -135,9 +137,11 @@ def check_world(
     - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
       world.
 
-    On straight roads, an NPC stops ahead of the ego in one more scenario, and ahead of another NPC in a second one, if
-    there are two NPCs or more. Further runs are made until a collision came up, at most four times as many. If the ADS
-    acts in SI units, their egos keep their speed, accelerate and brake.
+    An NPC stops ahead of the ego in one more scenario, unless NPCs cross, and on straight roads ahead of another NPC in
+    a second one, if there are two NPCs or more. Further runs are made until a collision came up, at most four times as
+    many. If the ADS acts in SI units, their egos keep their speed, accelerate and brake.
+
+    At the end it prints what a search can do in this world, and what it lacks.
 
     Args:
         world: the world to check.
