@@ -80,7 +80,7 @@ QUESTIONS = {
     "extras/algorithms/map_elites.py": 1,  # the archive has places for zones only if there are any
     "extras/recordings/commonroad_scenario.py": 1,  # whether a lane has points
     "extras/testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
-    "extras/testing/traces.py": 11,  # the same
+    "extras/testing/traces.py": 10,  # the same
     "findings/decisions.py": 1,  # a motion across begins at a decision only if lanes do not bend
     "model/instructions/crossing.py": 1,  # whether NPCs can cross at all
     "model/trace.py": 1,  # the one place that chooses the kind

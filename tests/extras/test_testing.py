@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import chain
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,17 @@ from pytest_pafot import (
     World,
 )
 from pytest_pafot.extras.testing import _check_lasting, check_world
-from pytest_pafot.extras.testing.traces import contacts, places_at_start
+from pytest_pafot.extras.testing.traces import (
+    ACROSS,
+    ALONG,
+    ANGLE,
+    OFFSET,
+    STRETCH,
+    contacts,
+    form,
+    of_runs,
+    places_at_start,
+)
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from tests.helpers.stopped_clock import StoppedClock
 from tests.helpers.tables import table
@@ -266,6 +277,9 @@ def put(*place, value):
     return change
 
 
+Stacked = moving("Stacked", lambda states: np.copyto(states, states[:, :1]))
+
+
 def lost(self, trace):
     return replace(trace, states=trace.states[:, :-1], sizes=trace.sizes[:-1])
 
@@ -308,7 +322,7 @@ BROKEN = [
     (moving("Laneless", put(-1, 0, LANE, value=9)), "the column lane is an index of lanes, or -1"),
     (moving("Fast", put(0, 0, SPEED, value=9)), "the ego starts as fast as the scenario says"),
     (moving("Pushed", put(0, 0, ACCELERATION, value=1)), "acceleration and steering of the first row are 0"),
-    (moving("Crowded", lambda states: np.copyto(states[0], states[0, :1])), "no vehicles touch at the start"),
+    (type("Crowded", (Stacked,), {"limits": None}), "no vehicles touch at the start"),
 ]
 
 
@@ -614,7 +628,7 @@ WRONG = [
     (columns("Half", X, lambda x: x / 2), r"states\[..., SPEED\] of the ego is its speed along its way"),
     (columns("Weightless", ACCELERATION, lambda a: a / 9.81), r"states\[..., ACCELERATION\] is the acceleration that"),
     (columns("Wheels", STEERING, np.degrees), r"states\[..., STEERING\] is in rad"),
-    (columns("Countersteers", STEERING, lambda angle: -angle), r"states\[..., STEERING\] is positive where"),
+    (columns("Countersteers", STEERING, lambda angle: -angle), r"states\[..., STEERING\] of NPCs is positive where"),
     (columns("Off", LANE, lambda lane: 0 * lane - 1), r"states\[..., LANE\] of the ego is -1 only off the road"),
     (columns("Next", LANE, lambda lane: np.minimum(lane + 1, 3)), r"states\[..., X\] and states\[..., Y\] of"),
     (
@@ -767,3 +781,142 @@ def test_planning_ads_is_checked_with_as_many_egos_as_one_without_plans():
         check_world(Counting(), runs=1, ads=lambda answer=answer: lambda seen: answer, **SHORT)
         counts.append(len(driven))
     assert counts[0] == counts[1]
+
+
+# --- roads that bend
+
+
+@cache
+def bent():
+    """Return a world on a road that bends, and runs in it in which a human drives and NPCs change lanes."""
+    racetrack = World("racetrack-v0", duration=20.0)
+    world = SimpleNamespace(speed_limit=racetrack.speed_limit, longest_run=racetrack.longest_run)  # without limits
+    cells = [(Cell.FRONT, Cell.FRONT_LEFT), (Cell.LEFT, Cell.REAR_LEFT), (Cell.REAR, Cell.REAR_LEFT)]
+    chains = [[PositionInstruction(cell, 10.0) for cell in each] for each in cells]
+    given = {"ego_lane": 1, "ego_speed": 10.0, "gene_seconds": 10.0}
+    return world, [racetrack.rollout_reference(Scenario(npcs=[each], **given), "careful-human") for each in chains]
+
+
+def first_broken(change):
+    """Return the words of the first promise that changed traces on a road that bends do not keep."""
+    world, kept = bent()
+    changed = []
+    for trace in kept:
+        given = {"states": trace.states.copy(), "track": trace.track.copy(), "lanes": trace.lanes, "sizes": trace.sizes}
+        change(given)
+        changed.append(replace(trace, **given))
+    promises = [*chain.from_iterable(form(world, each.scenario, each) for each in changed), *of_runs(world, changed)]
+    return next((promise for is_kept, promise, _ in promises if not is_kept), None)
+
+
+def column(name, index, function):
+    def change(given):
+        given[name][..., index] = function(given[name][..., index])
+
+    return change
+
+
+def mirrored(given):
+    for index in (Y, HEADING, STEERING):
+        given["states"][..., index] *= -1
+
+
+def all_mirrored(given):
+    mirrored(given)
+    given["lanes"] = [
+        replace(lane, y=-lane.y, heading=-lane.heading, points=tuple((x, -y) for x, y in lane.points))
+        for lane in given["lanes"]
+    ]
+
+
+def at_rear_bumper(given):
+    states = given["states"]
+    states[..., X] -= 2.5 * np.cos(states[..., HEADING])
+    states[..., Y] -= 2.5 * np.sin(states[..., HEADING])
+
+
+def without_a_row(given):
+    for name in ("states", "track"):
+        given[name] = np.delete(given[name], 30, axis=0)
+
+
+def with_lanes_of(**new):
+    return lambda given: given.update(
+        lanes=[replace(each, **{k: f(each) for k, f in new.items()}) for each in given["lanes"]]
+    )
+
+
+BENT_AND_WRONG = [
+    (lambda given: None, None),
+    (mirrored, r"states[..., X] and states[..., Y] of the ego are within the lane"),
+    (all_mirrored, "lanes side by side are listed from the left"),
+    (at_rear_bumper, "states[..., X] and states[..., Y] are of the centre of a vehicle, at its place in track"),
+    (without_a_row, "states has a row for each tick"),
+    (column("states", LANE, lambda lane: np.where(lane < 0, lane, 1 - lane)), "states[..., X] and states[..., Y] of"),
+    (column("states", HEADING, lambda angle: 0.0 * angle), "states[..., HEADING] "),
+    (column("states", STEERING, np.negative), "states[..., STEERING] of the ego is positive where"),
+    (column("states", STEERING, lambda a: np.clip(8 * a, -1.5, 1.5)), "states[..., STEERING] of the ego is the"),
+    (lambda given: given.update(track=None), "track has the places of all vehicles on the ego's way if the road bends"),
+    (column("track", ALONG, lambda along: along / 0.3048), "track[..., ALONG] is the place along the ego's way"),
+    (column("track", ALONG, lambda along: along - along[0]), "track[..., ALONG] is the place along the ego's way"),
+    (column("track", ACROSS, np.negative), "track[..., ACROSS] is the distance from the ego's way"),
+    (column("track", ANGLE, np.degrees), "track[..., ANGLE] is the heading less that of the ego's way"),
+    (column("track", OFFSET, np.negative), "track[..., OFFSET] is the distance from the centre line of the vehicle's"),
+    (column("track", STRETCH, np.ones_like), "track[..., STRETCH] has the m that a vehicle drives per m of the ego's"),
+    (column("track", STRETCH, np.zeros_like), "track[..., STRETCH] has the m that a vehicle drives per m of the ego's"),
+    (with_lanes_of(width=lambda lane: 2 * lane.width), "lanes[...].width is the width of a lane"),
+    (with_lanes_of(length=lambda lane: 2 * lane.length), "lanes[0].length is that of its points"),
+    (with_lanes_of(heading=lambda lane: lane.heading + 1.0), "lanes[0].heading is the direction of its first points"),
+    (with_lanes_of(points=lambda lane: lane.points[::-1]), "lanes[0].points begins at x and y of the lane"),
+]  # fmt: skip
+
+
+@table(("change", "promise"), BENT_AND_WRONG)
+def test_wrong_trace_on_a_bend_is_refused_by_name_of_field(change, promise):
+    found = first_broken(change)
+    assert found == promise or found.startswith(promise), found
+
+
+# --- what NPCs do with their instructions, what becomes of errors, and what a world has
+
+
+class AtOneSpeed(Driven):
+    """NPCs go to their cells, at one speed."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        npcs = [[gene.with_speed(15.0) for gene in one] for one in scenario.npcs]
+        trace = super().rollout(replace(scenario, npcs=npcs), ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=scenario)
+
+
+def anonymous(trace):
+    return replace(trace, error=replace(trace.error, kind="Error", message="failed")) if trace.error else trace
+
+
+def cleared(trace):
+    return with_states(trace, lambda states: np.add.at(states, (1, 0, X), 1.0)) if trace.error else trace
+
+
+@table(
+    ("wrong", "promise"),
+    [
+        (AtOneSpeed, "an NPC in the cell of its instruction takes on its speed"),
+        (traces("Anonymous", anonymous), "error.kind and error.message are those of the exception of an ADS"),
+        (traces("Cleared", cleared), "states has the run up to the decision of an ADS that raises"),
+    ],
+)
+def test_ignored_instruction_or_lost_error_is_refused(wrong, promise):
+    with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
+        check_world(wrong(), runs=4)
+
+
+def test_check_ends_with_what_the_world_has_and_lacks(capsys):
+    check_world(Driven(), runs=4)
+    first, *lines = capsys.readouterr().out.splitlines()
+    assert first.startswith("check_world: Driven kept its promises in ")
+    assert "  has   who would have prevented a collision (reference_drivers, rollout_reference)" in lines
+    assert "  lacks styles of traffic (has_traffic_styles)" in lines
+    check_world(Own(), runs=3, **SHORT)
+    assert (
+        "  lacks who would have prevented a collision (reference_drivers, rollout_reference)" in capsys.readouterr().out
+    )

@@ -6,7 +6,7 @@ import time
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial, wraps
 from itertools import count, cycle
@@ -26,11 +26,12 @@ from pytest_pafot import (
     PositionInstruction,
     Run,
     Scenario,
+    ScenarioError,
     Trace,
 )
 from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
-from pytest_pafot.extras.testing.traces import DEEP, ROUNDING, Promises
+from pytest_pafot.extras.testing.traces import ACROSS, ALONG, DEEP, ROUNDING, Promises
 from pytest_pafot.support.errors import plain_number
 
 Ads = Callable[[], Callable[..., Any]]
@@ -43,10 +44,14 @@ TOP_SPEED = 70.0
 """The highest speed limit that is plausible in m/s."""
 SETTLED = 5.0
 """The time in which an NPC that obeys reaches its first cell, and in which it shows another instruction [s]."""
+LEAST_SPEED = 5.0
+"""The speed above which an NPC can change lanes soon [m/s]."""
 GOOD_DECISIONS = 2
 """The number of decisions that a failing ADS of the check makes before it fails."""
 LONGER = 4
 """The largest number of runs that are also made longer, if the world has ``lasting``."""
+STEADY_BRAKING = "steady-braking"
+"""The driver that brakes in its lane until it stands."""
 BRAKING, BRAKING_SHARE = 6.0, 0.1
 """The braking of the driver steady-braking [m/s^2], and the share by which it may differ."""
 MORE = 4
@@ -114,7 +119,9 @@ def check_world(
     - Traces have the form that test functions and reports expect, also for crossing NPCs if the world has ways for
       them.
     - The states agree with each other: positions with lanes, headings and speeds with the motion, accelerations with
-      the speeds, and all of them with the start of the scenario. NPCs follow their instructions, and the ego its ADS.
+      the speeds, and all of them with the start of the scenario. Each tick has a row. On a road that bends, ``track``
+      and the points of the lanes agree with them, too.
+    - NPCs take on the speeds of their instructions and go to the sides of their cells, and the ego follows its ADS.
     - A contact of the ego's box with an NPC's is a collision, and the collision agrees with the states. If two NPCs
       touch, the outcome is ``invalid``.
     - The same scenario gives the same trace to the last bit, whatever ran before.
@@ -130,9 +137,11 @@ def check_world(
     - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
       world.
 
-    On straight roads, an NPC stops ahead of the ego in one more scenario, and ahead of another NPC in a second one, if
-    there are two NPCs or more. Further runs are made until a collision came up, at most four times as many. If the ADS
-    acts in SI units, their egos keep their speed, accelerate and brake.
+    An NPC stops ahead of the ego in one more scenario, unless NPCs cross, and on straight roads ahead of another NPC in
+    a second one, if there are two NPCs or more. Further runs are made until a collision came up, at most four times as
+    many. If the ADS acts in SI units, their egos keep their speed, accelerate and brake.
+
+    At the end it prints what a search can do in this world, and what it lacks.
 
     Args:
         world: the world to check.
@@ -171,7 +180,8 @@ def check_world(
         _keep(_decided(world, each))
     _check_repetition(world, done)
     _check_obedience(world, done, egos)
-    _check_lane_changes(world, done[0])
+    _check_speed(world, staged[:1])
+    _check_sides(world, done[0])
     _check_decisions(world, done)
     _check_drivers(world, staged, [*egos, *done])
     _check_batch(world, done, ads)
@@ -186,6 +196,7 @@ def check_world(
             RuntimeWarning,
             stacklevel=2,
         )
+    print("\n".join(_abilities(world, every)))
 
 
 FRESH = "rollout calls ads_factory once, for a fresh ADS"
@@ -240,7 +251,7 @@ def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -
     if any(each.trace.error for each in egos):
         egos = []
     drivers = [each.calls for each in egos or done[:1]]
-    staged = [_run(world, scenario, drivers[0]) for scenario in _stages(done[0], float(world.speed_limit))]
+    staged = [_run(world, scenario, drivers[0]) for scenario in _stages(world, done[0])]
     more: list[_Done] = []
     for scenario, calls in zip(scenarios, cycle(drivers), strict=False):
         if any(each.trace.collision for each in (*done, *egos, *more)):
@@ -249,21 +260,22 @@ def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -
     return egos, staged, more
 
 
-def _stages(done: _Done, speed_limit: float) -> Iterator[Scenario]:
+def _stages(world: Any, done: _Done) -> Iterator[Scenario]:
     """Yield a scenario in which the vehicle ahead of the ego stops, and one in which an NPC meets one that stopped.
 
-    They have as many NPCs as other scenarios. There are none if roads bend.
+    They have as many NPCs as other scenarios. If roads bend, only the first one is certain to have its cells.
     """
-    scenario, npcs = done.scenario, len(done.scenario.npcs)
-    if scenario.crossings or not rules.is_straight(done.trace):
-        return
+    scenario, npcs, speed_limit = done.scenario, len(done.scenario.npcs), float(world.speed_limit)
     beside = (Cell.FRONT_LEFT, Cell.LEFT) if scenario.ego_lane else (Cell.FRONT_RIGHT, Cell.RIGHT)
-    for first in ((Cell.FRONT,), beside):
+    for first in ((Cell.FRONT,), beside) if rules.is_straight(done.trace) else ((Cell.FRONT,),):
         cells = [*first, *(cell for cell in Cell if cell not in first)]
-        if npcs >= len(first):
+        if npcs >= len(first) and not scenario.crossings:
             speeds = [0.0] + [min(scenario.ego_speed, speed_limit)] * (npcs - 1)
             genes = map(PositionInstruction, cells, speeds)
-            yield replace(scenario, npcs=tuple((gene,) * scenario.genes for gene in genes))
+            staged = replace(scenario, npcs=tuple((gene,) * scenario.genes for gene in genes))
+            with suppress(ScenarioError):
+                base_world(world).check_fits(staged)
+                yield staged
 
 
 def _check_members(world: Any) -> None:
@@ -323,9 +335,13 @@ def _decided(world: Any, done: _Done) -> Promises:
     else:
         promise = "the ADS decides ads_hz times a second, for the first time at the start"
         yield len(ticks) <= made <= len(ticks) + 1, promise, received
-    if poses and trace.road.is_straight:
+    if poses:
         rows = trace.ego[ticks][:made, [X, Y, SPEED]]
-        away = np.median(np.abs(rows - np.array(poses)[: len(rows)]), axis=0)
+        away = np.median(np.abs(rows - (seen := np.array(poses)[: len(rows)])), axis=0)
+        if not trace.road.is_straight:  # an ADS may see a road that bends as if it were straight
+            along = np.column_stack([trace.track_of(0)[ticks][:made, [ALONG, ACROSS]], rows[:, 2]])
+            places = np.median(np.abs(along - along[0] - seen + seen[0]), axis=0)
+            away = min(away, places, key=np.max)
         promise = "an ADS that receives a pafot.Observation, or an object with its fields, sees the ego as in states"
         received = "a difference of {:.2f} m in x, {:.2f} m in y, {:.2f} m/s at half of the decisions".format(*away)
         yield (away <= 2 * DEEP).all(), promise, received
@@ -386,25 +402,59 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
     return replace(scenario, npcs=tuple(npcs))
 
 
-def _check_lane_changes(world: Any, done: _Done) -> None:
-    """Check that NPCs go to the left or to the right by their Lane-Instructions, in runs that last long enough."""
-    scenario, lanes = done.scenario, done.trace.lanes
-    if not base_world(world).has_lane_instructions or len(lanes) < 2 or not rules.is_straight(done.trace):
+def _check_speed(world: Any, staged: Sequence[_Done]) -> None:
+    """Check that an NPC in the cell of its instruction takes on its speed: 0 in a staged run, and another one."""
+    for each in staged:
+        other = tuple(gene.with_speed(float(world.speed_limit)) for gene in each.scenario.npcs[0])
+        fast = _run(world, replace(each.scenario, npcs=(other, *each.scenario.npcs[1:])), each.calls).trace
+        rows = min(len(each.trace.states), len(fast.states))
+        slower, faster = (trace.npcs[:rows, 0, SPEED] for trace in (each.trace, fast))
+        apart, seconds = float((faster - slower).max()), (rows - 1) * fast.dt
+        promise = "an NPC in the cell of its instruction takes on its speed, states[:, 1, SPEED]"
+        received = f"at most {apart:.1f} m/s more in {seconds:g} s with {world.speed_limit:g} m/s instead of 0"
+        _promise(apart > 1.0 or seconds < SETTLED, promise, received)
+
+
+def _check_sides(world: Any, done: _Done) -> None:
+    """Check that NPCs go to the side that their instructions name, in runs that last long enough.
+
+    NPC 0 has cells beside the one in which it starts, or all have Lane-Instructions. On a road that bends a lane may
+    end, so that they may go to one side only.
+    """
+    scenario = done.scenario
+    speed = min(scenario.ego_speed, float(world.speed_limit))
+    if scenario.crossings or len(done.trace.lanes) < 2 or speed <= LEAST_SPEED:
         return
-    across: list[Any] = []
-    for lane in ("left", "right"):
-        gene = LaneInstruction(lane, min(scenario.ego_speed, float(world.speed_limit)))
-        told = replace(scenario, npcs=((gene,) * scenario.genes,) * len(scenario.npcs))
-        trace = _run(world, told, done.calls).trace
-        _check_form(world, told, trace)
-        if trace.duration < SETTLED:
-            return
-        heading = lanes[0].heading
-        across.append(trace.npcs[..., Y] * np.cos(heading) - trace.npcs[..., X] * np.sin(heading))
-    until = min(map(len, across))
-    apart = float((across[1][:until] - across[0][:until]).mean(axis=1).max())
-    received = f"at most {apart:.1f} m between NPCs that go left and those that go right"
-    _promise(apart > DEEP, "NPCs change lanes by Lane-Instructions, as has_lane_instructions declares", received)
+    cells = [Cell.FRONT, Cell.REAR, Cell.REAR_LEFT, Cell.REAR_RIGHT, Cell.LEFT, Cell.RIGHT]
+    chains = [(PositionInstruction(cell, speed),) * scenario.genes for cell in cells]
+    tried: dict[str, tuple[float, list[Any]]] = {}
+    if scenario.genes > 1 and len(scenario.npcs) <= len(cells):
+        sides = [(chains[0][0], *[PositionInstruction(cell, speed)] * (scenario.genes - 1))
+                 for cell in (Cell.FRONT_LEFT, Cell.FRONT_RIGHT)]  # fmt: skip
+        told: list[Any] = [(side, *chains[1 : len(scenario.npcs)]) for side in sides]
+        tried["NPCs go to the cells of their instructions"] = scenario.gene_seconds + SETTLED, told
+    if base_world(world).has_lane_instructions:
+        genes = [LaneInstruction(lane, speed) for lane in ("left", "right")]
+        told = [((gene,) * scenario.genes,) * len(scenario.npcs) for gene in genes]
+        tried["NPCs change lanes by Lane-Instructions, as has_lane_instructions declares"] = SETTLED, told
+    for promise, (seconds, told) in tried.items():
+        across: list[Any] = []
+        for npcs in told:
+            asked = replace(scenario, npcs=npcs)
+            with suppress(ScenarioError):
+                base_world(world).check_fits(asked)
+                trace = _run(world, asked, done.calls).trace
+                _check_form(world, asked, trace)
+                across += [trace.road.track[:, 1:, ACROSS]] if trace.duration >= seconds else []
+        if len(across) < len(told):
+            continue
+        until = min(map(len, across))
+        apart = (across[1][:until] - across[0][:until])[:, : None if "Lane" in promise else 1].mean(axis=1)
+        if rules.is_straight(done.trace):
+            received = f"at most {apart.max():.1f} m between NPCs that go left and those that go right"
+            _promise(apart.max() > DEEP, promise, received)
+        received = f"NPCs {-apart.min():.1f} m farther left if they should go right"
+        _promise(apart.min() > -DEEP or apart.max() > DEEP, promise, received)
 
 
 def _check_decisions(world: Any, done: Sequence[_Done]) -> None:
@@ -454,8 +504,8 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
             _promise(is_same, f"take_over repeats the run up to its tick with {name!r}", "other states before it")
             _check_form(world, taken.scenario, taken)
             is_other.append(not _repeats(trace, taken, None, 1))
-            is_braking = name != "steady-braking" or taken.collision is not None or _brakes_steadily(taken, tick)
-            _promise(is_braking, "steady-braking brakes with 6 m/s^2 in its lane until it stands", f"{taken!r}")
+            is_braking = name != STEADY_BRAKING or taken.collision is not None or _brakes_steadily(taken, tick)
+            _promise(is_braking, f"{STEADY_BRAKING} brakes with 6 m/s^2 in its lane until it stands", f"{taken!r}")
         # Without a collision or another ego, a driver may have nothing else to do than the ADS.
         is_seen = is_other[0] if hit else any(is_other) or not any(each.trace.collision for each in tried)
         _promise(is_seen, f"take_over lets {name!r} drive after its tick", "the states of the run without it")
@@ -468,6 +518,29 @@ def _brakes_steadily(taken: Trace, tick: int) -> bool:
     # A simulator may begin a tick later, and its brakes may be a little weaker or stronger.
     is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + 2 * rate
     return bool(is_braking.all() and (lane == lane[0]).all())
+
+
+def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
+    """Yield a line for each thing that a search can do in some worlds: whether it can in this one, and by what."""
+    base, data = base_world(world), WorldData.of(world)
+    taking_over = base.taking_over(every[0].trace)
+    is_built_in, has_braking = base is world, taking_over is not None and STEADY_BRAKING in taking_over.drivers
+    hits = sum(each.trace.collision is not None for each in every)
+    yield f"check_world: {type(world).__name__} kept its promises in {len(every)} runs, {hits} with a collision."
+    for has, what, by in (
+        (base.reference_drivers, "who would have prevented a collision", "reference_drivers, rollout_reference"),
+        (has_braking, "from when on braking avoids it", f"take_over with {STEADY_BRAKING}, or decisions= and SI units"),
+        (is_built_in, "what the ego answered to", "only worlds of this package"),
+        (base.can_last, "runs that are driven on after their end", "lasting"),
+        (base.has_traffic_styles, "styles of traffic", "has_traffic_styles"),
+        (base.has_lane_instructions, "Lane-Instructions", "has_lane_instructions"),
+        (base.has_manoeuvres, "manoeuvres", "has_manoeuvres"),
+        (base.can_drive(TRUCK), "trucks, vans and motorcycles", "has_vehicles"),
+        (bool(base.straight_road), "varied starts and patterns of traffic", "road, a straight one of this package"),
+        (base.has_lock_step, "many runs at once", "rollout_batch"),
+        (data.is_plain and data.data["kind"] != "own", "export, and replays without the test", "from_dict, registered"),
+    ):  # fmt: skip
+        yield f"  {'has  ' if has else 'lacks'} {what} ({by})"
 
 
 def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
@@ -535,6 +608,11 @@ def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
         promise = f"error.tick is the tick of the decision of an ADS that {name}, at which its run ends"
         received += f", in a run of {failed.ticks} ticks for decision {good}, at tick {tick}"
         _promise(is_tick, promise, received)
+        is_named = name != "raises" or (failed.error is not None and "ZeroDivisionError" in failed.error.text)
+        _promise(is_named, "error.kind and error.message are those of the exception of an ADS", f"{failed.error}")
+        is_same = _repeats(trace, failed, tick + 1)
+        promise = f"states has the run up to the decision of an ADS that {name}"
+        _promise(is_same, promise, "other states than those of the run without the error")
         again = _rollout(rollout_of(world), done.scenario, ads)
         _check_same(trace, again, f"an ADS that {name} does not affect the next run")
 

@@ -21,6 +21,9 @@ from pytest_pafot.support.errors import plain_whole
 Promises = Iterator[tuple[Any, str, str]]
 """For each promise: whether it is kept, its words, and what was received instead. A later one may need the earlier."""
 
+ALONG, ACROSS, ANGLE, OFFSET, STRETCH = range(5)
+"""The columns of :attr:`pytest_pafot.Trace.track`."""
+
 ROUNDING = 1e-6
 AT_START = 0.1
 """The largest difference from the start speed of the scenario, for the ego [m/s]; for NPCs ten times as much."""
@@ -36,10 +39,27 @@ DIRECTION = 0.4
 """The largest median angle between the heading and the motion of a vehicle; turned wheels make it slip [rad]."""
 MOVING = 2.0
 """The speed above which the direction of motion is known [m/s]."""
+SEVERAL = 3
+"""The fewest collisions that show whether a world ends its runs too early."""
 LEAST = 10
 """The fewest ticks from which a share is taken."""
 SMOOTH = 0.5
 """The time over which accelerations are compared with speeds [s]; speeds may be rounded, accelerations a tick late."""
+STEP = 0.4, 0.1, 2.0
+"""The largest difference between a step and the speed in one tick: a share, the rounding of places [m], and the speed
+aside of a vehicle whose speed is only that along the road [m/s]."""
+WHEELS = 0.2, 4.0
+"""The turn by the wheels and the length of a vehicle, at least and at most, as a multiple of the turn of its heading.
+The distance between the axles is no part of a trace."""
+COARSE = 1.0
+"""The largest difference between the data of a lane and the line through its points [m], which may be far apart."""
+BENDS = 0.02
+"""The turn of a road in :data:`SMOOTH` seconds from which it bends [rad]."""
+ASIDE = 0.05, 0.5
+"""The angle to the lane [rad] and the distance from its centre line [m] from which a vehicle is not simply in its lane.
+"""
+NEAR = 30.0, 15.0
+"""The distances up to which two vehicles are compared along the road, and across it [m]."""
 
 
 def is_straight(trace: Trace) -> bool:
@@ -64,7 +84,8 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     ways = [None if told is None else told.zone for told in scenario.crossings]
     crossing = np.array([chain[0].crosses for chain in scenario.npcs])
     on_way = np.full((len(states), len(scenario.npcs)), np.nan) if trace.on_way is None else trace.on_way
-    track = np.zeros((1, len(crossing), 1)) if trace.road.is_straight else trace.road.track[:, 1:]
+    has_track = not trace.road.is_straight
+    track = trace.road.track[:, 1:] if has_track else np.zeros((1, len(crossing), 1))
     longest = min(float(world.longest_run), scenario.seconds)
     for promise, is_kept in {
         "trace.scenario is the requested scenario": trace.scenario == scenario,
@@ -84,13 +105,13 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
         "states[..., STEERING] is in rad": (np.abs(states[..., STEERING]) <= math.pi / 2).all(),
         "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
         "on_way has the places of crossing NPCs, and NaN for others": (np.isfinite(on_way) == crossing).all(),
-        "track is recorded if an NPC crosses": not trace.road.is_straight or not crossing.any(),
+        "track is recorded if an NPC crosses": has_track or not crossing.any(),
         "track has NaN only for crossing NPCs": not np.isnan(track[:, ~crossing]).any(),
+        "track has the places of all vehicles on the ego's way if the road bends, and lanes[...].points its shape": (
+            has_track or not any(map(_bends, trace.lanes))
+        ),
     }.items():
         yield is_kept, promise, f"something else in {trace!r}"
-    pairs, touch = list(combinations(range(states.shape[1]), 2)), _depths(trace, slice(1))[0][:, 0] > 0
-    touching = " and ".join(map(_name, pairs[int(touch.argmax())]))
-    yield not touch.any(), "no vehicles touch at the start", touching
 
 
 def of_runs(world: Any, traces: Sequence[Trace]) -> Promises:
@@ -99,10 +120,13 @@ def of_runs(world: Any, traces: Sequence[Trace]) -> Promises:
         yield from limits(world, trace)
         yield from road(world, trace)
     yield from motion(traces)
+    yield from way(traces)
     for trace in traces:
+        yield from ways_of_crossing(trace)
         yield from places_at_start(trace)
         yield from contacts(trace)
         yield from end(world, trace)
+    yield from touching(traces)
 
 
 def limits(world: Any, trace: Trace) -> Promises:
@@ -143,27 +167,18 @@ def road(world: Any, trace: Trace) -> Promises:
     fits = world.speed_limit / 3 <= limit <= 3 * world.speed_limit
     promise = "lanes have a speed_limit in m/s that fits the world's speed_limit"
     yield fits, promise, f"{limit:g} and {world.speed_limit:g}"
-    if not is_straight(trace):
-        return
-    yield from _neighbours(lanes)
-    for vehicle in range(trace.states.shape[1]):
+    yield from _neighbours(lanes) if is_straight(trace) else _bent(lanes)
+    for vehicle in _on_grid(trace):
         states = trace.states[:, vehicle]
         is_off, is_inside = states[:, LANE] < 0, np.zeros(len(states), dtype=np.bool_)
         for number, lane in enumerate(lanes):
-            x, y, cos, sin = (
-                states[:, X] - lane.x,
-                states[:, Y] - lane.y,
-                math.cos(lane.heading),
-                math.sin(lane.heading),
-            )
-            along, across = x * cos + y * sin, y * cos - x * sin
-            away = np.hypot(across, np.maximum(np.maximum(-along, along - lane.length), 0.0))
-            is_inside |= away < lane.width / 2 - DEEP
-            there = away[states[:, LANE] == number]
+            is_inside[is_off] |= _beside(lane, states[is_off])[0] < lane.width / 2 - DEEP
+            there = _beside(lane, states[states[:, LANE] == number])[0]
             is_often_out = len(there) >= LEAST and (there > lane.width / 2 + DEEP).mean() > OUTLIERS
             promise = f"states[..., X] and states[..., Y] of {_name(vehicle)} are within the lane of states[..., LANE]"
             received = f"{there.max(initial=0):.1f} m from the centre line of lanes[{number}], {lane.width:g} m wide"
-            is_kept = not (there > lane.width).any() and not is_often_out
+            # Where lanes meet, a vehicle may already have the number of the next one.
+            is_kept = not (is_straight(trace) and (there > lane.width).any()) and not is_often_out
             yield is_kept, f"{promise}, with y to the right of the driving direction", received
         wrong = int((is_inside & is_off).sum())
         received = f"-1 within a lane at {wrong} of {len(states)} ticks"
@@ -172,6 +187,66 @@ def road(world: Any, trace: Trace) -> Promises:
             f"states[..., LANE] of {_name(vehicle)} is -1 only off the road",
             received,
         )
+
+
+def _beside(lane: Lane, states: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return for rows of states how far they are from a lane [m], how far to the right, and the lane's heading there.
+
+    The lane is its centre line here, from the start to the end.
+    """
+    line = np.array(lane.points or [(lane.x + metres * math.cos(lane.heading), lane.y + metres * math.sin(lane.heading))
+                                    for metres in (0.0, lane.length)])  # fmt: skip
+    parts = np.diff(line, axis=0)
+    length = np.maximum(np.hypot(*parts.T), ROUNDING)
+    cos, sin = parts.T / length
+    x, y = states[:, [X]] - line[:-1, 0], states[:, [Y]] - line[:-1, 1]
+    along, across = x * cos + y * sin, y * cos - x * sin
+    away = np.hypot(across, along - np.clip(along, 0.0, length))
+    row, nearest = np.arange(len(states)), away.argmin(axis=1)
+    # Between far points a lane turns all the way, although the line through them does so only at the points.
+    starts = np.cumsum(length) - length
+    heading = np.interp((starts + along)[row, nearest], starts + length / 2, np.unwrap(np.arctan2(sin, cos)))
+    return away[row, nearest], across[row, nearest], heading
+
+
+def _bends(lane: Lane) -> bool:
+    """Return whether a lane leaves the line from its start to its end."""
+    line = np.array(lane.points or [(lane.x, lane.y)])
+    direction = line[-1] - line[0]
+    aside = (line - line[0]) @ [-direction[1], direction[0]] / max(float(np.hypot(*direction)), ROUNDING)
+    return bool(np.abs(aside).max() > COARSE)
+
+
+def _bent(lanes: Sequence[Lane]) -> Promises:
+    """Yield that the data of lanes agree with their points, and that lanes side by side are listed from the left."""
+    for number, lane in enumerate(lanes):
+        if not lane.points:
+            continue
+        parts = np.diff(lane.points, axis=0)
+        away = math.dist(lane.points[0], (lane.x, lane.y))
+        yield away <= COARSE, f"lanes[{number}].points begins at x and y of the lane", f"{away:.1f} m from there"
+        angle = math.remainder(math.atan2(parts[0, 1], parts[0, 0]) - lane.heading, math.tau)
+        promise = f"lanes[{number}].heading is the direction of its first points in rad, {CLOCKWISE}"
+        yield abs(angle) <= DIRECTION, promise, f"{angle:.2f} rad between them"
+        length = float(np.hypot(*parts.T).sum())
+        is_long = abs(length - lane.length) <= DISTANCE[0] * length + COARSE
+        yield is_long, f"lanes[{number}].length is that of its points in m", f"{lane.length:g} m and {length:g} m"
+    for number, (left, right) in enumerate(pairwise(lanes)):
+        x, y = right.x - left.x, right.y - left.y
+        cos, sin, width = math.cos(left.heading), math.sin(left.heading), (left.width + right.width) / 2
+        along, across = x * cos + y * sin, y * cos - x * sin
+        # Elsewhere on a road that bends, two lanes in a row of the list need not be neighbours.
+        is_beside = abs(along) <= width and abs(across) <= 1.6 * width and math.cos(right.heading - left.heading) > 0.9
+        promise = "lanes side by side are listed from the left, with y to the right of the driving direction"
+        received = f"lanes[{number + 1}] {-across:g} m to the left of lanes[{number}]"
+        yield not is_beside or across > -DEEP, promise, received
+        is_width = not is_beside or across < COARSE or across > 0.6 * width
+        yield is_width, "lanes[...].width is the width of a lane", f"{width:g} m for lanes {across:.1f} m apart"
+
+
+def _on_grid(trace: Trace) -> list[int]:
+    """Return the vehicles that do not cross. Where ways meet, lanes overlap, and a crossing NPC may be in either."""
+    return [0, *(npc + 1 for npc, chain in enumerate(trace.scenario.npcs) if not chain[0].crosses)]
 
 
 def _neighbours(lanes: Sequence[Lane]) -> Promises:
@@ -192,7 +267,7 @@ def motion(traces: Iterable[Trace]) -> Promises:
 
     Lateral motion, accelerations and steering show only in many runs together.
     """
-    sideways, errors, turns = ([np.zeros((0, 2))] for _ in range(3))
+    sideways, errors, turns = ([np.zeros((0, columns))] for columns in (2, 2, 3))
     for trace in traces:
         # Without the impact of a collision, which changes speeds at once.
         states, dt = trace.states[: trace.ticks + 1 - (trace.collision is not None)], trace.dt
@@ -213,12 +288,24 @@ def motion(traces: Iterable[Trace]) -> Promises:
             median = float(np.median(away)) if len(away) >= LEAST else 0.0
             promise = f"states[..., HEADING] of {_name(vehicle)} is the direction of its motion in rad, {CLOCKWISE}"
             yield median <= DIRECTION, promise, f"{median:.2f} rad between heading and motion at half of the ticks"
+            # A vehicle that changes lanes in one tick jumps aside then.
+            stays = states[1:, vehicle, LANE] == states[:-1, vehicle, LANE]
+            least, most = np.sort([pace[1:, vehicle], pace[:-1, vehicle]], axis=0) * dt
+            step = driven[:, vehicle]
+            spare = STEP[1] + STEP[2] * dt
+            is_step = (step >= (1 - STEP[0]) * least - spare) & (step <= (1 + STEP[0]) * most + spare) | ~stays
+            tick = int(is_step.argmin())
+            received = f"a step of {step[tick]:.2f} m and {by_speed[tick, vehicle]:.2f} m by the speed"
+            promise = f"states has a row for each tick, none left out or repeated, at {trace.physics_hz} Hz"
+            yield is_step.all(), promise, f"{received}, of {_name(vehicle)} to tick {tick + 1}"
         window = max(round(SMOOTH * trace.physics_hz), 1)
         gained = np.vstack([np.zeros_like(speed[:1]), np.cumsum(rows[..., ACCELERATION] * dt, axis=0)])
         both = [(each[window:] - each[:-window]) / (window * dt) for each in (speed, gained)]
         errors.append(np.stack(both, axis=-1).reshape(-1, 2))
         turn = _wrapped(np.diff(states[..., HEADING], axis=0))
-        turns.append(np.stack([turn, rows[..., STEERING]], axis=-1)[is_moving])
+        who = np.broadcast_to(np.arange(turn.shape[1]) > 0, turn.shape)
+        wheels = np.tan(rows[..., STEERING]) * driven * forwards / trace.sizes[:, 0]
+        turns.append(np.stack([turn, wheels, who], axis=-1)[is_moving])
         if is_straight(trace):
             along = trace.lanes[0].heading
             angles = np.stack([_wrapped(course - along), rows[..., HEADING] - along], axis=-1)[is_moving]
@@ -234,31 +321,174 @@ def motion(traces: Iterable[Trace]) -> Promises:
     promise = "states[..., ACCELERATION] is the acceleration that led to a row, in m/s^2, the difference of its speeds"
     received = f"a root mean square difference of {error:.2f} m/s^2, where the speeds have {size:.2f} m/s^2"
     yield error <= DEEP + 0.3 * size, promise, received
-    turned, steered = np.concatenate(turns).T
-    is_known = (np.abs(turned) > 1e-4) & (np.abs(steered) > 1e-3)
-    turned, steered = turned[is_known], steered[is_known]
-    is_right = len(turned) < LEAST or turned @ steered >= -0.5 * np.linalg.norm(turned) * np.linalg.norm(steered)
-    yield is_right, "states[..., STEERING] is positive where the vehicle turns clockwise, to the right", "the opposite"
+    turned, steered, is_npc = np.concatenate(turns).T
+    is_known = (np.abs(turned) > 1e-4) & (np.abs(steered) > 1e-4)
+    for whose, is_one in ((f"of {_name(0)} ", is_npc == 0), ("of NPCs ", is_npc == 1)):
+        turn, wheels = turned[is_known & is_one], steered[is_known & is_one]
+        is_right = len(turn) < LEAST or turn @ wheels >= -0.5 * np.linalg.norm(turn) * np.linalg.norm(wheels)
+        promise = f"states[..., STEERING] {whose}is positive where the vehicle turns clockwise, to the right"
+        yield is_right, promise, "the opposite"
+        ratio = float(np.median(np.abs(wheels / turn))) if len(turn) >= LEAST else 1.0
+        promise = f"states[..., STEERING] {whose}is the angle of the front wheels in rad"
+        yield WHEELS[0] <= ratio <= WHEELS[1], promise, f"a turn by the wheels that is {ratio:.2g} times the heading's"
+
+
+def way(traces: Iterable[Trace]) -> Promises:
+    """Yield that the track of roads that bend is the place of the vehicles on the ego's way.
+
+    The lanes and the motion of the vehicles say where that is.
+    """
+    traces = [trace for trace in traces if not trace.road.is_straight]
+    if not traces:
+        return
+    lanes, windows = np.concatenate([_in_lanes(trace) for trace in traces]), [np.zeros((0, 6))]
+    yield from _along_lanes(*lanes.T)
+    pairs = [np.zeros((0, 4))]
+    for trace in traces:
+        track, rows = trace.road.track, max(round(SMOOTH * trace.physics_hz), 1)
+        direction = trace.states[..., HEADING] - track[..., ANGLE]
+        steps, turn = np.diff(trace.states[..., [X, Y]], axis=0), _wrapped(np.diff(direction, axis=0))
+        ahead, right = _seen_along(steps, direction[:-1] + turn / 2)
+        stretch = (track[1:, :, STRETCH] + track[:-1, :, STRETCH]) / 2
+        along, across = np.moveaxis(np.diff(track[..., [ALONG, ACROSS]], axis=0), 2, 0)
+        each = np.stack([ahead, along * stretch, right, across, along, turn], axis=-1)
+        total = np.concatenate([np.zeros_like(each[:1]), np.cumsum(each, axis=0)])
+        windows.append((total[rows:] - total[:-rows]).reshape(-1, 6))
+        others = _on_grid(trace)[1:]
+        apart = track[:, others] - track[:, :1]
+        turned = _wrapped(direction[:, others] - direction[:, :1])
+        both = _seen_along(trace.states[:, others, :2] - trace.states[:, :1, :2], direction[:, :1] + turned / 2)
+        driven = apart[..., ALONG] * (track[:, others, STRETCH] + track[:, :1, STRETCH]) / 2
+        is_near = (np.hypot(*both) < NEAR[0]) & (np.abs(turned) < ASIDE[0])
+        pairs.append(np.stack([both[0], driven, both[1], apart[..., ACROSS]], axis=-1)[is_near])
+    ahead, driven, right, across, along, turn = (every := np.concatenate(windows))[np.isfinite(every).all(axis=1)].T
+    beside = np.concatenate(pairs)
+    is_moving = ahead > MOVING * SMOOTH
+    ratio = ahead[is_moving] / np.where(along[is_moving] == 0.0, ROUNDING, along[is_moving])
+    share = float(np.median(ratio)) if len(ratio) >= LEAST else 1.0
+    is_wild = (ratio < 0.4) | (ratio > 2.5)  # no road bends so much that a vehicle can follow it
+    promise = "track[..., ALONG] is the place along the ego's way in m, which grows in its direction"
+    received = f"{share:.2f} m driven for each m of it at half of the times"
+    yield 0.65 <= share <= 1.5 and is_wild.sum() <= max(2 * OUTLIERS * len(ratio), LEAST), promise, received
+    promise = "track[..., STRETCH] has the m that a vehicle drives per m of the ego's way, above 1 outside in a bend"
+    is_positive = all((trace.road.track[..., STRETCH] > 0).any(axis=1).all() for trace in traces)
+    yield is_positive, promise, "0, less, or nothing"
+    promise = "track[..., ALONG] is the place along the ego's way in m, which grows in its direction"
+    yield _agrees(beside[:, 0], beside[:, 1], 5.0, 0.3), promise, "other distances between vehicles than states has"
+    promise = "track[..., ACROSS] is the distance from the ego's way in m, positive to the right of it"
+    for found, told in ((beside[np.abs(beside[:, 0]) < NEAR[1]][:, 2:]).T, (right, across)):
+        yield _agrees(found, told, ASIDE[1], 0.5), promise, "the opposite, or other distances than states has"
+    told = driven[is_moving] / np.where(along[is_moving] == 0.0, ROUNDING, along[is_moving])
+    promise = "track[..., STRETCH] has the m that a vehicle drives per m of the ego's way, above 1 outside in a bend"
+    received = "other distances than states has where the road bends"
+    yield _agrees(ratio - 1.0, told - 1.0, 0.05, 0.5), promise, received
+    is_wrong = np.abs(ahead - driven)[is_moving] > DISTANCE[0] * ahead[is_moving] + APART
+    promise = "track[..., ALONG] times track[..., STRETCH] grows by what the vehicle drives along the ego's way"
+    received = f"something else at {is_wrong.sum()} of {len(is_wrong)} times"
+    yield is_wrong.sum() <= max(OUTLIERS * len(is_wrong), LEAST), promise, received
+
+
+def _agrees(found: FloatArray, told: FloatArray, least: float, share: float) -> bool:
+    """Return whether values agree apart from a share of them, at most of the times at which they are not small."""
+    size = np.maximum(np.abs(found), np.abs(told))
+    counts = size > least
+    return counts.sum() < LEAST or bool((np.abs(found - told) <= share * size)[counts].mean() >= 0.5)
+
+
+def _seen_along(steps: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far steps go along a heading, and to the right of it [m]."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return steps[..., 0] * cos + steps[..., 1] * sin, steps[..., 1] * cos - steps[..., 0] * sin
+
+
+def _in_lanes(trace: Trace) -> FloatArray:
+    """Return for vehicles in lanes that they drive along, what the lanes and the trace say, one row for each tick.
+
+    The columns are the angle to the lane as states and as track have it, the place to the right of its centre line,
+    in the same way, the turns of lane and of vehicle in :data:`SMOOTH` seconds, and the bend of the lane [1/m].
+    """
+    rows, made = max(round(SMOOTH * trace.physics_hz), 1), [np.zeros((0, 7))]
+    for vehicle in _on_grid(trace):
+        states, track = trace.states[:, vehicle], trace.road.track[:, vehicle]
+        across, heading = np.full((2, len(states)), np.nan)
+        for number in {int(each) for each in states[:, LANE]} - {-1}:
+            there = states[:, LANE] == number
+            _, across[there], heading[there] = _beside(trace.lanes[number], states[there])
+        steps = np.hypot(*np.diff(states[:, [X, Y]], axis=0).T)
+        turn, own = (np.full(len(states), np.nan) for _ in range(2))
+        if len(states) > rows:
+            is_same = states[rows:, LANE] == states[:-rows, LANE]  # the lanes of a junction have other directions
+            turn[rows:] = np.where(is_same, _wrapped(heading[rows:] - heading[:-rows]), np.nan)
+            own[rows:] = _wrapped(states[rows:, HEADING] - states[:-rows, HEADING])
+        driven = np.concatenate([[0.0], np.cumsum(steps)])
+        metres = np.full(len(states), np.nan)
+        metres[rows:] = driven[rows:] - driven[:-rows]
+        angle = _wrapped(states[:, HEADING] - heading)
+        bend = np.where(metres > MOVING * SMOOTH, turn / np.maximum(metres, ROUNDING), np.nan)
+        made.append(np.stack([angle, track[:, ANGLE], across, track[:, OFFSET], turn, own, bend], axis=-1))
+    return np.concatenate(made)
+
+
+def _along_lanes(
+    angle: FloatArray, told: FloatArray, across: FloatArray, offset: FloatArray, turn: FloatArray, own: FloatArray,
+    bend: FloatArray,
+) -> Promises:  # fmt: skip
+    """Yield what the lanes of a road that bends say of headings and of track, see :func:`_in_lanes`."""
+    turns = np.isfinite(bend) & (np.abs(turn) > BENDS)
+    slope = float(turn[turns] @ own[turns] / (turn[turns] @ turn[turns])) if turns.sum() >= LEAST else 1.0
+    promise = f"states[..., HEADING] turns as lanes bend, in rad, {CLOCKWISE}"
+    yield 0.5 <= slope <= 1.5, promise, f"{slope:.2f} times the turn of the lanes"
+    is_along = np.abs(angle) < 1.0
+    # The way turns at the place of the track's vehicle, the lane at the place of the state's.
+    known = turns & is_along & np.isfinite(told)
+    early, bend = _wrapped(angle - told)[known], bend[known]
+    shift = float(early @ bend / (bend @ bend)) if known.sum() >= LEAST else 0.0
+    is_shifted = abs(shift) > COARSE and np.median(np.abs(early - shift * bend)) < np.median(np.abs(early)) / 2
+    promise = "states[..., X] and states[..., Y] are of the centre of a vehicle, at its place in track"
+    yield not is_shifted, promise, f"{abs(shift):.1f} m {'ahead of' if shift > 0 else 'behind'} the place in track"
+    promise = "track[..., ANGLE] is the heading less that of the ego's way, in rad"
+    away = np.abs(_wrapped(angle - told))[is_along & np.isfinite(told)]
+    median = float(np.median(away)) if len(away) >= LEAST else 0.0
+    yield median <= DIRECTION / 2, promise, f"{median:.2f} rad from the heading less that of the lane"
+    angles = np.where(is_along, angle, np.nan), np.where(is_along, told, np.nan)
+    yield _agrees(*angles, ASIDE[0], 0.5), promise, "other angles than those to the lane"
+    offsets = np.where(is_along, across, np.nan), np.where(is_along, offset, np.nan)
+    promise = "track[..., OFFSET] is the distance from the centre line of the vehicle's lane in m, to the right"
+    yield _agrees(*offsets, ASIDE[1], 0.5), promise, "other distances than those of states from lanes"
+
+
+def ways_of_crossing(trace: Trace) -> Promises:
+    """Yield that the places of crossing NPCs on their own ways grow by what they drive."""
+    if trace.on_way is None:
+        return
+    by_speed = (trace.npcs[1:, :, SPEED] + trace.npcs[:-1, :, SPEED]) / 2 * trace.dt
+    for npc, (metres, by) in enumerate(zip(np.diff(trace.on_way, axis=0).sum(0), by_speed.sum(0), strict=True)):
+        is_alike = math.isnan(metres) or abs(metres - by) <= DISTANCE[0] * max(abs(metres), by) + DISTANCE[1]
+        yield is_alike, f"on_way of NPC {npc} is its place along its own way in m", f"{metres:.1f} m and {by:.1f} m"
 
 
 def places_at_start(trace: Trace) -> Promises:
-    """Yield that the vehicles start where the scenario says, on a straight road."""
-    if not is_straight(trace):
-        return
-    scenario, start, ahead = trace.scenario, trace.states[0], Encounters(trace).ahead[:, 0]
-    lane = int(start[0, LANE])
+    """Yield that the vehicles start where the scenario says."""
+    scenario, start, positions = trace.scenario, trace.states[0], Encounters(trace)
+    pairs, touch = list(combinations(range(len(start)), 2)), _depths(trace, slice(1))[0][:, 0] > 0
+    touching = " and ".join(map(_name, pairs[int(touch.argmax())]))
+    yield not touch.any(), "no vehicles touch at the start", touching
+    lane, ahead, right = int(start[0, LANE]), positions.ahead[:, 0], positions.right[:, 0]
     promise = "the ego starts in scenario.ego_lane, states[0, 0, LANE]"
     yield lane == scenario.ego_lane, promise, f"{lane} in {scenario}"
-    for npc, (gene, *_) in enumerate(trace.executed.npcs):
+    for npc, (gene, *_) in enumerate(trace.chains):
         if not gene.on_grid:
             continue
         cell, wanted = gene.cell, scenario.ego_lane + gene.cell.column
         reach = 1.5 * float(trace.sizes[[0, npc + 1], 0].sum())
         is_in_row = ahead[npc] * cell.row > 0 if cell.row else abs(ahead[npc]) <= reach
-        is_there = (is_in_row and start[npc + 1, LANE] == wanted) or not 0 <= wanted < len(trace.lanes)
+        is_in_lane = start[npc + 1, LANE] == wanted
+        if not is_straight(trace):  # where lanes begin and end, numbers of lanes say little
+            is_in_lane = right[npc] * cell.column > 0 if cell.column else abs(right[npc]) <= trace.lanes[lane].width
+        is_there = (is_in_row and is_in_lane) or not 0 <= wanted < len(trace.lanes)
         promise = f"NPC {npc} starts in the cell of its first instruction in trace.executed, cell {int(cell)}"
         received = f"{ahead[npc]:.1f} m ahead of the ego in lane {int(start[npc + 1, LANE])}, the ego in lane {lane}"
-        yield is_there, promise, received
+        yield is_there, promise, f"{received}, and {right[npc]:.1f} m to its right"
 
 
 def contacts(trace: Trace) -> Promises:
@@ -302,6 +532,16 @@ def _depths(trace: Trace, rows: slice = slice(None)) -> tuple[FloatArray, FloatA
     positions, headings = Encounters(trace), (None, trace.lanes[0].heading) if is_straight(trace) else (None,)
     depths = [positions.depths(rows, heading) for heading in headings]
     return np.min(depths, axis=0), np.max(depths, axis=0)
+
+
+def touching(traces: Iterable[Trace]) -> Promises:
+    """Yield that collisions are no earlier than contacts. One run alone may end a tick before, as it finds contacts."""
+    gaps = [-_depths(trace, slice(-1, None))[1][trace.collision.npc, -1] for trace in traces
+            if trace.collision is not None and trace.collision.npc in range(len(trace.scenario.npcs))]  # fmt: skip
+    early = [gap for gap in gaps if gap > APART]
+    promise = f"the boxes of the ego and of collision.npc touch at the last tick of a collision: {CENTRES}"
+    received = f"a gap of up to {max(early, default=0):.1f} m at {len(early)} of {len(gaps)} collisions"
+    yield len(gaps) < SEVERAL or len(early) <= len(gaps) / 2, promise, received
 
 
 def _at_object(trace: Trace, vehicle: int) -> bool:
@@ -359,7 +599,7 @@ def _collision(trace: Trace, hit: Collision, gaps: Sequence[float], velocities: 
     sides |= {} if is_in_line else {"right": right > -APART, "left": right < APART}
     received = f"{hit.side!r}, with the NPC {ahead:.1f} m ahead and {right:.1f} m to the right of the ego before"
     yield sides.get(hit.side, False), "collision.side is the side of the ego that was hit", received
-    if not is_straight(trace) and (hit.cell is None or trace.road.is_straight):
+    if hit.cell is None and trace.scenario.npcs[hit.npc][0].crosses:
         return
     yield isinstance(hit.cell, Cell), "collision.cell is a cell, a pafot.Cell", f"{hit.cell!r}"
     positions = Encounters(trace)
@@ -376,7 +616,7 @@ def end(world: Any, trace: Trace) -> Promises:
     is_whole = trace.outcome is not Outcome.SAFE or bool(trace.ended) or trace.duration >= longest - 2.5 * trace.dt
     promise = f"states of a run with the outcome safe last {longest:g} s, with physics_hz rows a second"
     received = f"{trace.ticks} ticks at {trace.physics_hz} Hz, {trace.duration:g} s"
-    yield is_whole or not trace.road.is_straight, promise, received
+    yield is_whole, promise, received
     first = int(off[0]) if len(off) else None
     received = f"off_road_tick {trace.off_road_tick}, outcome {trace.outcome}, and the first such row of states {first}"
     promise = "off_road_tick is the first tick with the ego in lane -1, or None"
@@ -386,13 +626,21 @@ def end(world: Any, trace: Trace) -> Promises:
     if not trace.arrivals:
         return
     yield len(trace.arrivals) == len(scenario.npcs), "arrivals has one entry for each NPC", f"{len(trace.arrivals)}"
-    length = scenario.gene_seconds * trace.physics_hz
+    length, positions = scenario.gene_seconds * trace.physics_hz, Encounters(trace)
     for npc, ticks in enumerate(trace.arrivals):
         for gene, tick in enumerate(() if math.isinf(scenario.seconds) else ticks):
             begin, stop = gene * length, min((gene + 1) * length, trace.ticks)
             is_tick = tick is None or (plain_whole(tick) is not None and begin - 1 <= tick <= stop + 1)
             received = f"{tick!r} for ticks {begin:g} to {stop:g}"
             yield is_tick, f"arrivals[{npc}][{gene}] is a tick of this gene, or None", received
+            told = trace.chains[npc][gene]
+            if tick is None or not told.on_grid or tick > trace.ticks:
+                continue
+            cell = positions.cell(npc, tick)
+            lane = int(trace.ego[tick, LANE]) + told.cell.column
+            is_there = cell is None or told.cell in (cell, *cell.neighbours) or not 0 <= lane < len(trace.lanes)
+            promise = f"arrivals[{npc}][{gene}] is the tick at which the NPC reached cell {int(told.cell)} of this gene"
+            yield is_there, promise, f"tick {tick}, at which it was in cell {cell!r}"
 
 
 def _name(vehicle: int) -> str:
