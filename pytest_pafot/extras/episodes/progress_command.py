@@ -286,11 +286,6 @@ class ProgressPlan:
         return Highway() if world is None else world
 
     @property
-    def are_planners(self) -> bool:
-        """Whether the policies drive in SI units in ordinary traffic."""
-        return self.new.endswith(PLANNER) or self.traffic.planner_hz is not None
-
-    @property
     def holds(self) -> Callable[[Run], Any]:
         """The function that checks each run."""
         return never_at_fault_in_a_collision if self.check is None else check_function(self.check)
@@ -317,12 +312,10 @@ class ProgressPlan:
     @property
     def job(self) -> ResumableJob:
         """The job with its tasks; a task's name has its part and its number of situations, then the first situation."""
+        episodes = self.episodes if isinstance(self.traffic, World) else 0
         sizes = {
             (f"{part}-{min(CHUNK, total - first)}", first): 2 * min(CHUNK, total - first)
-            for part, total in (
-                ("scenarios", self.scenarios),
-                ("episodes", self.episodes if isinstance(self.traffic, World) else 0),
-            )
+            for part, total in (("scenarios", self.scenarios), ("episodes", episodes))
             for first in range(0, total, CHUNK)
         }
         sizes |= {("saved-1", number): 4 for number in range(len(self.saved))}
@@ -455,7 +448,7 @@ def _rows(plan: ProgressPlan, part: str, numbers: range, tick: Tick) -> Iterator
             yield PairRow(part=part, name=str(number), old=Result.of(*old), new=Result.of(*new))
     elif part == "episodes":
         for seed in range(plan.seed + numbers.start, plan.seed + numbers.stop):
-            is_planner, rows = plan.are_planners, []
+            is_planner, rows = plan.new.endswith(PLANNER), []
             for side in ("old", "new"):
                 factory = plan.factory(side)
                 if isinstance(factory, RevisionPolicy):

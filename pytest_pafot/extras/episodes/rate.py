@@ -234,11 +234,7 @@ class RatePlan:
 
     @cached_property
     def world(self) -> World:
-        """The environment of the episodes.
-
-        Raises:
-            RequestError: if the world has none.
-        """
+        """The environment of the episodes."""
         return episodic(chosen_world(self.world_name, self.config, self.policies.values()), "rate")
 
     def episode(self, name: str, seed: int) -> Any:

@@ -247,7 +247,7 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         hint = Policy(factory_of(rate.ads)[0]).loading_hint
         notes = [*rate.notes, *filter(None, [hint])]
         lines += [f"{rate.ads} in {plan.world_name}: {rate.sentence}", *(f"  {note}" for note in notes)]
-        if not rate.episodes and "@" not in rate.ads:
+        if not rate.episodes and "@" not in rate.ads and plan.world.planner_hz is None:
             named = shlex.join(["--ads", f"{rate.ads}@planner"])
             lines.append(f"  for a planner in SI units, as for pafot.Highway, use {named}")
     if len(rates) == 2:
