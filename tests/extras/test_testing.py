@@ -19,7 +19,8 @@ from pytest_pafot import (
     Scenario,
     World,
 )
-from pytest_pafot.extras.testing import _check_lasting, check_world
+from pytest_pafot.extending import base_world, sample
+from pytest_pafot.extras.testing import OBSERVED, _check_lasting, check_world
 from pytest_pafot.extras.testing.traces import (
     ACROSS,
     ALONG,
@@ -30,6 +31,8 @@ from pytest_pafot.extras.testing.traces import (
     form,
     of_runs,
     places_at_start,
+    touching,
+    ways_of_crossing,
 )
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from tests.helpers.stopped_clock import StoppedClock
@@ -889,6 +892,12 @@ class AtOneSpeed(Driven):
         return replace(trace, scenario=scenario, executed=scenario)
 
 
+def at_once(trace):
+    """Return a trace whose NPCs reach all cells when their instructions begin."""
+    length = trace.scenario.gene_seconds * trace.physics_hz
+    return replace(trace, arrivals=tuple(tuple(int(n * length) for n, _ in enumerate(one)) for one in trace.arrivals))
+
+
 def anonymous(trace):
     return replace(trace, error=replace(trace.error, kind="Error", message="failed")) if trace.error else trace
 
@@ -901,6 +910,7 @@ def cleared(trace):
     ("wrong", "promise"),
     [
         (AtOneSpeed, "an NPC in the cell of its instruction takes on its speed"),
+        (traces("AtOnce", at_once), r"arrivals\[.\]\[.\] is the tick at which the NPC reached cell"),
         (traces("Anonymous", anonymous), "error.kind and error.message are those of the exception of an ADS"),
         (traces("Cleared", cleared), "states has the run up to the decision of an ADS that raises"),
     ],
@@ -920,3 +930,44 @@ def test_check_ends_with_what_the_world_has_and_lacks(capsys):
     assert (
         "  lacks who would have prevented a collision (reference_drivers, rollout_reference)" in capsys.readouterr().out
     )
+
+
+def collisions():
+    scenarios = [
+        Scenario(npcs=[[PositionInstruction(cell, 0.0)]]) for cell in (Cell.FRONT, Cell.FRONT_LEFT, Cell.FRONT)
+    ]
+    return [LONGER.rollout(each, lambda: lambda seen: (0.5, 0.0)) for each in scenarios]
+
+
+def test_collisions_before_contacts_are_refused():
+    hits = [trace for trace in collisions() if trace.collision] * 3
+    assert all(is_kept for is_kept, *_ in touching(hits))
+    early = [replace(trace, states=trace.states[:-3]) for trace in hits]
+    assert not all(is_kept for is_kept, *_ in touching(early))
+
+
+def test_place_of_a_crossing_npc_grows_by_what_it_drives():
+    world = environment("intersection-v0")
+    space = base_world(world).space({"crossings": world.crossings, "npcs": 2})
+    random = np.random.default_rng(0)
+    runs = [world.rollout(sample(space, random), constant_action) for _ in range(3)]
+    crossed = next(trace for trace in runs if trace.on_way is not None)
+    assert all(is_kept for is_kept, *_ in ways_of_crossing(crossed))
+    in_feet = replace(crossed, on_way=crossed.on_way / 0.3048)
+    assert not all(is_kept for is_kept, *_ in ways_of_crossing(in_feet))
+
+
+def test_ads_on_a_bend_sees_the_ego_as_states_or_track_have_it():
+    class Hourly(Recorded):
+        def rollout(self, scenario, ads_factory):
+            def sees():
+                ads = ads_factory()
+                return lambda seen: ads(SimpleNamespace(**{name: getattr(seen, name) for name in OBSERVED} | ego(seen)))
+
+            return self.world.rollout(scenario, sees)
+
+    def ego(seen):
+        return {"ego": seen.ego._replace(speed=3.6 * seen.ego.speed)}
+
+    with pytest.raises(AssertionError, match=r"an ADS that receives a pafot.Observation.* sees the ego as in states"):
+        check_world(Hourly(World("racetrack-v0", duration=3.0, planner_hz=5), None), runs=2, npcs=1)
