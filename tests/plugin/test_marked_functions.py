@@ -202,7 +202,7 @@ WRONG = [
     ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
-    ("world='highway-v0'", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 'highway-v0'*"),
+    ("world=3", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 3*"),
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),

@@ -120,7 +120,7 @@ def test_world_of_another_class_is_refused_with_location(saved):
     saved.write("@pafot.search(genes=2, gene_seconds=5, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
     result = saved.run(generations=0)
     result.stdout.fnmatch_lines(
-        ["*a world of the class Ring, *, received a pafot.Highway; *(world=...) or *pafot_world*"]
+        ["*a world of the class Ring, *, received a pafot.Highway; *(world=...), the fixture pafot_world or --world*"]
     )
 
 
