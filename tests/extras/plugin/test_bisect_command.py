@@ -247,7 +247,9 @@ def test_runs_that_cannot_be_compared_are_told(commit):
 @pytest.fixture
 def told(monkeypatch, tmp_path):
     """Return a function that reads a session's message to the command."""
-    monkeypatch.setenv(TOLD, json.dumps({"file": str(tmp_path / "told.json"), "policy": [str(tmp_path / "elsewhere")]}))
+    monkeypatch.setenv(
+        TOLD, json.dumps({"file": str(tmp_path / "told.json"), "world": None, "policy": [str(tmp_path / "elsewhere")]})
+    )
     return lambda: json.loads((tmp_path / "told.json").read_text())
 
 
@@ -457,7 +459,7 @@ def wait_for(condition):
 
 def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
     told = saved.path / "told.json"
-    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "policy": []}))
+    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "world": None, "policy": []}))
     replayed(saved, "slow", plugins=["pytest_pafot.extras.revisions.bisect_session"])
     assert json.loads(told.read_text())["why"] == (
         "collision after 6.5 s at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
