@@ -175,6 +175,7 @@ def test_all_scenarios_fit_a_road_of_any_shape(env_id):
     assert 0.2 < sum(len(free_of(each)) for each in found) / sum(len(each.npcs) for each in found) < 0.7
 
 
+@pytest.mark.processes
 def test_search_among_crossing_and_free_npcs_is_the_same_with_other_processes():
     world = World("roundabout-v1", {CONNECTED: True}, planner_hz=5, duration=10.0)
     one, two = (
@@ -242,6 +243,7 @@ def anything(run):
     assert run.duration >= 0
 
 
+@pytest.mark.processes
 def test_search_is_the_same_with_other_processes_and_its_findings_run_again():
     drivers = {"policy": "policy", "mobil": "mobil", "drawing": Drawing}
     one, two = (explored(holds=no_collision, drivers=drivers, workers=workers) for workers in (1, 2))

@@ -102,6 +102,7 @@ def split():
     del gymnasium.registry["Split-v0"]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("driver", ["idm", "mobil", "own"])
 def test_on_a_straight_network_all_drive_as_on_a_highway(split, driver):
     """The bend of infinite radius: sections of the same lanes, whose joint the vehicles pass."""
@@ -232,6 +233,7 @@ def test_planner_sees_the_road_from_its_own_place():
     assert seen[-1].acceleration == trace.states[-4, 1, 4]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "racetrack-v1", "intersection-v0"))
 @pytest.mark.parametrize("driver", ["idm", "mobil", "own"])
 def test_run_is_the_same_in_steps_of_the_environment(env_id, driver):

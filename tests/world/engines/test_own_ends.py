@@ -171,6 +171,7 @@ def by_env_step(env_id, world, action, start):
     return steps * plain.config["simulation_frequency"] // plain.config["policy_frequency"]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("case", CASES)
 def test_a_run_ends_at_the_tick_of_env_step(register, case):
     registered, given, action, name = CASES[case]
