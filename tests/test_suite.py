@@ -105,7 +105,9 @@ def repeated(names):
 
 
 def test_modules_with_equal_names_are_listed_exceptions():
-    assert repeated(path.stem for path in MODULES if path.name != "__init__.py") == set(OF_ONE_NAME)
+    found = repeated(path.stem for path in MODULES if path.name != "__init__.py")
+    assert found <= set(OF_ONE_NAME)
+    assert found == set(OF_ONE_NAME) or not (ROOT / "pytest_pafot/extras").exists()
 
 
 def test_listed_long_tests_exist():

@@ -1,12 +1,13 @@
 """The search space that follows from the world, the algorithm and the user's arguments."""
 
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, World
+from pytest_pafot import Highway, World, door
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space, drawn_space
 from pytest_pafot.model.trace import Outcome
@@ -18,6 +19,7 @@ from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
+HAS_EXTRAS = find_spec("pytest_pafot.extras") is not None
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
 
 
@@ -117,7 +119,7 @@ def test_default_search_draws_vehicles_that_fit_the_road():
     assert space_of(Highway(), instructions="manoeuvres").vehicles == (CAR,)
 
 
-@table("algorithm", [name for name in ALGORITHMS if name != "distinct"])
+@table("algorithm", [name for name in ALGORITHMS if name != "distinct" and (HAS_EXTRAS or name not in door.ALGORITHMS)])
 def test_all_other_algorithms_draw_cars(algorithm):
     assert space_of(Highway(), algorithm=algorithm).vehicles == (CAR,)
 

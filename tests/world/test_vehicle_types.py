@@ -30,7 +30,6 @@ from pytest_pafot import (
 )  # fmt: skip
 from pytest_pafot.criticality.boxes import overlaps
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.extras.testing.traces import limits
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome, X
 from pytest_pafot.oracle.run import Run
@@ -92,6 +91,7 @@ def test_own_limits_hold_on_every_road(env_id):
 
 
 def test_own_limits_hold_on_ways_that_cross():
+    limits = pytest.importorskip("pytest_pafot.extras.testing.traces").limits
     world, rng = world_of("intersection-v0"), np.random.default_rng(8)
     space, crossing = replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings), set()
     for _ in range(12):
@@ -230,6 +230,7 @@ def test_an_ego_does_no_more_than_its_vehicle_can(kind, ads):
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "intersection-v0"))
 def test_an_ego_of_any_size_drives_on_every_road(env_id):
+    limits = pytest.importorskip("pytest_pafot.extras.testing.traces").limits
     for kind in filter(world_of(env_id, duration=6.0).can_drive, (VAN, MOTORCYCLE)):
         world, rng = replace(world_of(env_id, duration=6.0), ego=kind), np.random.default_rng(6)
         space = replace(space_of(world, npcs=2, traffic="hostile"), crossings=world.crossings)

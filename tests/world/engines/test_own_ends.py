@@ -13,8 +13,6 @@ from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
-from pytest_pafot.extras.testing import check_world
-from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.finding import Finding, Found, replay_label, unhandled
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
@@ -251,7 +249,8 @@ def test_runs_in_lock_step_and_in_training_end_there_too(register):
     assert [each.ended for each in alone] == ["Crawling._is_truncated", ""]
     together = world.rollout_batch([slow, fast], Batching)
     assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
-    env = training_env(world, [slow], share=1.0)
+    training = pytest.importorskip("pytest_pafot.extras.training")
+    env = training.training_env(world, [slow], share=1.0)
     env.reset(seed=1)
     results = [env.step(IDLE)[2:4] for _ in range(3)]
     assert results == [(False, False), (False, False), (False, True)]
@@ -303,7 +302,8 @@ def test_a_failure_behind_the_end_has_drifted(register):
 
 
 def test_the_checks_of_worlds_know_ends(register):
+    testing = pytest.importorskip("pytest_pafot.extras.testing")
     register("ending-v0", entry_point=Goal)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # nothing collides before the goal
-        check_world(World("ending-v0"), ads=idle, npcs=1, runs=4)
+        testing.check_world(World("ending-v0"), ads=idle, npcs=1, runs=4)
