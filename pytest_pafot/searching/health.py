@@ -194,8 +194,8 @@ class Health:
 
     @property
     def vacuous(self) -> bool:
-        """True if the search cannot have shown anything: there was no valid run."""
-        return self.valid == 0
+        """True if the search cannot have shown anything: no run was valid, or the environment ended each at once."""
+        return self.over.total() == self.valid
 
     @property
     def reached_share(self) -> float:
@@ -227,7 +227,7 @@ class Health:
                 remedy = "correct that driver, or leave it out of drivers="
             crash = where if failed == self.invalid else f"{crash} or, {failed} of them, {where},"
             found.append(f"{plural(failed, 'simulated scenario')} tested nothing; most often {most:.300}; {remedy}")
-        if self.vacuous:
+        if self.valid == 0:
             found.append(
                 f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended {crash}, "
                 f"{self.discarded} were rejected, skipped or ended their process), so nothing was tested; use fewer "

@@ -111,7 +111,7 @@ ENDED_ANYWAY = ("AbstractEnv", "ExitEnv", "LaneKeepingEnv", "RacetrackEnv", "Rou
 """The classes of highway-env that terminate episodes only by a crash, or where the ego leaves a bent road, at which
 runs end without being asked; or never."""
 
-LEFT_OUT = ("_reward", "_rewards", "_info", "_is_terminated", "_is_truncated")
+LEFT_OUT = ("_reward", "_rewards", "_info", *ENDS)
 """The methods of environments that only their ``step`` and ``reset`` call, and what a run needs does not."""
 
 RESETS, RESETS_IN_WRAPPERS = 10, 4

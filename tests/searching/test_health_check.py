@@ -63,6 +63,8 @@ def test_a_search_whose_runs_the_environment_ends_at_once_says_so(make_evaluatio
         'GoalEnv._is_terminated, before an NPC can have caused anything; correct it, or write ends="duration" in '
         "the world, so that runs go on"
     ]
+    assert not health_of(make_evaluation, (1, later), (6, over)).vacuous
+    assert health_of(make_evaluation, (6, over)).vacuous
 
 
 def test_an_error_in_what_ends_episodes_is_named_with_what_to_do(make_evaluation):

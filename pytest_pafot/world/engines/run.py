@@ -291,7 +291,7 @@ class SteppedRun:
 
 
 class OwnEnds:
-    """What an environment's own ``_is_terminated`` and ``_is_truncated`` say after each of its steps in a run.
+    """The methods by which an environment ends its episodes, asked after each of its steps in a run.
 
     They are asked at the ticks at which ``env.step`` asks them. The ``config["duration"]`` that they read is at least
     as long as the run, because the world decides its duration.

@@ -433,7 +433,7 @@ class NetworkRoad(Road):
         scenario: Scenario,
         rates: tuple[int, int],
         sight: Sight | None,
-        ego: VehicleType = CAR,
+        ego: VehicleType,
         seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations, in which the road is straight."""

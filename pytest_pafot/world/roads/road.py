@@ -204,7 +204,7 @@ class Road(ABC):
         scenario: Scenario,
         rates: tuple[int, int],
         sight: Sight | None,
-        ego: VehicleType = CAR,
+        ego: VehicleType,
         seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations.

@@ -164,7 +164,7 @@ class StraightRoad(Road):
         scenario: Scenario,
         rates: tuple[int, int],
         sight: Sight | None,
-        ego: VehicleType = CAR,
+        ego: VehicleType,
         seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations."""
