@@ -28,7 +28,7 @@ from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
 from pytest_pafot.extras import policies
 from pytest_pafot.extras.comparison import algorithm_run
-from pytest_pafot.extras.comparison.command import add_arguments
+from pytest_pafot.extras.comparison.command import SPACE, add_arguments
 from pytest_pafot.extras.episodes.progress_command import add_arguments as add_progress_arguments
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
@@ -81,6 +81,9 @@ REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
+ROAD = ("lanes", "speed_limit", "duration", "clearance")
+"""The options of ``compare`` that are arguments of a world; ``SPACE`` has those of the scenarios."""
+_WORLD = re.compile(r"the world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL)
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
@@ -241,7 +244,7 @@ def sections() -> dict[str, str]:
         "file": _file_table(),
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
-        "compare": _command_table(add_arguments),
+        "compare": _command_table(add_arguments, as_in_mark=(*ROAD, *SPACE)),
         "search-command": _command_table(add_search_arguments),
         "run-table": _columns_table(run_table.COLUMNS),
         "results": _columns_table(
@@ -322,7 +325,7 @@ def _catalogue_table() -> str:
     for entry in ENTRIES:
         told = []
         for name, each in entry.parameters.items():
-            told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()} ({each.span})")
+            told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()} ({each.span.replace(' to ', '…')})")
         rows.append([_code(entry.name), entry.about, ", ".join(told), entry.source])
     return _table(["Name", "What happens", "Numbers, defaults and ranges", "After"], rows)
 
@@ -518,20 +521,27 @@ def _parameters(function: Callable[..., Any]) -> Iterable[str]:
     return inspect.signature(function).parameters
 
 
-def _command_table(add: Callable[[argparse.ArgumentParser], None]) -> str:
+def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: Sequence[str] = ()) -> str:
+    """Return the table of a command's options; those of ``as_in_mark`` are one row, which leads to the mark's."""
     parser = argparse.ArgumentParser(add_help=False)
     add(parser)
     rows = []
     for action in parser._actions:
-        if action.help == argparse.SUPPRESS:
+        if action.help == argparse.SUPPRESS or action.dest in as_in_mark:
             continue
         value = (
             f"={'|'.join(map(str, action.choices))}" if action.choices else f"={action.metavar or action.dest.upper()}"
         )
         value = "" if action.nargs == 0 else value
-        text = (action.help or "") % vars(action)
+        text = _WORLD.sub(
+            r"the world: an environment's id, or module:name ([all forms](../guide/own-world.md#in-every-command); \1",
+            (action.help or "") % vars(action),
+        )
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
         rows.append([f"`{name}`", _capital(text) + "."])
+    if as_in_mark:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in as_in_mark)
+        rows.append([_code(flags), "As [the mark's arguments](../reference/search.md); `--help` has the defaults."])
     return _table(["Option", "Meaning"], rows)
 
 
