@@ -81,8 +81,8 @@ REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
-ROAD = ("lanes", "speed_limit", "duration", "clearance")
-"""The options of ``compare`` that are arguments of a world; ``SPACE`` has those of the scenarios."""
+ROAD = ("lanes", "speed_limit", "clearance")
+"""The options of ``compare`` about the road that the mark has, too; ``SPACE`` has those about the scenarios."""
 _WORLD = re.compile(r"the world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL)
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
