@@ -55,7 +55,7 @@ def test_readme_without_address_loses_links_but_no_text(long_description):
     assert targets(shown) == []
     assert "<picture>" not in shown
     assert fences(shown) == fences(README)
-    assert "a torch module, an ONNX file or a program in any language needs one\nline. Vehicle classes" in shown
+    assert "planners that simulate; networks and programs in any\nlanguage need one line, such as" in shown
 
 
 def test_absolute_and_internal_links_stay_unchanged(long_description):
