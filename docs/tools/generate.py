@@ -188,6 +188,9 @@ FILE_TEXTS: Mapping[str, str] = {
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
+RUN_INTERNALS = ("decision_limit", "world", "take_over", "avoided_by", "facts")
+"""Arguments of a run that only who makes a run gives; the Python API has them."""
+
 AT_THE_END = ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
 
@@ -203,7 +206,7 @@ def sections() -> dict[str, str]:
         "finding-record": _table(["Key", "Meaning"], [[_code(k), _capital(key.meaning)] for k, key in FINDING.items()]),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
-        "run": _properties_table(Run),
+        "run": _properties_table(Run, without=RUN_INTERNALS),
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
@@ -434,10 +437,10 @@ def _scope(node: ast.FunctionDef) -> str:
     return next((str(word.value.value) for word in keywords if isinstance(word.value, ast.Constant)), "function")
 
 
-def _properties_table(cls: type[Any]) -> str:
-    own = dict(_attributes(cls))
+def _properties_table(cls: type[Any], without: Sequence[str] = ()) -> str:
+    own = {name: text for name, text in _attributes(cls) if name not in without}
     for name, member in vars(cls).items():
-        if not name.startswith("_") and name not in own:
+        if not name.startswith("_") and name not in (*own, *without):
             inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
             own[name if inner is not member else f"{name}()"] = _first_paragraph(inner.__doc__)
     return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
