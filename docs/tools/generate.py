@@ -135,56 +135,58 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `2`. Files of a different version are refused.",
-    "test": "Node id of the test. The folder of the file, and not this line, decides which test replays it.",
-    "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`; "
-    "`ego` only if it is no car. For a world that is code (`own`, or with `wrappers`), the replay uses the test's "
-    "world. A [registered](../guide/own-world.md) world has its own kind and its `data`.",
-    "scenario.seed": "Seed of all random choices in the run, such as those of the repair.",
-    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
-    "all NPCs that do not cross start; less for an NPC in a bend.",
+    "test": "Node id of the test. The folder decides which test replays the file.",
+    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. For "
+    "a world that is code (`own`, or with `wrappers`) the replay uses the test's. A "
+    "[registered](../guide/own-world.md) world has its own kind and its `data`.",
+    "scenario.seed": "Seed of all random choices in the run.",
+    "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], at which the ego and NPCs that do not cross start.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
-    "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
-    "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
-    "scenario.vehicles": "What [vehicle](scenarios.md#vehicles) each NPC is: the name of a ready one, or a mapping "
-    "`{name, length, width, ...}`. All NPCs after the last one are cars; without it, all are.",
+    "scenario.traffic": "[The style](../explanation/traffic.md), or a mapping with changed parts, `{style: everyday, "
+    "least_gap: 4.0}`; without it, the paper's.",
+    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of the NPCs: names, or mappings `{name, length, width, "
+    "...}`. NPCs after the last one are cars.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
-    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, one manoeuvre "
-    "`{beside, ahead, speed, steps}`, for a free NPC `{beside, ahead, speed, driver}`, or one [recorded "
-    "track](scenarios.md#recorded-tracks) `{track, later, pace, shift, steps}`. Speeds are in m/s. A track is a block "
-    "with a line for each tenth of a second, or after the line `rate 15` for each fifteenth: x [m], y [m], heading "
-    "[rad] and speed [m/s].",
+    "Lane-Instructions `{lane, speed}`, or one of: Crossing-Instruction `{zone, slot, speed, act}`, manoeuvre "
+    "`{beside, ahead, speed, steps}`, free NPC `{beside, ahead, speed, driver}`, [recorded "
+    "track](scenarios.md#recorded-tracks) `{track, later, pace, shift, steps}`. Speeds are in m/s; a track is a block "
+    "of lines.",
     "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
-    "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
-    "name of the check; for any other exception, its statement or the first line of its message, likewise.",
+    "expect.assertion": "The failing assertion without its message, with `N` for each number; the name of a failed "
+    "check; of another exception, its statement or first line, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
     "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
-    "expect.check": "The `value` that the failed check measured, its bounds `at_most` and `at_least`, and its `unit`.",
-    "expect.situation": "Where the NPC of the failure was shortly before it, and how fast both were: the "
-    "[situation](../explanation/findings.md#what-a-replay-means) that must come up again for a pass to be a fix. "
-    "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (counted from the ego's to the right), `ego_speed` and "
-    "`npc_speed` [m/s]; of a leader ahead in the ego's lane, `npc_speed` is the lowest speed from then to the failure. "
-    "Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
-    "`lane`.",
+    "expect.check": "Of a failed check: its `value`, bounds `at_most` and `at_least`, and `unit`.",
+    "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure, "
+    "which must come up again for a pass to be a fix: `npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from "
+    "the ego's to the right), `ego_speed` and `npc_speed` [m/s] (of a leader, its lowest speed from then on). Where "
+    "ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and `lane`.",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
-    "perception": "The arguments of [`pafot.Perception`](ads.md), if the ADS saw imperfectly, and `needed`: the "
-    "imperfections without which the test passes. A replay uses the sight that the test gives now, and reports a "
-    "difference.",
+    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: the imperfections "
+    "without which the test passes.",
     "original": "The scenario as first found, if shrinking has replaced it by a simpler one.",
-    "shrunk.rollouts": "The number of runs that shrinking took.",
+    "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
     "tried.",
-    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
-    "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
-    "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) failed in "
-    "the same way when the scenario was found: `failing`, `of`. A replay that passes runs the more of them, the fewer "
-    "failed.",
-    "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails in the scenario: "
-    "`failing` of `runs`, each with another seed, or of a flaky one with the same.",
-    "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
-    "same way each time.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
-    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day, and with `flaky: true` "
-    "in addition it may pass as well.",
+    "shrunk.speeds": "By `npc` and first `gene` of each instruction, the speeds from `low` to `high` [m/s] at which "
+    "the scenario still fails; not all between were tried.",
+    "neighbours": "How many [neighbours](../explanation/findings.md#how-broad-it-is) failed in the same way: "
+    "`failing`, `of`. A replay that passes runs the more, the fewer failed.",
+    "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
+    "each with another seed, or of a flaky one with the same.",
+    "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while), written by hand. "
+    "With `{reason: ..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
+    "expect.closing_speed": "Closing speed of the collision [m/s]; only a label.",
+    "expect.ego_mean_speed": "Mean speed of the ego until the event [m/s], with which neighbours are re-timed to a "
+    "faster or slower ego.",
+    "expect.against": "The reference that passed the scenario, such as `module:factory` or `rev:main (1a2b3c4)`.",
+    "expect.npc, expect.cell": "NPC and its cell at the collision, otherwise at the smallest time to contact; of a check, the NPC that it names.",
+    "expect.departure": "Where an NPC left its recording: `npc`, `time` [s], `gap` and `recorded_gap` [m] (negative: "
+    "behind).",
+    "expect.traceback": "Traceback of an ADS that raised, without addresses, process ids and temporary folders.",
+    "found.seed": "Seed of the search, derived from the base seed and the node id; no value for `--pafot-seed`.",
+    "found.weights": "`sha256:` and a hash of the policy, if its factory provides one. A replay reports a difference.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
