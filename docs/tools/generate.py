@@ -181,7 +181,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.ego_mean_speed": "Mean speed of the ego until the event [m/s], with which neighbours are re-timed to a "
     "faster or slower ego.",
     "expect.against": "The reference that passed the scenario, such as `module:factory` or `rev:main (1a2b3c4)`.",
-    "expect.npc, expect.cell": "NPC and its cell at the collision, otherwise at the smallest time to contact; of a check, the NPC that it names.",
+    "expect.npc, expect.cell": "NPC and its cell at the collision, otherwise at the smallest time to contact; of a "
+    "check, the NPC that it names.",
     "expect.departure": "Where an NPC left its recording: `npc`, `time` [s], `gap` and `recorded_gap` [m] (negative: "
     "behind).",
     "expect.traceback": "Traceback of an ADS that raised, without addresses, process ids and temporary folders.",
