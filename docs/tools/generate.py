@@ -84,33 +84,37 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world: `pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
+    "world": "`pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
-    "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
-    "arg": "The parameter of the test function that receives the run.",
-    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
-    "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
-    "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
-    "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
-    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion '
-    'counts only if a reference driver would have prevented it. `"avoidable"`: like `"ego"`, and the function is also '
-    "called for collisions that the rules excuse for want of time, although braking late, but hard, would have avoided "
-    "them.",
-    "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
-    '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
-    "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
-    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), `"manoeuvres"`, or `"both"` (one of '
-    "the first two with equal probability).",
-    "vehicles": "[What vehicles](scenarios.md#vehicles) NPCs can be: names, or `pafot.VehicleType(...)`. If cars are "
-    'among them, one NPC in six is another one of them. `"car"`: all are cars.',
-    "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs): `"idm"`, `"mobil"`, `"policy"`, '
-    'a list of these, or a mapping such as `{"last": LastVersion, "idm": "idm"}` with values as of `ads`.',
+    "ads": "The fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
+    "arg": "The parameter of the test that receives the run.",
+    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as '
+    '`"headway"`, `pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float`, or its `module:function`.',
+    "blame": '`"any"`: the test is called for every valid run in which the ADS does not fail. `"ego"`: not for '
+    'collisions that only an NPC is responsible for. `"preventable"`: as `"ego"`, and a failure counts only if a '
+    'reference driver would have prevented it. `"avoidable"`: as `"ego"`, and also for collisions that braking '
+    "late, but hard, would have avoided.",
+    "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
+    '`"paper"`, or `pafot.Traffic(...)`.',
+    "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
+    '`"lanes"`, `"manoeuvres"`, or `"both"` of the first two.',
+    "vehicles": "[What NPCs can be](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. With cars among them, "
+    "one NPC in six is another one.",
+    "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
+    '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
     "around": "[The recording](../guide/recordings.md#search-around-a-recording) of which all scenarios are changes, "
     "or a scenario of it.",
-    "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
-    "title": "What the requirement asks for; by default the first line of the docstring.",
+    "requirement": "[The requirement](../guide/requirements.md) that the test checks: an id or a list.",
+    "title": "What the requirement asks for.",
     "owner": "Who answers for the test.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
+    "acts": "Acts of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
+    "gene_seconds": "Duration of one gene [s].",
+    "ego_lane": "The ego's first lane, from 0 at the left.",
+    "lanes": "Number of lanes of a `pafot.Highway`, 3 to 6.",
+    "clearance": "Least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.",
+    "npcs": "Number of NPCs, 1 to 8.",
+    "speed_limit": "Speed limit [m/s]; the paper's 60 mph.",
 }
 """Meanings of arguments that no docstring explains."""
 
@@ -119,6 +123,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "world": "the fixture `pafot_world`",
     "genes": "as many as fill the run",
     "npcs": "[sampled](#what-is-sampled)",
+    "lanes": "`4`",
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
