@@ -118,15 +118,16 @@ class SearchSummary:
         node_id: node id of its item.
         result: result of its item, as for a finding.
         message: why the item failed, in one line; empty if it did not.
-        reason: why the search ended, in the words of its summary; empty if it broke off.
+        reason: why the search ended; empty if it did not begin, or ended early.
         algorithm, profile: names of the algorithm and of the profile of defaults.
         base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
-        generations: number of generations, also of one that the limit of runs cut.
+        generations: number of generations, including one that the limit of runs cut.
         asked, budget: requested generations and runs; null for what is no limit.
         runs: number of simulated scenarios.
         shrink_runs, neighbour_runs: further runs that simplified findings, and runs of their neighbours.
         decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions that the policy made in the
-            `runs` of this session, in runs that confirmed findings, in `shrink_runs` and in `neighbour_runs`.
+            `runs` of this session, in runs that confirmed findings, in `shrink_runs` and in `neighbour_runs`, not in
+            replays.
         reused_decisions: decisions that a `pure` or `copyable` policy did not make again.
         known_runs: number of scenarios that were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in the
@@ -140,7 +141,7 @@ class SearchSummary:
         failures: ids of findings by the signature of failures that its runs in this session showed.
         random_failing, random_otherwise, random_runs: random scenarios at the beginning: failing by the ego's fault,
             failing otherwise, and all.
-        given: number of saved scenarios with which the search began; if not 0, the three before count these instead.
+        given: number of saved scenarios with which the search began; if not 0, the three counts before are of these.
         drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
         paired: `runs`, the number of random scenarios that both drove to decide whether the findings count, at most

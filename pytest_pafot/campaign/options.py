@@ -138,8 +138,8 @@ class Settings:
     population: int | None = option(
         "integer",
         "Number of scenarios in each generation, at most 10000.",
-        "16 for `distinct` and 4 for other built-in ones; with `batch` of an ADS, `distinct` has 64 from the second "
-        "generation on, except with `--pafot-isolate`, a `decision_limit` or an executor.",
+        "By default 16 for `distinct` and 4 for other built-in ones; with `batch` of an ADS, `distinct` has 64 from "
+        "the second generation on, except with `--pafot-isolate`, a `decision_limit` or an executor.",
         least=2,
         most=10_000,
     )
@@ -200,9 +200,9 @@ class Settings:
         "text",
         "Folder of saved scenarios that each search drives first, or `others` for those in which policies of others "
         "failed.",
-        "With folders below. They count as runs, and the search varies those closest to a failure. The ego starts as "
-        "near to the file's start as the search allows; limit of speed and traffic are the search's; what does not "
-        "fit the world is left out. Only with `distinct` and `map-elites`. "
+        "Folders below are included. The scenarios count as runs, and the search varies those closest to a failure. "
+        "The ego starts as near to the file's start as the search allows; limit of speed and traffic are the "
+        "search's; what does not fit the world is left out. Only with `distinct` and `map-elites`. "
         "[`others`](../explanation/others.md#the-corpus) comes with the package.",
     )
     stop_after: int | None = option(
@@ -213,7 +213,7 @@ class Settings:
     shrink_rollouts: int | None = option(
         "integer",
         "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
-        "3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
+        "By default 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
     )
     neighbours: int = option(
         "integer",
@@ -227,8 +227,8 @@ class Settings:
     replay_neighbours: int | None = option(
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
-        "10 for a failure that was broad when found, up to 30 the narrower it was. The first that fails as the file "
-        "says makes the replay [still failing, nearby](../explanation/findings.md#what-else-a-replay-drives).",
+        "By default 10 for a failure that was broad when found, up to 30 the narrower it was. The first that fails as "
+        "the file says makes the replay [still failing, nearby](../explanation/findings.md#what-else-a-replay-drives).",
         most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(
@@ -275,8 +275,9 @@ class Settings:
     memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
-        "In addition to what it starts with. Beyond it allocations fail, which is a finding. By default three "
-        "quarters of the memory of machine or container, shared among the workers, at least 2048. Only on Linux.",
+        "It counts in addition to what the process starts with. Beyond it allocations fail, which is a finding. By "
+        "default three quarters of the memory of machine or container, shared among the workers, at least 2048. Only "
+        "on Linux.",
     )
     dask: str | None = option(
         "address",

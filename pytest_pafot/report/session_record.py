@@ -147,7 +147,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         None, lambda seen: seen.finding.flaky,
     ),
     "unshrunk": Key(
-        "what was left out for want of time, to confirm or to shrink it; otherwise empty.",
+        "that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.",
         "", lambda seen: seen.unshrunk,
     ),
     "breadth": Key(
@@ -185,7 +185,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         None, lambda seen: _data(seen.severity),
     ),
     "severity_before": Key(
-        "the same for the reference; null if it passes.",
+        "the same for the reference, if it fails as well; otherwise null.",
         None, lambda seen: _data(seen.severity_before),
     ),
     "xfail": Key(
