@@ -13,6 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -211,7 +212,7 @@ def sections() -> dict[str, str]:
         "item-record": _record_table(ItemRecord),
         "orphan-record": _record_table(OrphanRecord),
         "search-record": _record_table(SearchSummary),
-        "finding-record": _table(["Key", "Meaning"], [[_code(k), _capital(key.meaning)] for k, key in FINDING.items()]),
+        "finding-record": _finding_table(),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run, without=RUN_INTERNALS),
@@ -288,6 +289,13 @@ def generated(text: str) -> str:
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def _finding_table() -> str:
+    rows = []
+    for meaning, names in groupby(FINDING, key=lambda name: FINDING[name].meaning):
+        rows.append([_code(", ".join(names)), _capital(meaning)])
+    return _table(["Key", "Meaning"], rows)
 
 
 def _columns_table(columns: Mapping[str, str]) -> str:

@@ -115,21 +115,20 @@ class SearchSummary:
     Programs read what is described here, pages and the terminal also the last fields.
 
     Attributes:
-        node_id: node id of its item.
-        result: result of its item, as for a finding.
+        node_id, result: of its item, as for a finding.
         message: why the item failed, in one line; empty if it did not.
         reason: why the search ended; empty if it did not begin, or ended early.
         algorithm, profile: names of the algorithm and of the profile of defaults.
         base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
         generations: number of generations, including one that the limit of runs cut.
         asked, budget: requested generations and runs; null for what is no limit.
-        runs: number of simulated scenarios.
-        shrink_runs, neighbour_runs: further runs that simplified findings, and runs of their neighbours.
+        runs, shrink_runs, neighbour_runs: simulated scenarios; further runs that simplified findings; runs of their
+            neighbours.
         decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions that the policy made in the
             `runs` of this session, in runs that confirmed findings, in `shrink_runs` and in `neighbour_runs`, not in
             replays.
-        reused_decisions: decisions that a `pure` or `copyable` policy did not make again.
-        known_runs: number of scenarios that were not run again.
+        reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios that
+            were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in the
             summary: `npc` is npc at fault, `unpreventable` not preventable, `common` failing with both. `avoidable` are
             those of `npc` that braking late, but hard, would have avoided.

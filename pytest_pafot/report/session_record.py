@@ -89,7 +89,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     ),
     "replay": Key("the command that replays it.", "", lambda seen: seen.command),
     "scenario": Key(
-        "for `pafot.Scenario.from_canonical`; null if `status` is `error`.",
+        "as in its file, for `pafot.Scenario.from_canonical`; null if `status` is `error`.",
         None, lambda seen: seen.finding.scenario.plain(),
     ),
     "world": Key("as in its file; null likewise.", None, lambda seen: dict(seen.finding.world)),
@@ -108,12 +108,12 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     "kind": Key(
         "short name of the signature, with which ids begin.", "", lambda seen: seen.finding.signature.slug,
     ),
-    "failure": Key("name of the exception class.", "", lambda seen: seen.finding.expect.failure),
+    "failure": Key("as in `expect` of its file.", "", lambda seen: seen.finding.expect.failure),
     "assertion": Key(
-        "the failing assertion, or the name of the check.", "", lambda seen: seen.finding.expect.assertion,
+        "as in `expect` of its file.", "", lambda seen: seen.finding.expect.assertion,
     ),
-    "outcome": Key("how the run in the file ended.", "", lambda seen: str(seen.finding.expect.outcome)),
-    "time": Key("the time of its event [s].", None, lambda seen: seen.finding.expect.time),
+    "outcome": Key("as in `expect` of its file.", "", lambda seen: str(seen.finding.expect.outcome)),
+    "time": Key("as in `expect` of its file.", None, lambda seen: seen.finding.expect.time),
     "responsible": Key("`ego`, `npc`, `both` or `none`.", "none", lambda seen: seen.responsible),
     "preventable_by": Key(
         "names of reference drivers that avoid it.", [], lambda seen: list(seen.finding.expect.preventable_by),
@@ -129,9 +129,9 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "number of runs that failed in this way; 0 for a saved scenario (see `known` of the search).", 0,
     ),
     "seed": Key(
-        "seed of the search that found it, not the base seed.", None, lambda seen: seen.finding.found.seed,
+        "as in `found` of its file.", None, lambda seen: seen.finding.found.seed,
     ),
-    "algorithm": Key("algorithm of that search.", "", lambda seen: seen.finding.found.algorithm),
+    "algorithm": Key("as in `found` of its file.", "", lambda seen: seen.finding.found.algorithm),
     "against": Key(
         "the reference that passed when it was found; empty without one.",
         "", lambda seen: seen.finding.expect.against,
@@ -192,9 +192,9 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "`reason`, `until` and `flaky` of an accepted failure; otherwise null.",
         None, lambda seen: _acceptance_of(seen.finding),
     ),
-    "requirements": Key("ids of the requirements of its test.", []),
-    "title": Key("what they ask for.", ""),
-    "owner": Key("who answers for the test.", ""),
+    "requirements": Key("as for a search.", []),
+    "title": Key("as for a search.", ""),
+    "owner": Key("as for a search.", ""),
 })  # fmt: skip
 """The keys of an entry on a saved scenario that was replayed, or on a new finding."""
 
