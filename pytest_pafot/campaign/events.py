@@ -129,9 +129,9 @@ class SearchSummary:
             replays.
         reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios that
             were not run again.
-        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in the
-            summary: `npc` is npc at fault, `unpreventable` not preventable, `common` failing with both. `avoidable` are
-            those of `npc` that braking late, but hard, would have avoided.
+        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, named as in
+            the summary, but `npc` is npc at fault, `unpreventable` not preventable, and `common` failing with both.
+            `avoidable` are those of `npc` that braking late, but hard, would have avoided.
         reached: share of instructions whose cell, lane or zone was reached; null if unknown.
         finds: ids of its new findings.
         unsaved: runs by id of findings beyond `--pafot-max-saved`.
