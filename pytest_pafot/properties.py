@@ -77,13 +77,11 @@ def no_fault(run: Run) -> None:
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and side by side.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, and must be at least 0: across the road for an
-    NPC side by side, along the road for an NPC ahead, unless it is safe across the road. Crossing NPCs are checked once
-    they are on the ego's way.
+    The value is the gap minus the safe distance [m] of the worst NPC, at least 0: across the road for an NPC side by
+    side, along it for an NPC ahead, unless it is safe across. Crossing NPCs count once they are on the ego's way.
 
-    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). The default parameters are those of attribution,
-    a choice with which two seconds are enough behind a leader of equal speed, up to 48 m/s.
-    ``pytest_pafot.criticality.RssRules()`` has the parameters that Intel suggests (read).
+    Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default two seconds are enough behind a leader
+    of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters (read).
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules= as criticality.RssRules(...), received {rules!r:.80}")
@@ -104,12 +102,12 @@ def comfort(
 ) -> None:
     """Check that the ride is comfortable: the ego's acceleration and jerk, along and across its way, are limited.
 
-    Four means are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and over 0.5 s the size of
-    ``run.ego.lateral_acceleration`` [m/s^2] and of its change per second [m/s^3]. None disables a limit. The limits
-    also hold in bends of the road and for braking because of other vehicles.
+    Four means are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and over 0.5 s the lateral
+    acceleration [m/s^2] and its change per second [m/s^3], also in bends and in braking for others. None disables a
+    limit.
 
-    Source: along, ISO 15622:2018, adaptive cruise control above 20 m/s (second hand: its limit of jerk is only for
-    braking); across, UN R79, 5.6.2.1.3, automatically commanded steering (second hand: only its jerk is a mean).
+    Source: along, ISO 15622:2018 above 20 m/s (second hand: its jerk is only for braking); across, UN R79, 5.6.2.1.3
+    (second hand: only its jerk is a mean).
     """
     asked = {
         "jerk": jerk,
@@ -135,11 +133,10 @@ def comfort(
 def gives_way(run: Run, *, seconds: float = 1.0) -> None:
     """Check that the ego drives into a zone ahead of an NPC with priority only if it leaves a gap of ``seconds`` [s].
 
-    The value is the NPC's ``time_advantage`` at the tick at which the ego enters the zone: the time from the ego's exit
-    to the NPC's arrival, if both keep their speed. An NPC that stands then, or that entered before the ego, is no
-    failure.
+    The value is the NPC's ``time_advantage`` when the ego enters the zone: the time from the ego's exit to the NPC's
+    arrival at constant speeds. An NPC that stands then, or entered before the ego, is no failure.
 
-    Source: Laureshyn and others 2010 for the measure (second hand); 1 s is a choice.
+    Source: Laureshyn and others 2010 (second hand); 1 s is a choice.
     """
     _refuse_odd("gives_way", seconds=seconds)
     for passage in run.passages:
@@ -152,8 +149,7 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    It fails for the runs with ``run.off_road``. On roads that bend, half the width of its lane stands for this
-    distance while the ego is on the road. No source.
+    It fails for the runs with ``run.off_road``. On bent roads half the lane's width stands for the distance. No source.
     """
     trace = run.trace
     check(Signal(trace.road.to_edge(), hz=trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
@@ -169,17 +165,15 @@ def keeps_up(
 ) -> None:
     """Check that the ego, with no vehicle ahead for ``seconds`` [s], drives at ``share`` times a speed or faster.
 
-    The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], and must be at least
-    ``share``. ``speed`` is one number or one per tick; by default it is the speed limit of the ego's lane. A vehicle is
-    ahead if the gap to the leader is less than the required speed times ``headway`` [s], or if the ego and a crossing
-    NPC both still have to pass their zone. Runs shorter than ``seconds``, and ticks with a ``speed`` of 0, are not
-    checked.
+    The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], one number or one per tick,
+    by default the speed limit of its lane. A vehicle is ahead if the gap to the leader is less than the required speed
+    times ``headway`` [s], or if the ego and a crossing NPC both still have to pass their zone. Shorter runs, and ticks
+    with a ``speed`` of 0, are not checked.
 
     Raises:
         ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
 
-    Source: Vienna Convention on Road Traffic, Art. 13 (4), on impeding others by driving slowly (read; it has no
-    numbers).
+    Source: Vienna Convention on Road Traffic, Art. 13 (4) (read; without numbers).
     """
     limits = np.array([lane.speed_limit for lane in run.trace.lanes])[np.maximum(run.ego.lane.astype(np.intp), 0)]
     full = np.asarray(limits if speed is None else speed)
@@ -205,10 +199,9 @@ def keeps_up(
 def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> None:
     """Check that the ego changes lanes only into gaps of at least ``ahead`` and ``behind`` [s].
 
-    The gaps to NPCs in the new lane are measured when the ego's centre enters that lane. The value is the gap divided
-    by the ego's speed for an NPC ahead, divided by the NPC's speed for an NPC behind, and 0 for an NPC side by side.
+    The value is the gap when the ego's centre enters the lane, divided by the rear vehicle's speed; 0 side by side.
 
-    Source: for ``behind``, UN R79, 5.6.4.7, requires 1 s (formula read); 1 s for ``ahead`` is a choice.
+    Source: for ``behind``, UN R79, 5.6.4.7 (formula read); 1 s for ``ahead`` is a choice.
     """
     _refuse_odd("lane_change_gaps", ahead=ahead, behind=behind)
     gaps, is_on_way = longitudinal_gap(run.trace), Encounters(run.trace).is_on_way
@@ -228,9 +221,9 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
 def brakes_for_a_reason(run: Run) -> None:
     """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even without a collision.
 
-    The value is the deceleration that lasts for 0.4 s from a tick on [m/s^2], and must be at most 5. It is 0 if there
-    is a reason to brake between 1.6 s before the braking began and 0.4 s after that. The reasons are those of rule 7 of
-    docs/explanation/verdicts.md, and a crossing NPC that would miss the ego in their zone by less than four seconds.
+    The value is the deceleration that lasts for 0.4 s [m/s^2]; 0 if there is a reason from 1.6 s before the braking
+    began to 0.4 s after. Reasons are those of rule 7 of docs/explanation/verdicts.md, and a crossing NPC that would
+    miss the ego in their zone by less than four seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
@@ -257,15 +250,14 @@ def brakes_for_a_reason(run: Run) -> None:
 def answers_cut_ins(run: Run) -> None:
     """Check that the ego does not collide after a cut-in if UN R157 requires that such a collision is avoided.
 
-    The regulation requires this for a slower NPC ahead under two conditions. At the moment when the NPC is 0.3 m over
-    the line of the ego's lane, its sideways motion has been visible for 0.72 s, and the time to collision is more than
-    v / (2 * 6 m/s^2) + 0.35 s, where v is the difference of speeds. The value is the gap between the boxes from then on
-    [m], which must be at least 0.1. The check ends when the ego is no longer faster, when one of the two leaves the
-    lane, or when the NPC has slowed down so much that its new speed would not meet the second condition. An NPC that
-    merges from its own way, as at a junction, does not cut in.
+    It requires this for a slower NPC if, when the NPC is 0.3 m over the line of the ego's lane, its sideways motion was
+    visible for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, with v the difference of
+    speeds. The value is the gap between the boxes from then on [m], at least 0.1, until the ego is no longer faster,
+    one of the two leaves the lane, or the NPC's new speed would not meet the condition. An NPC that merges from its own
+    way does not cut in.
 
-    Source: UN R157, 5.2.5.2 (formula read). The end for an NPC that slows down, its box instead of its tyre, visibility
-    from a lateral speed of 0.3 m/s on, and the 0.1 m are choices.
+    Source: UN R157, 5.2.5.2 (formula read). That last end, the NPC's box instead of its tyre, visibility from a lateral
+    speed of 0.3 m/s on, and 0.1 m are choices.
     """
     trace, frame = run.trace, RoadFrame(run.trace)
     lane = trace.ego[:, LANE].astype(np.intp)

@@ -13,6 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -87,33 +88,37 @@ _WORLD = re.compile(r"the world: the id of a highway-env environment .* a world 
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "A whole world: `pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
+    "world": "`pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
-    "ads": "The name of the fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
-    "arg": "The parameter of the test function that receives the run.",
-    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as `"headway"` or '
-    "`pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float` (higher is worse), or its "
-    "`module:function`. The default of the algorithm `av-fuzzer` is its own.",
-    "blame": '`"any"`: the function is called for every valid run in which the ADS does not fail. `"ego"`: it is not '
-    'called for collisions that only an NPC is responsible for. `"preventable"`: like `"ego"`, and a failed assertion '
-    'counts only if a reference driver would have prevented it. `"avoidable"`: like `"ego"`, and the function is also '
-    "called for collisions that the rules excuse for want of time, although braking late, but hard, would have avoided "
-    "them.",
-    "traffic": "[How the others drive](../explanation/traffic.md) in all scenarios: "
-    '`"hostile"`, `"assertive"`, `"everyday"`, `"paper"`, or `pafot.Traffic(...)` for separate parts.',
-    "instructions": "[The kind of instructions](../explanation/default-search.md#why-both-kinds) of NPCs that do not "
-    'cross: `"cells"` (Position-Instructions), `"lanes"` (Lane-Instructions), `"manoeuvres"`, or `"both"` (one of '
-    "the first two with equal probability).",
-    "vehicles": "[What vehicles](scenarios.md#vehicles) NPCs can be: names, or `pafot.VehicleType(...)`. If cars are "
-    'among them, one NPC in six is another one of them. `"car"`: all are cars.',
-    "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs): `"idm"`, `"mobil"`, `"policy"`, '
-    'a list of these, or a mapping such as `{"last": LastVersion, "idm": "idm"}` with values as of `ads`.',
+    "ads": "The fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
+    "arg": "The parameter of the test that receives the run.",
+    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as '
+    '`"headway"`, `pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float`, or its `module:function`.',
+    "blame": '`"any"`: the test is called for every valid run in which the ADS does not fail. `"ego"`: not for '
+    'collisions that only an NPC is responsible for. `"preventable"`: as `"ego"`, and a failure counts only if a '
+    'reference driver would have prevented it. `"avoidable"`: as `"ego"`, and also for collisions that braking '
+    "late, but hard, would have avoided.",
+    "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
+    '`"paper"`, or `pafot.Traffic(...)`.',
+    "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
+    '`"lanes"`, `"manoeuvres"`, or `"both"` of the first two.',
+    "vehicles": "[What NPCs can be](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. With cars among them, "
+    "one NPC in six is another one.",
+    "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
+    '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
     "around": "[The recording](../guide/recordings.md#search-around-a-recording) of which all scenarios are changes, "
     "or a scenario of it.",
-    "requirement": "[The requirement](../guide/requirements.md) that the test checks, as an id or a list of ids.",
-    "title": "What the requirement asks for; by default the first line of the docstring.",
+    "requirement": "[The requirement](../guide/requirements.md) that the test checks: an id or a list.",
+    "title": "What the requirement asks for.",
     "owner": "Who answers for the test.",
     "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
+    "acts": "Acts of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
+    "gene_seconds": "Duration of one gene [s].",
+    "ego_lane": "The ego's first lane, from 0 at the left.",
+    "lanes": "Number of lanes of a `pafot.Highway`, 3 to 6.",
+    "clearance": "Least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.",
+    "npcs": "Number of NPCs, 1 to 8.",
+    "speed_limit": "Speed limit [m/s]; the paper's 60 mph.",
 }
 """Meanings of arguments that no docstring explains."""
 
@@ -122,6 +127,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "world": "the fixture `pafot_world`",
     "genes": "as many as fill the run",
     "npcs": "[sampled](#what-is-sampled)",
+    "lanes": "`4`",
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
@@ -138,58 +144,64 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `2`. Files of a different version are refused.",
-    "test": "Node id of the test. The folder of the file, and not this line, decides which test replays it.",
-    "world": "The world of the replay. `kind` is `highway` or `gym`, with all fields of `Highway` or `World`; "
-    "`ego` only if it is no car. For a world that is code (`own`, or with `wrappers`), the replay uses the test's "
-    "world. A [registered](../guide/own-world.md) world has its own kind and its `data`.",
-    "scenario.seed": "Seed of all random choices in the run, such as those of the repair.",
-    "scenario.ego": "`lane`, counted from 0 at the left, and `speed` [m/s], at which the ego and "
-    "all NPCs that do not cross start; less for an NPC in a bend.",
+    "test": "Node id of the test. The folder decides which test replays the file.",
+    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. For "
+    "a world that is code (`own`, or with `wrappers`) the replay uses the test's. A "
+    "[registered](../guide/own-world.md) world has its own kind and its `data`.",
+    "scenario.seed": "Seed of all random choices in the run.",
+    "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], at which the ego and NPCs that do not cross start.",
     "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
-    "scenario.traffic": "[The style](../explanation/traffic.md) in which the NPCs drive, or a mapping with changed "
-    "parts, `{style: everyday, least_gap: 4.0}`. If it is not given, they drive as in the paper.",
-    "scenario.vehicles": "What [vehicle](scenarios.md#vehicles) each NPC is: the name of a ready one, or a mapping "
-    "`{name, length, width, ...}`. All NPCs after the last one are cars; without it, all are.",
+    "scenario.traffic": "[The style](../explanation/traffic.md), or a mapping with changed parts, `{style: everyday, "
+    "least_gap: 4.0}`; without it, the paper's.",
+    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of the NPCs: names, or mappings `{name, length, width, "
+    "...}`. NPCs after the last one are cars.",
     "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
-    "Lane-Instructions `{lane, speed}`, one Crossing-Instruction `{zone, slot, speed, act}`, one manoeuvre "
-    "`{beside, ahead, speed, steps}`, for a free NPC `{beside, ahead, speed, driver}`, or one [recorded "
-    "track](scenarios.md#recorded-tracks) `{track, later, pace, shift, steps}`. Speeds are in m/s. A track is a block "
-    "with a line for each tenth of a second, or after the line `rate 15` for each fifteenth: x [m], y [m], heading "
-    "[rad] and speed [m/s].",
+    "Lane-Instructions `{lane, speed}`, or one of: Crossing-Instruction `{zone, slot, speed, act}`, manoeuvre "
+    "`{beside, ahead, speed, steps}`, free NPC `{beside, ahead, speed, driver}`, [recorded "
+    "track](scenarios.md#recorded-tracks) `{track, later, pace, shift, steps}`. Speeds are in m/s; a track is a block "
+    "of lines.",
     "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
-    "expect.assertion": "The failing assertion without its message, with `N` for each number; for a failed check, the "
-    "name of the check; for any other exception, its statement or the first line of its message, likewise.",
+    "expect.assertion": "The failing assertion without its message, with `N` for each number; the name of a failed "
+    "check; of another exception, its statement or first line, likewise.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
     "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
-    "expect.check": "The `value` that the failed check measured, its bounds `at_most` and `at_least`, and its `unit`.",
-    "expect.situation": "Where the NPC of the failure was shortly before it, and how fast both were: the "
-    "[situation](../explanation/findings.md#what-a-replay-means) that must come up again for a pass to be a fix. "
-    "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (counted from the ego's to the right), `ego_speed` and "
-    "`npc_speed` [m/s]; of a leader ahead in the ego's lane, `npc_speed` is the lowest speed from then to the failure. "
-    "Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and "
-    "`lane`.",
+    "expect.check": "Of a failed check: its `value`, bounds `at_most` and `at_least`, and `unit`.",
+    "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure, "
+    "which must come up again for a pass to be a fix: `npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from "
+    "the ego's to the right), `ego_speed` and `npc_speed` [m/s] (of a leader, its lowest speed from then on). Where "
+    "ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and `lane`.",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
-    "perception": "The arguments of [`pafot.Perception`](ads.md), if the ADS saw imperfectly, and `needed`: the "
-    "imperfections without which the test passes. A replay uses the sight that the test gives now, and reports a "
-    "difference.",
+    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: the imperfections "
+    "without which the test passes.",
     "original": "The scenario as first found, if shrinking has replaced it by a simpler one.",
-    "shrunk.rollouts": "The number of runs that shrinking took.",
+    "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
     "tried.",
-    "shrunk.speeds": "For each instruction, by `npc` and by the `gene` with which it begins, the speeds from `low` to "
-    "`high` [m/s] at which the scenario still fails. Not all speeds between them were tried.",
-    "neighbours": "How many of the [neighbours](../explanation/findings.md#how-broad-it-is) failed in "
-    "the same way when the scenario was found: `failing`, `of`. A replay that passes runs the more of them, the fewer "
-    "failed.",
-    "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails in the scenario: "
-    "`failing` of `runs`, each with another seed, or of a flaky one with the same.",
-    "flaky": "What differed when the scenario was run again. Remove the line when the ADS drives a scenario in the "
-    "same way each time.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while); the line that "
-    "you write by hand. With `{reason: ..., until: 2027-01-31}` it is accepted up to that day, and with `flaky: true` "
-    "in addition it may pass as well.",
+    "shrunk.speeds": "By `npc` and first `gene` of each instruction, the speeds from `low` to `high` [m/s] at which "
+    "the scenario still fails; not all between were tried.",
+    "neighbours": "How many [neighbours](../explanation/findings.md#how-broad-it-is) failed in the same way: "
+    "`failing`, `of`. A replay that passes runs the more, the fewer failed.",
+    "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
+    "each with another seed, or of a flaky one with the same.",
+    "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while), written by hand. "
+    "With `{reason: ..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
+    "expect.closing_speed": "Closing speed of the collision [m/s]; only a label.",
+    "expect.ego_mean_speed": "Mean speed of the ego until the event [m/s], with which neighbours are re-timed to a "
+    "faster or slower ego.",
+    "expect.against": "The reference that passed the scenario, such as `module:factory` or `rev:main (1a2b3c4)`.",
+    "expect.npc, expect.cell": "NPC and its cell at the collision, otherwise at the smallest time to contact; of a "
+    "check, the NPC that it names.",
+    "expect.departure": "Where an NPC left its recording: `npc`, `time` [s], `gap` and `recorded_gap` [m] (negative: "
+    "behind).",
+    "expect.traceback": "Traceback of an ADS that raised, without addresses, process ids and temporary folders.",
+    "found.seed": "Seed of the search, derived from the base seed and the node id; no value for `--pafot-seed`.",
+    "found.weights": "`sha256:` and a hash of the policy, if its factory provides one. A replay reports a difference.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
+
+RUN_INTERNALS = ("decision_limit", "world", "take_over", "avoided_by", "facts")
+"""Arguments of a run that only who makes a run gives; the Python API has them."""
 
 AT_THE_END = ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
@@ -203,10 +215,10 @@ def sections() -> dict[str, str]:
         "item-record": _record_table(ItemRecord),
         "orphan-record": _record_table(OrphanRecord),
         "search-record": _record_table(SearchSummary),
-        "finding-record": _table(["Key", "Meaning"], [[_code(k), _capital(key.meaning)] for k, key in FINDING.items()]),
+        "finding-record": _finding_table(),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
-        "run": _properties_table(Run),
+        "run": _properties_table(Run, without=RUN_INTERNALS),
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
         "temporal": _temporal_table(),
@@ -280,6 +292,13 @@ def generated(text: str) -> str:
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def _finding_table() -> str:
+    rows = []
+    for meaning, names in groupby(FINDING, key=lambda name: FINDING[name].meaning):
+        rows.append([_code(", ".join(names)), _capital(meaning)])
+    return _table(["Key", "Meaning"], rows)
 
 
 def _columns_table(columns: Mapping[str, str]) -> str:
@@ -437,10 +456,10 @@ def _scope(node: ast.FunctionDef) -> str:
     return next((str(word.value.value) for word in keywords if isinstance(word.value, ast.Constant)), "function")
 
 
-def _properties_table(cls: type[Any]) -> str:
-    own = dict(_attributes(cls))
+def _properties_table(cls: type[Any], without: Sequence[str] = ()) -> str:
+    own = {name: text for name, text in _attributes(cls) if name not in without}
     for name, member in vars(cls).items():
-        if not name.startswith("_") and name not in own:
+        if not name.startswith("_") and name not in (*own, *without):
             inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
             own[name if inner is not member else f"{name}()"] = _first_paragraph(inner.__doc__)
     return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])

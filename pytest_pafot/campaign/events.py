@@ -115,47 +115,39 @@ class SearchSummary:
     Programs read what is described here, pages and the terminal also the last fields.
 
     Attributes:
-        node_id: node id of its item.
-        result: result of its item, as for a finding.
+        node_id, result: of its item, as for a finding.
         message: why the item failed, in one line; empty if it did not.
-        reason: why the search ended; empty if it did not begin, its process died, or a decision of the ADS could not be
-            interrupted.
+        reason: why the search ended; empty if it did not begin, or ended early.
         algorithm, profile: names of the algorithm and of the profile of defaults.
         base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
-        generations: number of generations, with one that the limit of runs cut.
-        asked, budget: numbers of requested generations and of requested runs; null for the one that is no limit.
-        runs: number of simulated scenarios.
-        shrink_runs: number of runs that simplified the findings, in addition to `runs`.
-        neighbour_runs: number of runs of the findings' neighbours, likewise.
-        decisions, confirm_decisions, shrink_decisions, neighbour_decisions: numbers of decisions that the policy made
-            in the `runs` of this session, in those that confirmed findings, in `shrink_runs` and in `neighbour_runs`,
-            without those of replays.
-        reused_decisions: number of decisions in all these runs that it did not make, because it is `pure` or `copyable`
-            and had made them in a run that began alike.
-        known_runs: number of scenarios that were not run again.
-        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: numbers of runs, as
-            in the summary; there `npc` is npc at fault, `unpreventable` is not preventable, `common` is failing with
-            both. `avoidable` counts those of `npc` that braking late, but hard, would have avoided.
-        reached: share of instructions whose cell, lane or zone was reached; null if no run shows it.
+        generations: number of generations, including one that the limit of runs cut.
+        asked, budget: requested generations and runs; null for what is no limit.
+        runs, shrink_runs, neighbour_runs: simulated scenarios; further runs that simplified findings; runs of their
+            neighbours.
+        decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions that the policy made in the
+            `runs` of this session, in runs that confirmed findings, in `shrink_runs` and in `neighbour_runs`, not in
+            replays.
+        reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios that
+            were not run again.
+        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, named as in
+            the summary, but `npc` is npc at fault, `unpreventable` not preventable, and `common` failing with both.
+            `avoidable` are those of `npc` that braking late, but hard, would have avoided.
+        reached: share of instructions whose cell, lane or zone was reached; null if unknown.
         finds: ids of its new findings.
-        unsaved: number of runs by id of further findings, beyond `--pafot-max-saved`.
-        known: number of failing runs by id of the saved scenario with the same failure.
-        unlike: up to three of these runs by id of the saved scenario, each with the id of its scenario and what differs
-            from the file: the fault, a manoeuvre or the place. The others were not looked at.
-        failures: failures that its runs in this session showed: the id of a finding by the text of the signature.
-        random_failing, random_otherwise, random_runs: numbers of random scenarios at the beginning: those that failed
-            by the ego's fault, those that failed in any other way, and all.
-        given: number of saved scenarios with which the search began. If it is not 0, `random_failing`,
-            `random_otherwise` and `random_runs` count these scenarios, and no random ones.
-        drawn, coverage: a line on the range of scenarios from which the search sampled, and one on what NPCs reached.
+        unsaved: runs by id of findings beyond `--pafot-max-saved`.
+        known: failing runs by id of the saved scenario with the same failure.
+        unlike: up to three of these runs by id of the saved scenario, with what differs from the file.
+        failures: ids of findings by the signature of failures that its runs in this session showed.
+        random_failing, random_otherwise, random_runs: random scenarios at the beginning: failing by the ego's fault,
+            failing otherwise, and all.
+        given: number of saved scenarios with which the search began; if not 0, the three counts before are of these.
+        drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
-        paired: random scenarios that both drove to decide whether the findings count: `runs`, their number; `most`, if
-            it does not become clear before; `only_new` and `only_reference`, in how many only one of them failed. Null
-            if there was nothing to decide.
-        no_worse: its new findings that do not count, because the reference fails as often elsewhere: headlines by id.
-        warnings, notes: warnings about its health, and all other remarks except those on processes.
-        requirements, title, owner: ids of the requirements that its test checks, what they ask for, and who answers for
-            the test.
+        paired: `runs`, the number of random scenarios that both drove to decide whether the findings count, at most
+            `most`; `only_new` and `only_reference`, in how many only one of them failed. Null if nothing was to decide.
+        no_worse: headlines by id of new findings that do not count, because the reference fails as often.
+        warnings, notes: warnings about its health, and other remarks except those on processes.
+        requirements, title, owner: ids of the requirements of its test, what they ask for, and who answers.
     """
 
     node_id: str

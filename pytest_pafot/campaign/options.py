@@ -138,9 +138,8 @@ class Settings:
     population: int | None = option(
         "integer",
         "Number of scenarios in each generation, at most 10000.",
-        "The default is 16 for `distinct` and 4 for the other built-in ones. For an ADS that decides for many runs at "
-        "once with `batch`, `distinct` has 64 from the second generation on, except with `--pafot-isolate`, a "
-        "`decision_limit` or an executor.",
+        "By default 16 for `distinct` and 4 for other built-in ones; with `batch` of an ADS, `distinct` has 64 from "
+        "the second generation on, except with `--pafot-isolate`, a `decision_limit` or an executor.",
         least=2,
         most=10_000,
     )
@@ -152,9 +151,8 @@ class Settings:
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Search algorithm, such as distinct, pafot or random; or module:Class for your own algorithm.",
-        "`pafot` is the paper's: genetic, with local fuzzer and restarts. `distinct` is genetic, too, and searches for "
-        "other failures after it has found one. The others are baselines, the last three of which need "
-        "`pytest-pafot[search]`.",
+        "`pafot` is the paper's. `distinct` is genetic, too, and searches for other failures after it has found one. "
+        "The others are baselines; the last three need `pytest-pafot[search]`.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
@@ -162,52 +160,50 @@ class Settings:
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
-        "`rev:main` is the policy of the test in that revision of the repository. The mark also takes a factory or "
-        "the name of its fixture. In a search the reference runs only if the ADS fails. A session fails only if the "
-        "change [made the policy worse](../guide/what-broke.md#made-worse-or-failing-elsewhere).",
+        "`rev:main` is the test's policy in that revision. The mark also takes a factory or the name of its fixture. "
+        "The reference runs only where the ADS fails. The session fails only if the change [made the policy "
+        "worse](../guide/what-broke.md#made-worse-or-failing-elsewhere).",
         or_class=True,
     )
     pairs: int = option(
         "integer",
         "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
-        "They decide whether its findings count and are saved, and end as soon as that is clear.",
+        "They decide whether its findings count, and end as soon as that is clear.",
         default=700,
         least=1,
     )
     copy: str | None = option(
         "text",
         "Files and folders that --pafot-against=rev:REVISION needs and git ignores, such as weights.",
-        "Paths are relative to the current folder, with spaces between them, quoted as in a shell.",
+        "Paths are relative to the current folder, separated by spaces, quoted as in a shell.",
     )
     max_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of each search [s].",
-        "It includes shrinking and neighbours, for which a search with findings reserves what they may take, at most a "
-        "third of the time. "
-        "It ends a run before its next decision. A search that this limit cuts is not reproducible.",
+        "It includes shrinking and neighbours, for which a search with findings reserves at most a third. It ends a "
+        "run before its next decision. A search that it cuts is not reproducible.",
     )
     total_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of all searches together [s].",
-        "It counts from the start of the session. Each search gets an equal share of the time left when it begins, as "
-        "its `--pafot-max-time`.",
+        "It counts from the start of the session. Each search gets an equal share of what is left, as its "
+        "`--pafot-max-time`.",
         is_argument=False,
     )
     resume: str | None = option(
         "text",
         "Folder of the states of searches, in which each search continues where it stopped.",
-        "A search continues with a new budget of runs, generations and time. Several sessions find the same as one "
-        "long one. Works with `distinct`, `random`, `random-manoeuvre`, or your own algorithm if it supports it.",
+        "Each session adds its budget; several find the same as one long one. Works with `distinct`, `random`, "
+        "`random-manoeuvre`, or your own algorithm if it supports it.",
     )
     begin_with: str | None = option(
         "text",
         "Folder of saved scenarios that each search drives first, or `others` for those in which policies of others "
         "failed.",
-        "They come before the scenarios that the search draws, and count as its runs. The search varies those that are "
-        "closest to a failure. Folders below are included. The ego starts as near to the start in the file as the "
-        "search allows, the limit of speed and the traffic are those of the search, and what does not fit the world is "
-        "left out. Only with `distinct` and `map-elites`. [The files called "
-        "`others`](../explanation/others.md#the-corpus) come with the package.",
+        "Folders below are included. The scenarios count as runs, and the search varies those closest to a failure. "
+        "The ego starts as near to the file's start as the search allows; limit of speed and traffic are the "
+        "search's; what does not fit the world is left out. Only with `distinct` and `map-elites`. "
+        "[`others`](../explanation/others.md#the-corpus) comes with the package.",
     )
     stop_after: int | None = option(
         "integer",
@@ -217,31 +213,28 @@ class Settings:
     shrink_rollouts: int | None = option(
         "integer",
         "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
-        "The default is 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
+        "By default 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
     )
     neighbours: int = option(
         "integer",
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
-        "A neighbour differs from the shrunk scenario a little: in speeds, in one instruction, or in the start. "
-        "Neighbours are run after all findings are shrunk, of each finding all or none: [how broad a finding "
-        "is](../explanation/findings.md#how-broad-it-is). 0 leaves out [its answers and its "
-        "moment](../explanation/findings.md#the-moment), too.",
+        "They differ a little in speeds, in one instruction, or in the start ([how "
+        "broad](../explanation/findings.md#how-broad-it-is)), and run after all findings are shrunk, of each finding "
+        "all or none. 0 leaves out [answers and moment](../explanation/findings.md#the-moment), too.",
         default=40,
         most=MOST_NEIGHBOURS,
     )
     replay_neighbours: int | None = option(
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
-        "The default is 10 for a failure that was broad when it was found, and up to 30 the narrower it was. They end "
-        "at the first that fails as the file says: the replay is then "
-        "[still failing, nearby](../explanation/findings.md#what-else-a-replay-drives). If the ego drives faster or "
-        "slower than the one in the file, the first neighbours are the scenario re-timed for it.",
+        "By default 10 for a failure that was broad when found, up to 30 the narrower it was. The first that fails as "
+        "the file says makes the replay [still failing, nearby](../explanation/findings.md#what-else-a-replay-drives).",
         most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(
         "integer",
         "Largest number of saved scenarios of each test.",
-        "More new findings are counted and named, but only those that end their process are saved.",
+        "More are counted and named; of them only those that end their process are saved.",
         default=20,
         least=1,
     )
@@ -267,58 +260,55 @@ class Settings:
     isolate: bool = option(
         "switch",
         "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
-        "The session goes on after such an end. The findings are the same; for an ADS with `batch`, only if the "
-        "population is given. The profile `ci` isolates by itself only on Linux, and no ADS with `batch`; "
-        "`isolate=False` in the mark or `PAFOT_ISOLATE=0` switch that off.",
+        "The session goes on after such an end. The findings are the same; with `batch`, only if the population is "
+        "given. `ci` isolates only on Linux, and no ADS with `batch`; `isolate=False` or `PAFOT_ISOLATE=0` switch it "
+        "off.",
         default=False,
     )
     unseeded: bool = option(
         "switch",
         "Leave the global random generators as they are, instead of seeding them for each run.",
-        "Those of Python's `random`, of numpy and of torch are otherwise [seeded from the "
-        "scenario](../guide/random-policies.md), so that a policy that draws from "
-        "them repeats its runs. Only for a policy that seeds them itself.",
+        "Python's `random`, numpy and torch are otherwise [seeded from the scenario](../guide/random-policies.md). "
+        "Only for a policy that seeds them itself.",
         default=False,
     )
     memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
-        "It counts in addition to what the process starts with. Beyond it allocations fail, which is a finding. The "
-        "default is three quarters of the memory of the machine or the container, shared among the workers, but at "
-        "least 2048. Only on Linux.",
+        "It counts in addition to what the process starts with. Beyond it allocations fail, which is a finding. By "
+        "default three quarters of the memory of machine or container, shared among the workers, at least 2048. Only "
+        "on Linux.",
     )
     dask: str | None = option(
         "address",
         "Run the scenarios that a search draws on the workers of the Dask scheduler at ADDRESS.",
-        "Needs `pytest-pafot[dask]`. The findings are the same; for an ADS with `batch`, only if the population is "
-        "given.",
+        "Needs `pytest-pafot[dask]`. The findings are the same; with `batch`, only if the population is given.",
         everywhere=False,
         is_argument=False,
     )
     report: str | None = option(
         "page",
         "Write the findings to FILE.html as one web page, or to the folder DIR/ with an animation of each.",
-        "Of more than 100 findings, the worst 100 are whole, and the others are rows of a table.",
+        "Of more than 100 findings, the worst 100 are whole, and others are rows of a table.",
     )
     json: str | None = option(
         "file",
         "Write the results of the session to FILE as JSON.",
-        "[These are its keys](results.md).",
+        "[Its keys](results.md).",
         everywhere=False,
         is_argument=False,
     )
     table: str | None = option(
         "table",
         "Write a row for each scenario that the searches tried to FILE.csv or FILE.parquet.",
-        "[These are its columns](results.md).",
+        "[Its columns](results.md#the-table-of-runs).",
         everywhere=False,
         is_argument=False,
     )
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
-        "The session then shows which of them will be reported on that day. With `CI` set, it warns of a day that is "
-        "over. It is also `day` in the file of `--pafot-json`.",
+        "The session shows which will be reported on that day. It is `day` in `--pafot-json`.",
         everywhere=False,
         is_argument=False,
     )
@@ -337,8 +327,8 @@ class Settings:
     debug: bool = option(
         "switch",
         "In each replay, open the debugger in the policy's last decision that could have avoided the failure.",
-        "It is the [moment](../explanation/findings.md#the-moment) of the finding. Step into the policy with `s`. Only "
-        "for replays of `pytest FILE` in one process: the policy is not isolated, and has any time to decide.",
+        "It is the [moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
+        "`pytest FILE` in one process.",
         default=False,
     )
     strict_drift: bool = option(
@@ -350,14 +340,13 @@ class Settings:
     strict_health: bool = option(
         "switch",
         "Fail searches with a health warning, such as scenarios without any interaction.",
-        "Also fails a session whose saved scenarios have lost their test, as the variable `CI` does.",
+        "Also a session whose saved scenarios have lost their test, as the variable `CI` does.",
         default=False,
     )
     allow_orphans: bool = option(
         "switch",
         "Let a session pass whose saved scenarios have lost their test.",
-        "Also with `CI` or `--pafot-strict-health`: for projects that share a corpus, or a job that has only some of "
-        "the tests. The summary still names them.",
+        "Also with `CI` or `--pafot-strict-health`. The summary still names them.",
         default=False,
         is_argument=False,
     )

@@ -70,80 +70,80 @@ def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
 
 FINDING: Mapping[str, Key] = MappingProxyType({
     "node_id": Key(
-        "node id of the item that replays it, in this session or, if it is new, from the next one on.",
+        "node id of the item that replays it; of a new finding, from the next session on.",
         "", lambda seen: seen.node_id,
     ),
     "id": Key("name of its file without the suffix.", "", lambda seen: seen.id),
     "test": Key("node id of its test.", "", lambda seen: seen.finding.test),
     "status": Key(
-        "`new`; `no worse` if it is new and does not count in a comparison with a reference; the result of its replay, "
-        "as in the summary; or `error` if it could not be read or run. Then only its ids, `test`, `result`, `file`, "
-        "`replay` and `detail` are known.",
+        "`new`; `no worse`: new, but it does not count in a comparison with a reference; the label of its replay; or "
+        "`error` if it could not be read or run, and then only ids, `test`, `result`, `file`, `replay` and `detail` "
+        "are known.",
         str(Label.ERROR), lambda seen: str(seen.result),
     ),
     "result": Key(
-        "result of the item: `passed`, `skipped`, `xfailed`, `failed`, `error`; empty if the item did not end.", "",
+        "`passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.", "",
     ),
     "file": Key(
-        "path relative to the rootdir, null if it was not saved.", None, lambda seen: seen.path or None,
+        "path relative to the rootdir; null if not saved.", None, lambda seen: seen.path or None,
     ),
     "replay": Key("the command that replays it.", "", lambda seen: seen.command),
     "scenario": Key(
-        "its scenario, which `pafot.Scenario.from_canonical` reads; null if `status` is `error`.",
+        "as in its file, for `pafot.Scenario.from_canonical`; null if `status` is `error`.",
         None, lambda seen: seen.finding.scenario.plain(),
     ),
-    "world": Key("its world, as in its file; null likewise.", None, lambda seen: dict(seen.finding.world)),
-    "headline": Key("how the run ended, in a few words; empty if it passes.", "", lambda seen: seen.headline),
+    "world": Key("as in its file; null likewise.", None, lambda seen: dict(seen.finding.world)),
+    "headline": Key("how the run ended; empty if it passes.", "", lambda seen: seen.headline),
     "sentences": Key(
-        "who did what in a collision, what was due or what avoids it, and who is responsible.",
+        "the sentences of the verdict on a collision.",
         [], lambda seen: list(seen.sentences),
     ),
     "detail": Key(
-        "what differs from the file, why there is no file, or what the error is.", "", lambda seen: seen.detail,
+        "what differs from the file, why there is no file, or the error.", "", lambda seen: seen.detail,
     ),
     "signature": Key(
-        "everything that makes two failures the same, in one line, for the failure in its file.",
+        "all that makes two failures the same, for the failure in its file.",
         "", lambda seen: seen.finding.signature.text,
     ),
     "kind": Key(
-        "short name of the signature, from which ids are made.", "", lambda seen: seen.finding.signature.slug,
+        "short name of the signature, with which ids begin.", "", lambda seen: seen.finding.signature.slug,
     ),
-    "failure": Key("name of the exception class.", "", lambda seen: seen.finding.expect.failure),
+    "failure": Key("as in `expect` of its file.", "", lambda seen: seen.finding.expect.failure),
     "assertion": Key(
-        "the failing assertion, or the name of the check.", "", lambda seen: seen.finding.expect.assertion,
+        "as in `expect` of its file.", "", lambda seen: seen.finding.expect.assertion,
     ),
-    "outcome": Key("how the run in the file ended.", "", lambda seen: str(seen.finding.expect.outcome)),
-    "time": Key("the time of its event [s].", None, lambda seen: seen.finding.expect.time),
+    "outcome": Key("as in `expect` of its file.", "", lambda seen: str(seen.finding.expect.outcome)),
+    "time": Key("as in `expect` of its file.", None, lambda seen: seen.finding.expect.time),
     "responsible": Key("`ego`, `npc`, `both` or `none`.", "none", lambda seen: seen.responsible),
     "preventable_by": Key(
-        "reference drivers that avoid it.", [], lambda seen: list(seen.finding.expect.preventable_by),
+        "names of reference drivers that avoid it.", [], lambda seen: list(seen.finding.expect.preventable_by),
     ),
     "size": Key(
         "size of the scenario in words.", "", lambda seen: size_of(seen.finding.scenario, seen.finding.longest_run),
     ),
     "traffic": Key(
-        "how the NPCs drive, in words; empty for the paper's traffic.",
+        "how the NPCs drive, in words; empty for the paper's.",
         "", lambda seen: seen.finding.scenario.traffic.described,
     ),
     "runs": Key(
-        "number of runs that failed in this way; 0 for a saved scenario, whose runs are in `known` of the search.", 0,
+        "number of runs that failed in this way; 0 for a saved scenario (see `known` of the search).", 0,
     ),
     "seed": Key(
-        "seed (not the base seed) of the search that found it.", None, lambda seen: seen.finding.found.seed,
+        "as in `found` of its file.", None, lambda seen: seen.finding.found.seed,
     ),
-    "algorithm": Key("algorithm of that search.", "", lambda seen: seen.finding.found.algorithm),
+    "algorithm": Key("as in `found` of its file.", "", lambda seen: seen.finding.found.algorithm),
     "against": Key(
-        "the reference that passed in this scenario when it was found; empty without one.",
+        "the reference that passed when it was found; empty without one.",
         "", lambda seen: seen.finding.expect.against,
     ),
     "rate": Key(
-        "how often a policy fails in its scenario that draws random numbers: `failing` of `runs`, each with another "
-        "seed if `of` is `seeds`, not `runs`; and of a replay `now`, with the `failing` of `runs` then, and `change`: "
-        "`fixed`, `better`, `as before` or `worse`. Null if the policy draws none.",
+        "of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of a "
+        "replay also `now`, with `failing`, `runs` and `change`: `fixed`, `better`, `as before` or `worse`. Otherwise "
+        "null.",
         None, _rate_of,
     ),
     "flaky": Key(
-        "what differed when it was run again, as in the file; null if nothing did.",
+        "what differed when it was run again; null if nothing did.",
         None, lambda seen: seen.finding.flaky,
     ),
     "unshrunk": Key(
@@ -151,56 +151,50 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "", lambda seen: seen.unshrunk,
     ),
     "breadth": Key(
-        "how many neighbours of a new finding fail in the same way: `failing`, and `of`. Null if that was not "
-        "examined.",
+        "neighbours of a new finding that fail in the same way: `failing` of `of`; null if not examined.",
         None, lambda seen: _data(seen.breadth),
     ),
     "answers": Key(
-        "how many decisions depend on the vehicle of a new finding, when they are made again beside the run: `npc`; "
-        "`since`, when the danger began, or if no decision was due after that, when the last one was made [s]; "
-        "`decisions` from then to the failure, and `depending`; `unseen`, true if it was in no observation; `masking`, "
-        "another NPC with which hidden the policy brakes harder, at `masked` [m/s^2]. Null if that was not examined.",
+        "decisions of a new finding that depend on the vehicle `npc`: `depending` of the `decisions` from `since` "
+        "[s], when the danger began, to the failure; `unseen`, true if no observation had the vehicle; `masking`, "
+        "another NPC with which hidden the policy brakes harder, at `masked` [m/s^2]. Null if not examined.",
         None, lambda seen: _data(seen.answers),
     ),
     "moment": Key(
-        "the last decision that could have avoided it: `time` [s]; `npc`; `seen`, `action`, `hidden`, `otherwise` and "
-        "`reference`, in words: where the policy saw the NPC, what it answered, what it answers with the NPC hidden "
-        "(empty for the same, null if unknown), with the smallest change of it that changes the answer, and what the "
-        "reference answered; and `conditions`, a list of those that it evaluated in this decision, the last one first, "
-        "each with its line in the source, its values and its outcome. Null if none is known.",
+        "the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy saw "
+        "the NPC; `action`, its answer; `hidden`, its answer with the NPC hidden (empty for the same, null if "
+        "unknown); `otherwise`, the smallest change of the NPC that changes the answer; `reference`, the answer of "
+        "the reference; `conditions`, those that it evaluated, the last one first. Null if none is known.",
         None, lambda seen: _data(seen.moment),
     ),
     "neighbours": Key(
-        "number of neighbours of a replayed scenario that were driven and pass.", 0, lambda seen: seen.neighbours,
+        "number of neighbours of a replayed scenario that pass.", 0, lambda seen: seen.neighbours,
     ),
     "searched": Key(
-        "number of runs of the search of its test that found no such failure, if `status` is `fixed` or `fixed before` "
-        "and that search ran to its end in this session; otherwise 0.",
+        "number of runs of its test's search that found no such failure, for the labels `fixed` and `fixed before`; "
+        "otherwise 0.",
         0, lambda seen: seen.searched,
     ),
     "elsewhere": Key(
-        "id of the finding that the search of its test shows in this session, and that fails in the same way, if "
-        "`status` is `still failing elsewhere`; otherwise empty.",
+        "id of the finding with the same failure, for the label `still failing elsewhere`; otherwise empty.",
         "", lambda seen: seen.elsewhere,
     ),
     "severity": Key(
-        "how bad the failure is now: `kind`, which is `collision` or `check`; `value`, the closing speed at the impact "
-        "[m/s], or by how much the check is broken [`unit`], null if it measured no number; `margin` and `name` of a "
-        "check. Null if it passes or has no measure.",
+        "how bad the failure is: `kind`, `collision` or `check`; `value`, the closing speed [m/s] or by how much the "
+        "check is broken [`unit`]; `margin` and `name` of a check. Null if it passes or has no measure.",
         None, lambda seen: _data(seen.severity),
     ),
     "severity_before": Key(
-        "the same for the reference in this scenario, if it fails as well; otherwise null.",
+        "the same for the reference, if it fails as well; otherwise null.",
         None, lambda seen: _data(seen.severity_before),
     ),
     "xfail": Key(
-        "`reason`, `until` (null for no end) and `flaky` (true if it may pass as well) of an accepted failure; "
-        "otherwise null.",
+        "`reason`, `until` and `flaky` of an accepted failure; otherwise null.",
         None, lambda seen: _acceptance_of(seen.finding),
     ),
-    "requirements": Key("ids of the requirements that its test checks, as for a search.", []),
-    "title": Key("what these ask for.", ""),
-    "owner": Key("who answers for the test.", ""),
+    "requirements": Key("as for a search.", []),
+    "title": Key("as for a search.", ""),
+    "owner": Key("as for a search.", ""),
 })  # fmt: skip
 """The keys of an entry on a saved scenario that was replayed, or on a new finding."""
 
@@ -239,10 +233,9 @@ class OrphanRecord:
 
     Attributes:
         folder, files: path relative to the rootdir, and the number of saved scenarios in it.
-        expected: the test that the folder belongs to, and what was found instead of the test.
+        expected: the test that the folder belongs to, and what was found instead.
         way_out: what to do with the files: move or remove them.
-        is_gone: true if the module or the function no longer exists in a folder given to pytest, which makes a session
-            under CI fail.
+        is_gone: true if the module or function is gone in a folder given to pytest; a session under CI then fails.
     """
 
     folder: str
@@ -258,12 +251,12 @@ class SessionRecord:
 
     Attributes:
         exit: pytest's exit code; null while the session runs, or if its process was killed.
-        commit, day: the values of `--pafot-commit` and `--pafot-today`; each is null if the option is not given.
+        commit, day: values of `--pafot-commit` and `--pafot-today`; null if not given.
         versions: versions of the packages on which a run depends.
         searches: in the order of node ids.
-        findings: the entries of replayed saved scenarios and new findings, in the order of node ids.
+        findings: replayed saved scenarios and new findings, likewise.
         tests: other tests that name a requirement or an owner, likewise.
-        compared: lines on what was compared with a reference: commits and files, or why there was nothing to compare.
+        compared: lines on what was compared with a reference, or why nothing was.
         orphans: folders of saved scenarios that no test runs any more.
         warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
     """

@@ -29,22 +29,19 @@ class Perception:
         ads: the wrapped factory. It makes planners in SI units, or policies for an environment with the observation
             Kinematics, OccupancyGrid, TimeToCollision or LidarObservation; it may have a parameter ``env``.
         range: the largest distance between centres at which the ADS sees a vehicle [m]; None for no limit.
-        latency: the age of the states of other vehicles as seen [s], rounded up to whole physics ticks. Until
-            a run has lasted this long, the ADS sees the states at the start. Range and occlusion are determined for the
-            same earlier time, but the ego's own state is current.
+        latency: the age of what the ADS sees of other vehicles [s], rounded up to whole physics ticks; before, it sees
+            the start. Its own state is current.
         noise: standard deviations of the normal errors of the other vehicles' ``"position"``, along x and along y [m],
-            and ``"speed"`` [m/s], such as ``{"position": 0.5}``. Errors are sampled for each vehicle at each decision.
-        dropout: the probability that the ADS does not see a vehicle at a decision, 0 to 1, sampled like the errors.
-        occlusion: if true, vehicles hide each other: a vehicle is hidden if the straight lines from the ego's centre to
-            its centre and to its four corners all run through boxes of other vehicles.
-        shuffled: if true, the other vehicles are in a random order, sampled again at each decision; by default they
-            are always in the same order. The ``ids`` of a planner's observation are in the order of its ``others``.
-        ghosts: vehicles that the ADS sees although they do not exist: how many appear per second, ``"rate"`` [1/s], up
-            to 100, and their mean ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``. Their ids are those
-            of no NPC.
+            and ``"speed"`` [m/s], such as ``{"position": 0.5}``. Sampled for each vehicle at each decision.
+        dropout: the probability that the ADS does not see a vehicle at a decision, 0 to 1.
+        occlusion: if true, a vehicle is hidden if the lines from the ego's centre to its centre and to its corners all
+            run through other vehicles.
+        shuffled: if true, the others are in a random order, sampled at each decision; ``ids`` follow ``others``.
+        ghosts: vehicles that do not exist: how many appear per second, ``"rate"`` [1/s], up to 100, and their mean
+            ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``. Their ids are larger than those of NPCs.
         own_bias: standard deviations of the normal errors of the ADS's own ``"position"``, along x and along y [m],
-            ``"heading"`` [rad] and ``"speed"`` [m/s], such as ``{"position": 0.3}``. Errors are sampled once for each
-            run. The ADS sees the others moved and turned with it, because it measures them from its own place.
+            ``"heading"`` [rad] and ``"speed"`` [m/s], such as ``{"position": 0.3}``. Sampled once a run. The
+            ADS sees the others moved and turned with it.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.
