@@ -205,7 +205,7 @@ def _filter(findings: Sequence[RunView]) -> str:
 def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
-    _, *tags = _tags(finding)
+    tags = _tags(finding)
     tags += [finding.traffic] if finding.traffic else []
     mark = f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     deadline = "" if finding.deadline is None else f'; <span class="deadline">brake by {finding.deadline:.1f} s</span>'
@@ -216,7 +216,7 @@ def finding_article(finding: RunView, index: int) -> str:
         "".join(f'<p class="sentence">{prose(each)}</p>' for each in finding.sentences),
         claim if finding.check is None else _check_figures(finding.check),
         copyable(finding.command) if finding.command else "",
-        f'<p class="meta">{prose("; ".join(tags))}</p>' if tags else "",
+        f'<ul class="tags">{"".join(f"<li>{prose(tag)}</li>" for tag in tags)}</ul>',
         f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
         "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
@@ -262,7 +262,7 @@ def _file_section(finding: RunView) -> str:
 
 def _check_figures(check: CheckView) -> str:
     """Return the HTML of a failed check: its value, bound and moment, and for how long the bound was broken."""
-    unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
+    unit = f' <span class="unit">{prose(check.unit)}</span>' if check.unit else ""
     seconds = ' <span class="unit">s</span>'
     bounds = (("at most", check.at_most), ("at least", check.at_least))
     figures = [(check.name, "no number" if check.value is None else f"{check.value:.4g}{unit}")]

@@ -144,7 +144,7 @@ class Charts {
   check(check) {
     const [y0, y1] = [this.y + CHART.curve, this.y];
     const y = (value) => y0 - ((value - check.low) / (check.high - check.low)) * (y0 - y1);
-    this.heading(check.name, check.unit, `, worst of each frame; red: beyond the bound`);
+    this.heading(check.name, inUnits(check.unit), `, worst of each frame; red: beyond the bound`);
     for (const [from, to] of check.broken) {
       const wide = Math.max(2, this.x(to) - this.x(from));
       this.parts.push(svg("rect", { x: px((this.x(from) + this.x(to) - wide) / 2), width: px(wide), y: px(y1), height: px(y0 - y1), class: "broken" }));

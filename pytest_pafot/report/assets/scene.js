@@ -281,6 +281,7 @@ class Scene {
     this.drawNames(states);
     states.forEach((state, index) => this.drawVehicle(state, index));
     states.forEach((state, index) => { if (index && state) this.drawPointer(state, index); });
+    this.hideCovered();
     this.drawTrails(time, frame, ego);
     this.drawPlan(time);
     this.drawImpact(states, time);
@@ -332,7 +333,16 @@ class Scene {
       number.setAttribute("transform", turned(centre.heading, x, y));
       change(number, { x: px(x - length / 2 + 7), y: px(y - width / 2 + 9), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
-      if (centre.exists) this.numbers.push(this.numberPlace(centre, x, y, length, width));
+      if (centre.exists) this.numbers.push([...this.numberPlace(centre, x, y, length, width), number]);
+    });
+  }
+
+  hideCovered() {
+    // The number of a cell gives way to the name of a lane and to an arrow's text.
+    this.numbers = this.numbers.filter(([x, y, number]) => {
+      const isFree = this.texts.every(([tx, ty, wide, high]) => Math.abs(tx - x) > wide + 6 || Math.abs(ty - y) > high + 8);
+      if (!isFree) number.setAttribute("visibility", "hidden");
+      return isFree;
     });
   }
 
