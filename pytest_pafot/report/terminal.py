@@ -276,7 +276,9 @@ def search_lines(
         f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
         f"{''.join(short)}ended: {search.reason}"
     )
-    drawn = [search.drawn] if search.drawn else []
+    # Of a search that found nothing, the start of the ego and the kinds of vehicles are details.
+    told = search.drawn.partition("; ")[0] if _is_quiet(search) and not verbose else search.drawn
+    drawn = [told] if told else []
     texts = [_figures(search), *_decisions(search), *_find_lines(search), *_comparison(search), origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
@@ -285,7 +287,8 @@ def search_lines(
             ("saved scenarios at first", "") if search.given else ("random scenarios", interval_text(failing, counted))
         )
         others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
-        texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share and ', '}{share}{others}")
+        share = f", {share}" if failing and share else share.removeprefix("0 %")
+        texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     for id_, count in sorted(search.known.items()):
         texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")
