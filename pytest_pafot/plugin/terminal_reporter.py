@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +31,9 @@ from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.sighting import Sighting
+
+VERDICT = re.compile(r"\b(is|are) responsible|at fault\b")
+DEADLINE = re.compile(r"\bshould have\b|\bavoids the collision|\bhad too little time\b")
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
@@ -109,6 +114,8 @@ class Reporter:
         message = received(report)
         if message is None:
             self._live.erase_progress()
+            if report.failed and VERDICT.search(report.longreprtext):
+                report.__dict__["toterminal"] = partial(_write_sparingly, report)
         result = yield
         if message is not None:
             self._take(report, message)
@@ -163,7 +170,8 @@ class Reporter:
             if lines:
                 terminalreporter.section("pafot")
             for line in lines:
-                terminalreporter.line(line)
+                is_verdict = line.startswith("  ") and VERDICT.search(line) and ": " in line and " hits " in line
+                terminalreporter.line(line, **({"red": True} if is_verdict else {}))
             if self._record.searches and os.environ.get("GITHUB_ACTIONS") == "true":
                 from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
 
@@ -270,6 +278,29 @@ def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
     manager = config.pluginmanager.get_plugin("capturemanager")
     silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
     return silent
+
+
+class _Sparing:
+    """A terminal writer that colours only the headline, the verdict and the deadline of a message.
+
+    pytest colours each line of a message. If all lines are red, none stands out.
+    """
+
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._writer, name)
+
+    def line(self, text: str = "", **markup: bool) -> None:
+        """Write a line, without its colour if it is a part of a message that says neither."""
+        stands_out = not text.startswith("E    ") or VERDICT.search(text) or DEADLINE.search(text)
+        self._writer.line(text, **(markup if stands_out else {}))
+
+
+def _write_sparingly(report: pytest.TestReport, writer: Any) -> None:
+    """Write a failure report on a terminal, with the colours that :class:`_Sparing` leaves."""
+    pytest.TestReport.toterminal(report, _Sparing(writer))
 
 
 def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:

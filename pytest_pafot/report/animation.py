@@ -182,7 +182,6 @@ def drawn_episode(episode: Episode, headline: str) -> bytes:
     view = RunView(
         name=f"seed-{episode.seed}",
         headline=headline,
-        explanation="",
         responsibility="none",
         road=RoadView(
             lanes=() if is_bent else tuple(lane.y for lane in lanes),

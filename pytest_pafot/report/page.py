@@ -30,8 +30,10 @@ from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
+    Chains,
     CheckView,
     Errors,
+    Paragraph,
     Report,
     RunView,
 )
@@ -48,6 +50,11 @@ from pytest_pafot.support.versions import installed_versions
 def text(value: object) -> str:
     """Escape a text for HTML, so that nothing in it is markup. Unprintable characters become visible escapes."""
     return escape(visible_lines(str(value)), quote=True)
+
+
+def prose(value: object) -> str:
+    """Escape a text as :func:`text` does, and write the units in it as the curves write them."""
+    return text(value).replace("m/s^2", "m/s\u00b2").replace("m/s^3", "m/s\u00b3")
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
@@ -114,12 +121,17 @@ def finding_list(findings: Sequence[RunView]) -> str:
         # The text that the filter searches.
         searched = [finding.node_id, finding.headline, finding.assertion, meta, finding.path]
         words = " ".join([*searched, *([finding.traced] if finding.traced else [])]).lower()
+        kind, badge = _kind(finding), finding.label.partition(" (")[0]
+        function, parameters = finding.test
+        parameters = ", ".join(filter(None, [function if finding.traced else "", parameters]))
         groups.setdefault(finding.group, []).append(
             f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
-            f'data-outcome="{text(_kind(finding))}" data-words="{text(words)}">'
+            f'data-outcome="{text(kind)}" data-words="{text(words)}" title="{prose(finding.headline)}">'
             f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-            f'<span class="what"><span class="id">{text(finding.id)}</span><span class="headline">'
-            f'{text(finding.headline)}</span><span class="meta">{text(meta)}</span></span></a></li>'
+            f'<span class="id">{text(finding.id)}</span>'
+            + (f'<span class="parameters">{text(parameters)}</span>' if parameters else "")
+            + (f'<span class="badge">{text(badge)}</span>' if badge else "")
+            + "</a></li>"
         )
     counts = Counter(map(_who, findings))
     names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
@@ -147,7 +159,7 @@ def further_section(findings: Sequence[RunView], whole: int) -> str:
     rows = (
         row(
             text(finding.id),
-            f"{text(finding.headline)}<br>{text(', '.join(_tags(finding)))}",
+            f"{prose(finding.headline)}<br>{prose(', '.join(_tags(finding)))}",
             text(finding.path or finding.node_id),
             f"<code>{text(f'{finding.command} {alone}')}</code>",
         )
@@ -193,31 +205,55 @@ def _filter(findings: Sequence[RunView]) -> str:
 def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
-    who, *tags = _tags(finding)
+    tags = _tags(finding)
     tags += [finding.traffic] if finding.traffic else []
-    mark = f'<span aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-    words = text(finding.explanation.strip())
+    mark = f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
+    deadline = "" if finding.deadline is None else f'; <span class="deadline">brake by {finding.deadline:.1f} s</span>'
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
-        f'<header><p class="id">{text(finding.id)}</p><h2 id="headline-{index}">{text(finding.headline)}</h2>',
+        f'<header><p class="id">{text(finding.id)}</p>',
+        f'<h2 id="headline-{index}">{mark} {prose(finding.headline)}{deadline}</h2>',
+        "".join(f'<p class="sentence">{prose(each)}</p>' for each in finding.sentences),
         claim if finding.check is None else _check_figures(finding.check),
-        f'<ul class="tags"><li>{mark} {text(who)}</li>{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
+        copyable(finding.command) if finding.command else "",
+        f'<ul class="tags">{"".join(f"<li>{prose(tag)}</li>" for tag in tags)}</ul>',
         f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
-        f'<p class="test">{text(finding.node_id)}</p></header>' if finding.node_id else "</header>",
-        "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
+        "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
-        f'<section><h3>What happened</h3><pre class="explanation">{words}</pre></section>' if words else "",
-        _keep_section(finding) if finding.yaml else "",
+        _happened_section(finding.happened) if finding.happened else "",
+        _shrunk_section(finding.found, finding.shrunk) if finding.found and finding.shrunk else "",
+        _file_section(finding) if finding.yaml else "",
         "</article>",
     ]
     return "".join(parts)
 
 
-def _keep_section(finding: RunView) -> str:
-    """Return the HTML of a finding's command, if any, and of the text of its file."""
-    command = f"<h3>Run it again</h3>{copyable(finding.command)}" if finding.command else ""
+def _happened_section(paragraphs: Iterable[Paragraph]) -> str:
+    """Return the HTML of what is known of a finding beside the sentences above its picture."""
+    shown = ""
+    for title, sentences, code in paragraphs:
+        run_in = f"<b>{text(title)}.</b> " if title else ""
+        lines = "".join(f"<li><code>{text(each)}</code></li>" for each in code)
+        shown += f"<p>{run_in}{prose(sentences)}</p>" + (f"<ul>{lines}</ul>" if lines else "")
+    return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
+
+
+def _shrunk_section(found: Chains, shrunk: Chains) -> str:
+    """Return the HTML of a scenario as it was found next to what it shrank to, in columns of equal width."""
+    columns_of = ""
+    for title, (size, npcs) in (("Found", found), ("Shrunk", shrunk)):
+        chains = "".join(
+            f"<li><b>NPC {number}</b><ol>{''.join(f'<li>{text(each)}</li>' for each in chain)}</ol></li>"
+            for number, chain in enumerate(npcs)
+        )
+        columns_of += f'<div><h4>{title}: {text(size)}</h4><ul class="chains">{chains}</ul></div>'
+    return f'<section><h3>Found and shrunk</h3><div class="pair">{columns_of}</div></section>'
+
+
+def _file_section(finding: RunView) -> str:
+    """Return the HTML of the text of a finding's file."""
     return (
-        f'<section class="keep">{command}'
+        '<section class="keep">'
         f'<div class="yaml"><div class="bar"><h4>{text(finding.path or finding.id + SUFFIX)}</h4>'
         '<button type="button" class="copy" data-copy="pre">Copy the file</button></div>'
         f'<pre tabindex="0" aria-label="The file of this finding">{text(finding.yaml)}</pre></div></section>'
@@ -226,7 +262,7 @@ def _keep_section(finding: RunView) -> str:
 
 def _check_figures(check: CheckView) -> str:
     """Return the HTML of a failed check: its value, bound and moment, and for how long the bound was broken."""
-    unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
+    unit = f' <span class="unit">{prose(check.unit)}</span>' if check.unit else ""
     seconds = ' <span class="unit">s</span>'
     bounds = (("at most", check.at_most), ("at least", check.at_least))
     figures = [(check.name, "no number" if check.value is None else f"{check.value:.4g}{unit}")]
@@ -309,10 +345,12 @@ STYLE = "page.css"
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
-DRAWN = ("headline", "times", "vehicles", "road", "grid", "instructions", "plans", "event", "check")
+DRAWN = (
+    "headline", "times", "vehicles", "road", "grid", "instructions", "decisions", "plans", "event", "check",
+)  # fmt: skip
 """What the scripts read of a finding. The page has everything else as text."""
 
-FRAME_HEIGHT = 1010
+FRAME_HEIGHT = 1060
 """Height of a report that is embedded in another page [px]."""
 WORDS_HEIGHT = 480
 """Height of an embedded report that shows no run [px]."""
@@ -536,8 +574,9 @@ def _as_row(finding: RunView) -> RunView:
     """Return a finding without what only a whole finding shows: its run, and the text of its file."""
     check = None if finding.check is None else replace(finding.check, values=(), broken=())
     road = replace(finding.road, lanes=(), shapes=())
-    nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "grid"), ())
-    return replace(finding, explanation="", yaml="", check=check, road=road, **nothing)
+    nothing: dict[str, Any] = dict.fromkeys(("vehicles", "times", "instructions", "decisions", "grid", "happened"), ())
+    nothing |= {"found": None, "shrunk": None}
+    return replace(finding, yaml="", check=check, road=road, **nothing)
 
 
 def _rank(finding: RunView) -> tuple[Any, ...]:

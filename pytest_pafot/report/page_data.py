@@ -216,12 +216,25 @@ class CheckView:
     broken: tuple[tuple[float, float], ...] = ()
 
 
+Stretch = tuple[float, float, str]
+"""Decisions that are the same: the time of the first one, the time of the next other one [s], and their words."""
+Paragraph = tuple[str, str, tuple[str, ...]]
+"""A title, which may be empty, sentences, and lines of the user's code that they are about."""
+Chains = tuple[str, tuple[tuple[str, ...], ...]]
+"""The size of a scenario in words, and for each NPC its instructions in words."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunView:
     """A run, as the report page shows it, and the finding that it shows, if any.
 
     Attributes:
         sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision.
+        deadline: time by which the ego had to brake [s]; None if unknown, or if it did not have to.
+        happened: what else is known of the run and of the finding, in prose.
+        found: the scenario as the search found it, if shrinking has replaced it by a simpler one; otherwise None.
+        shrunk: the scenario of the run, to compare it with ``found``; None without that.
+        decisions: decisions of the ego's ADS, in order; equal ones in succession are one stretch.
         assertion: the line of the test that failed, or the exception that was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
@@ -241,7 +254,6 @@ class RunView:
     """
 
     headline: str
-    explanation: str
     responsibility: str
     road: RoadView
     vehicles: tuple[VehicleView, ...]
@@ -260,6 +272,11 @@ class RunView:
     grid: tuple[tuple[Pose | None, ...], ...] = ()
     plans: tuple[PlanView, ...] = ()
     name: str = ""
+    deadline: float | None = None
+    happened: tuple[Paragraph, ...] = ()
+    found: Chains | None = None
+    shrunk: Chains | None = None
+    decisions: tuple[Stretch, ...] = ()
     sighting: Sighting | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     @property
@@ -278,9 +295,16 @@ class RunView:
         return "" if self.sighting is None else self.sighting.path
 
     @property
+    def test(self) -> tuple[str, str]:
+        """The name of its test, and the parameters of the test; both are empty for a run alone."""
+        name = "" if self.sighting is None else self.sighting.finding.test.rpartition("::")[2]
+        function, _, parameters = name.partition("[")
+        return function, parameters.removesuffix("]")
+
+    @property
     def group(self) -> str:
         """The heading under which the page lists the finding: its requirements, or else the name of its test."""
-        return self.traced or ("" if self.sighting is None else self.sighting.finding.test.rpartition("::")[2])
+        return self.traced or self.test[0]
 
     @property
     def is_crossed(self) -> bool:

@@ -172,19 +172,25 @@ def find_section(
 
 def simplified_lines(finding: Finding) -> list[str]:
     """Describe how a new finding shrank, who does not prevent it, and which imperfect perception it needs."""
-    lines: list[str] = []
-    if finding.shrunk is not None:
-        found, is_minimal = finding.original, finding.shrunk.is_minimal
-        sizes = [size_of(each or finding.scenario, finding.longest_run).split(", ") for each in (found, None)]
-        changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
-        how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
-        if not changed:
-            how = "to nothing simpler so far" if found is None else "to a simpler scenario of the same size"
-        if found is not None or not is_minimal:
-            lines.append(f"shrunk     {how}{'' if is_minimal else ', and could be simpler'}")
+    lines = [f"shrunk     {how}" for how in shrunk_lines(finding)]
     prevention = prevention_text(finding.expect)
     lines += [prevention] if prevention else []
     return lines if finding.perception is None else [*lines, finding.perception.sentence]
+
+
+def shrunk_lines(finding: Finding) -> list[str]:
+    """Say in at most one line from what size to what size a finding shrank."""
+    if finding.shrunk is None:
+        return []
+    found, is_minimal = finding.original, finding.shrunk.is_minimal
+    sizes = [size_of(each or finding.scenario, finding.longest_run).split(", ") for each in (found, None)]
+    changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
+    how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
+    if not changed:
+        how = "to nothing simpler so far" if found is None else "to a simpler scenario of the same size"
+    if found is None and is_minimal:
+        return []
+    return [how if is_minimal else f"{how}, and could be simpler"]
 
 
 def prevention_text(expect: Expect) -> str:
@@ -270,7 +276,9 @@ def search_lines(
         f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
         f"{''.join(short)}ended: {search.reason}"
     )
-    drawn = [search.drawn] if search.drawn else []
+    # Of a search that found nothing, the start of the ego and the kinds of vehicles are details.
+    told = search.drawn.partition("; ")[0] if _is_quiet(search) and not verbose else search.drawn
+    drawn = [told] if told else []
     texts = [_figures(search), *_decisions(search), *_find_lines(search), *_comparison(search), origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
@@ -279,7 +287,8 @@ def search_lines(
             ("saved scenarios at first", "") if search.given else ("random scenarios", interval_text(failing, counted))
         )
         others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
-        texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share and ', '}{share}{others}")
+        share = f", {share}" if failing and share else share.removeprefix("0 %")
+        texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share}{others}")
     texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     for id_, count in sorted(search.known.items()):
         texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
-from textwrap import dedent
+from itertools import groupby, pairwise
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
+from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import jerk
+from pytest_pafot.findings.decisions import is_si
 from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.driving_style import AMPLE, Traffic
 from pytest_pafot.model.grid import Cell
@@ -27,22 +31,27 @@ from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, lanes_apart
 from pytest_pafot.report.page_data import (
+    Chains,
     CheckView,
     EventView,
     InstructionView,
     LaneView,
     Numbers,
+    Paragraph,
     Place,
     PlanView,
     Pose,
     RoadView,
     RunView,
+    Stretch,
     VehicleView,
     Window,
     ZoneView,
     gap_to,
 )
-from pytest_pafot.report.terminal import effort_lines, simplified_lines
+from pytest_pafot.report.terminal import prevention_text, shrunk_lines, speed_sentences
+from pytest_pafot.support.text import plural
+from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 from pytest_pafot.world.roads.route import wrapped
@@ -249,13 +258,16 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
     run = None if trace is None else expect.known_of(Run(trace))
     sentences = () if run is None else expect.sentences_on(run)
-    explanation = "" if run is None else _explanation(run, sentences)
-    first, _, rest = explanation.partition("\n")
-    lines = [(rest if check is None else explanation) or expect.message, *simplified_lines(finding)]
+    first, *others = [""] if run is None else _explained(run, sentences)
+    lines = (others if check is None else [first, *others]) or [expect.message]
+    found = None if finding.original is None or finding.shrunk is None else finding.original
     view = RunView(
         headline=headline or first or expect.message or expect.failure,
-        explanation="\n".join(filter(None, [*lines, *effort_lines(finding), *sighting.on_decisions])),
         sentences=sentences,
+        deadline=_deadline(run, expect.avoided_by),
+        happened=_happened(lines, sighting),
+        found=None if found is None else _chains(found, finding.longest_run),
+        shrunk=None if found is None else _chains(finding.scenario, finding.longest_run),
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
@@ -268,7 +280,9 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         traffic=finding.scenario.traffic.described,
         sighting=sighting,
     )
-    return view if trace is None else _with_run(view, trace, clearance, check)
+    if trace is None:
+        return view
+    return replace(_with_run(view, trace, clearance, check), decisions=_decisions(trace, finding.world))
 
 
 def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
@@ -277,12 +291,13 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
     The clearance is the gap between the ego and the cells ahead of and behind it [m].
     """
     run = Run(trace)
-    headline, _, explanation = _explanation(run, run.sentences).partition("\n")
+    headline, *others = _explained(run, run.sentences)
     view = RunView(
         name=f"scenario {run.scenario.id}",
         headline=headline,
-        explanation=explanation,
+        happened=(("", _prose(others), ()),) if others else (),
         sentences=run.sentences,
+        deadline=_deadline(run, None),
         responsibility=run.responsibility or "none",
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
         vehicles=(),
@@ -297,10 +312,85 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
     return _with_run(view, trace, clearance, None)
 
 
-def _explanation(run: Run, sentences: Sequence[str]) -> str:
-    """Return the explanation of a run without ``sentences``, which the page shows elsewhere, above the picture."""
-    first, *lines = (line for line in run.explain().splitlines() if line.strip() not in sentences)
-    return first + "\n" + dedent("\n".join(lines))
+def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
+    """Return the lines that explain a run, without ``sentences``, which the page has above the picture.
+
+    The instructions are not among them, because the picture and the file have them.
+    """
+    lines = map(str.strip, run.explain(instructions=False).splitlines())
+    return [line for line in lines if line and line not in sentences]
+
+
+def _prose(lines: Sequence[str]) -> str:
+    """Join lines to sentences, each of which begins with a capital letter and ends with a full stop."""
+    return " ".join(f"{line[:1].upper()}{line[1:]}{'' if line.endswith(('.', '...')) else '.'}" for line in lines)
+
+
+def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]:
+    """Return what is known of a finding in addition to the sentences above its picture.
+
+    Args:
+        lines: the lines that explain its run.
+        sighting: the finding.
+    """
+    finding, moment = sighting.finding, sighting.moment
+    shown: list[tuple[str, list[str], tuple[str, ...]]] = [("", [*filter(None, lines)], ())]
+    if sighting.answers is not None:
+        shown.append(("The policy's answers", [str(sighting.answers)], ()))
+    if moment is not None:
+        shown.append(("The moment", [f"at {moment}"], moment.conditions))
+    runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
+    size = [f"{how}{runs}" for how in shrunk_lines(finding)]
+    shown.append(("Shrunk", [*size, *speed_sentences(finding)], ()))
+    prevented, perception = prevention_text(finding.expect), finding.perception
+    shown.append(("Others", [*filter(None, [prevented, "" if perception is None else perception.sentence])], ()))
+    return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)
+
+
+def _deadline(run: Run | None, avoided: Avoidance | None) -> float | None:
+    """Return the time by which the ego had to brake [s]: by simulation if that was tried, else by the rules."""
+    if avoided is not None:
+        return avoided.time
+    if run is None or run.collision is None or run.responsibility not in ("ego", "both"):
+        return None
+    due = [fact.in_full.due_s for fact in run.attribution.facts if not fact.vehicle]
+    return max((time for time in due if time is not None), default=None)
+
+
+def _chains(scenario: Scenario, longest_run: float) -> Chains:
+    """Return the size of a scenario and its instructions, given the longest run of its world [s]."""
+    seconds = scenario.gene_seconds
+    npcs = (
+        tuple(
+            f"{'' if gene.is_alone else f'{number * seconds:g} s: '}{gene.goal}, {gene.speed:g} m/s"
+            for number, gene in enumerate(chain)
+        )
+        for chain in scenario.npcs
+    )
+    return size_of(scenario, longest_run), tuple(npcs)
+
+
+def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
+    """Return the decisions of a run's ADS in words, given the plain data of its world."""
+    names = action_names(world)
+    times = (tick / trace.physics_hz for tick in trace.decision_ticks)
+    decided = zip(
+        times, (_decided(each, names) for each in trace.actions), strict=False
+    )  # the last one may have raised
+    starts = [(round(next(group)[0], 3), words) for words, group in groupby(decided, key=itemgetter(1))]
+    ends = [*starts, (round(trace.duration, 3), "")]
+    return tuple((start, end, words) for (start, words), (end, _) in pairwise(ends))
+
+
+def _decided(action: Any, names: Sequence[str]) -> str:
+    """Return one decision in words, given the names of an environment's actions."""
+    plain = action.item() if isinstance(action, np.generic) else action
+    if isinstance(plain, int) and 0 <= plain < len(names):
+        return names[plain]
+    if is_si(plain):
+        acceleration, steering = (round(each, 2) + 0.0 for each in plain)
+        return f"{acceleration:.1f} m/s^2" + (f", {steering:.2f} rad" if steering else "")
+    return f"{plain}"
 
 
 def _assertion(expect: Expect) -> str:

@@ -394,3 +394,21 @@ class World(BuiltInWorld):
         own = self.environment.unwrapped.config.get("duration", LONGEST_RUN)
         most = LONGEST_RUN if self.duration is None else math.inf
         return min(number_within("config.duration", own, 0.0, math.inf), most)
+
+
+def action_names(world: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of a world's actions, by their numbers; empty if they are no ``DiscreteMetaAction``.
+
+    Args:
+        world: the world as plain data, as a file has it.
+    """
+    config = world.get("config")
+    given = config.get("action") if isinstance(config, Mapping) and not world.get("planner_hz") else None
+    if not isinstance(given, Mapping) or given.get("type") != "DiscreteMetaAction":
+        return ()
+    from pytest_pafot.world.stock import action  # noqa: PLC0415  (slow to import, and a report may have no such run)
+
+    kind = action.DiscreteMetaAction
+    along, across = given.get("longitudinal", True), given.get("lateral", True)
+    names = kind.ACTIONS_ALL if along and across else kind.ACTIONS_LONGI if along else kind.ACTIONS_LAT
+    return tuple(names[number] for number in range(len(names)))

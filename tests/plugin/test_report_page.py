@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.report.terminal import effort_lines, simplified_lines
+from pytest_pafot.report.terminal import shrunk_lines, speed_sentences
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.plugin.conftest import FAILING
 
@@ -37,16 +37,15 @@ def read_page(path):
         words = {name: html.unescape(found) for name, found in re.findall(r'<p class="(id|test)">(.*?)</p>', article)}
         tags = re.findall(r"<li>(.*?)</li>", article)
         generation = next(place for place, tag in enumerate(tags) if tag.startswith("first in generation "))
-        command = re.search(r"<h3>Run it again</h3>.*?<code>(.*?)</code>", article)
+        command = re.search(r'<span class="label">Command</span><code>(.*?)</code>', article)
         findings.append(
             SimpleNamespace(
                 data=data,
                 id=words["id"],
-                node_id=words["test"],
                 label=html.unescape(tags[generation + 1]),
                 tags=tags,
                 runs=next(int(tag.split()[0]) for tag in tags if re.fullmatch(r"\d+ runs?", tag)),
-                file=html.unescape(re.search(r"<h4>(.*?)</h4>", article)[1]),
+                file=html.unescape(re.search(r'class="bar"><h4>(.*?)</h4>', article)[1]),
                 command=command and html.unescape(command[1]),
             )
         )
@@ -65,7 +64,7 @@ def test_the_page_has_the_find_and_its_search(failing, page):
     result.assert_outcomes(failed=2)
     text, (finding,), (search,) = read_page(page)
     assert (finding.id, finding.label) == (failing.only_id, "new")
-    assert finding.node_id == f"test_it.py::test_fails[saved-{failing.only_id}]"
+    assert finding.command == f"pytest 'test_it.py::test_fails[saved-{failing.only_id}]'"
     assert finding.file == failing.files[0]
     assert finding.data["times"][0] == 0
     assert search.startswith("test_it.py::test_fails[search] 1 run, 1 failing algorithm distinct ")
@@ -321,9 +320,10 @@ def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, 
     project.run("--pafot-report=report.html", generations=6, seed=4)
     (finding, *_) = [each for each in read_page(page)[1] if each.data["event"]["side"] == "front"]
     saved = load(project.path / finding.file)
-    told = [*simplified_lines(saved), *effort_lines(saved)]
-    assert told[0].startswith("shrunk     from 2 NPCs")
+    told = [*(f"{how} in {saved.shrunk.rollouts} runs" for how in shrunk_lines(saved)), *speed_sentences(saved)]
+    assert told[0].startswith("from 2 NPCs")
     assert told[-1].endswith("still fails")
+    told = [each[1:] for each in told]  # a sentence of the page begins with a capital letter
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
     assert set(saved.expect.reference_drivers) == set(REFERENCES)
     assert f"{saved.expect.responsibility} responsible" in finding.tags[0]

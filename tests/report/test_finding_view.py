@@ -128,10 +128,15 @@ def test_the_event_is_the_collision():
     assert event.time == pytest.approx(hit.time, abs=0.001)
 
 
-def test_headline_and_explanation_are_from_run_by_default():
+def words_of(view):
+    """Return the prose of a view, a line for each paragraph, with its title."""
+    return [f"{title}: {sentences}" if title else sentences for title, sentences, _ in view.happened]
+
+
+def test_headline_and_prose_are_from_run_by_default():
     view = view_of(rear_trace())
     assert view.headline.startswith("collision after ")
-    assert "at the impact" in view.explanation
+    assert "At the impact: ego" in words_of(view)[0]
     assert view_of(rear_trace(), headline="H").headline == "H"
 
 
@@ -139,10 +144,10 @@ def test_reference_drivers_are_listed_with_their_results():
     trace = cut_in_trace()
     finding = finding_of(trace)
     finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
-    assert view_of(trace, finding).explanation.endswith("\nnot preventable by idm-aeb (fails too)")
+    assert words_of(view_of(trace, finding))[-1] == "Others: Not preventable by idm-aeb (fails too)."
 
 
-def test_avoidance_is_above_picture_and_duty_in_explanation():
+def test_avoidance_is_above_picture_and_duty_below():
     trace = rear_trace()
     safe = replace(trace, outcome=Outcome.SAFE, collision=None)
     finding = finding_of(trace)
@@ -154,8 +159,20 @@ def test_avoidance_is_above_picture_and_duty_in_explanation():
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
     assert view.sentences == (first, "Braking at 6 m/s^2 from 1.2 s on avoids the collision.", "NPC 0 is responsible.")
-    assert first not in view.explanation
-    assert all(each in view.explanation for each in others[:-1])
+    assert view.deadline == 1.2
+    (prose,) = words_of(view)
+    assert first not in prose
+    assert all(each in prose for each in others[:-1])
+
+
+def test_deadline_by_the_rules_is_that_of_a_responsible_ego():
+    stopped = braking_ahead()  # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
+    run = Run(stopped)
+    assert run.responsibility == "ego"
+    # At 20 m/s with half a second of response and 8 m/s^2, the ego comes within 10 m/s of the NPC in 11.25 m.
+    assert view_of(stopped).deadline is not None
+    assert Run(rear_trace()).responsibility == "npc"
+    assert view_of(rear_trace()).deadline is None
 
 
 def test_the_command_survives_a_shell():
@@ -172,13 +189,41 @@ def test_unseen_finding_has_instructions_but_no_frames():
     assert not any(row.started for row in view.instructions)
 
 
-def test_shrinking_is_told_as_in_the_terminal():
+def test_found_scenario_stands_next_to_what_it_shrank_to():
     trace = cut_in_trace()
     shrunk = Shrunk(rollouts=41, is_minimal=True, speeds=(SpeedInterval(npc=0, gene=0, low=3.0, high=11.0),))
     finding = replace(finding_of(trace), original=scenario([(2, 8.0)] * 2, [(4, 20.0)]), shrunk=shrunk)
-    told = view_of(trace, finding).explanation
-    assert "\nshrunk     from " in told
-    assert "\nshrunk in  41 runs\nstill      NPC 0 from 0 s " in told
+    view = view_of(trace, finding)
+    told = "Shrunk: From 2 instructions to 3 instructions in 41 runs. NPC 0 from 0 s in cell 1 (front-left): any speed "
+    assert words_of(view)[-1] == told + "from 3.0 to 11.0 m/s still fails."
+    assert view.found == (
+        "2 NPCs, 2 instructions, 20 s",
+        (("0 s: 2 front, 8 m/s", "10 s: 2 front, 8 m/s"), ("0 s: 4 right, 20 m/s",)),
+    )
+    assert view.shrunk[1][0] == ("0 s: 1 front-left, 25 m/s", "10 s: 2 front, 8 m/s")
+    assert view_of(trace).found is view_of(trace).shrunk is None
+    as_driven = replace(finding, shrunk=None)
+    assert view_of(trace, as_driven).found is None
+
+
+DISCRETE = {"kind": "gym", "config": {"action": {"type": "DiscreteMetaAction"}}}
+
+
+@table(
+    ("world", "actions", "shown"),
+    [
+        (DISCRETE, (1, np.int64(1), 4, 1), [(0.0, 0.4, "IDLE"), (0.4, 0.6, "SLOWER"), (0.6, 9.9, "IDLE")]),
+        (DISCRETE | {"planner_hz": 5}, (1, 0), [(0.0, 0.2, "1"), (0.2, 9.9, "0")]),
+        ({"config": {"action": {"type": "DiscreteMetaAction", "lateral": False}}}, (2,), [(0.0, 9.9, "FASTER")]),
+        ({"config": {"action": {"type": "ContinuousAction"}}}, (0.5,), [(0.0, 9.9, "0.5")]),
+        ({}, ((-3.0, 0.0),) * 2 + ((1.04, -0.021),), [(0.0, 0.4, "-3.0 m/s^2"), (0.4, 9.9, "1.0 m/s^2, -0.02 rad")]),
+        ({}, (), []),
+    ],
+)  # fmt: skip
+def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_action(world, actions, shown):
+    trace = replace(braking_ahead(), actions=actions)
+    view = view_of(trace, finding_of(trace, world=world))
+    assert list(view.decisions) == [(start, min(end, view.duration), words) for start, end, words in shown]
 
 
 def test_view_has_recorded_acceleration_and_largest_jerk():

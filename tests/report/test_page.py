@@ -103,8 +103,8 @@ def test_page_data_have_what_the_scripts_read_and_nothing_else(page):
 def page_that_says(text):
     """Return a page that contains a text everywhere a report can."""
     finding = replace(
-        as_seen(real_report().findings[0], finding={"test": text}, node_id=text, path=text),
-        headline=text, explanation=text, yaml=text, command=text, label=text, responsibility=text,
+        as_seen(real_report().findings[0], finding={"test": f"t.py::test[{text}]"}, node_id=text, path=text),
+        headline=text, happened=((text, text, (text,)),), yaml=text, command=text, label=text, responsibility=text,
     )  # fmt: skip
     search = replace(real_report().searches[0], node_id=text, warnings=(text,), outcomes={text: 1})
     return render_page(Report(title=text, facts=((text, text),), command=text, findings=(finding,), searches=(search,)))

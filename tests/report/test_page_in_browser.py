@@ -19,6 +19,7 @@ from tests.report.builders import (
     real_report,
     view_of,
 )
+from tests.report.test_crossing_view import crash, mixed
 from tests.report.test_manoeuvre_view import TRACE as MANOEUVRES
 
 CHROMIUM = find_chromium()
@@ -294,7 +295,13 @@ def test_curved_road_is_drawn_as_in_its_world(browser, tmp_path):
 def test_hostile_text_is_shown_and_never_run(browser, tmp_path):
     findings = tuple(
         replace(
-            real_report().findings[0], sighting=None, name=text, headline=text, explanation=text, yaml=text, label=text
+            real_report().findings[0],
+            sighting=None,
+            name=text,
+            headline=text,
+            happened=((text, text, (text,)),),
+            yaml=text,
+            label=text,
         )
         for text in HOSTILE
     )
@@ -322,7 +329,7 @@ def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
     word = "x" * 300
     finding = replace(
         as_seen(real_report().findings[0], node_id=word, path=word),
-        headline=word, label=word, explanation=word, yaml=word, command=word,
+        headline=word, label=word, happened=((word, word, (word,)),), yaml=word, command=word,
     )  # fmt: skip
     search = replace(real_report().searches[0], node_id=word, warnings=(word,), outcomes={word: 1})
     report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), searches=(search,))
@@ -458,26 +465,71 @@ def test_there_are_curves_of_acceleration_and_jerk(page):
     assert titles[-2:] == ["acceleration", "jerk, peak of each frame"]
 
 
-@pytest.mark.parametrize("width", [400, 1200])
-@pytest.mark.parametrize("report", [real_report, bend_report], ids=["straight", "bend"])
-def test_contact_text_covers_no_cell_number(browser, tmp_path, report, width):
-    path = tmp_path / "contact.html"
+OVERLAPPING = """(() => {
+  const stage = document.querySelector('article.current .stage');
+  const isShown = each => getComputedStyle(each).visibility === 'visible' && each.textContent;
+  const kinds = '.lane-name text, .label, .impact-label, .zone-label, .cell-number';
+  const shown = [...stage.querySelectorAll(kinds)].filter(isShown);
+  const named = shown.map(each => [each.textContent, each.getBoundingClientRect()]);
+  const pairs = named.flatMap(([name, a], n) => named.slice(n + 1).map(([other, b]) => [name, other, a, b]));
+  return pairs.filter(([name, other, a, b]) => (name.length > 1 || other.length > 1)
+    && a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom)
+    .map(([name, other]) => `${name} | ${other}`);
+})()"""
+"""The pairs of texts in the picture that cover each other, without two numbers of cells."""
+
+
+def crossing_report():
+    return Report(title="junction", findings=(crash(), mixed()))
+
+
+@pytest.mark.parametrize("width", [420, 1400])
+@pytest.mark.parametrize("report", [real_report, bend_report, crossing_report], ids=["straight", "bend", "junction"])
+def test_no_text_of_the_picture_covers_another(browser, tmp_path, report, width):
+    path = tmp_path / "labels.html"
     path.write_text(render_page(report()), encoding="utf-8")
     page = browser.open(path.as_uri(), width=width)
-    for index in range(len(report().findings)):
-        page.evaluate(f"location.hash = 'finding={report().findings[index].id}'")
+    for index, finding in enumerate(report().findings):
+        page.evaluate(f"document.querySelectorAll('#list a')[{index}].click()")
         page.until(f"{CURRENT} === {index}")
-        page.press("e")
-        covered = page.evaluate(
-            "(() => { const box = each => each.getBoundingClientRect();"
-            " const stage = document.querySelector('article.current .stage');"
-            " const text = box(stage.querySelector('.impact-label'));"
-            " return [...stage.querySelectorAll('.cell-number')].filter(each => {"
-            " const other = box(each); return each.getAttribute('visibility') === 'visible' && text.width > 0"
-            " && other.left < text.right && text.left < other.right && other.top < text.bottom"
-            " && text.top < other.bottom; }).map(each => each.textContent); })()"
-        )
-        assert covered == []
+        for key in ("Home", *["ArrowRight"] * int(finding.duration), "e"):
+            page.press(key, shift=key == "ArrowRight")
+            covered = page.evaluate(OVERLAPPING)
+            assert covered == [], (finding.id, page.evaluate(TIME))
+    page.close()
+
+
+def test_lanes_of_a_bend_have_names_away_from_vehicles(browser, tmp_path):
+    path = tmp_path / "bend.html"
+    path.write_text(render_page(bend_report()), encoding="utf-8")
+    page = browser.open(path.as_uri(), width=420)
+    assert page.evaluate(ALL.format(selector="article.current .lane-name text", what="each.textContent")) == [
+        "lane 0",
+        "lane 1",
+    ]
+    page.press("e")
+    apart = (
+        "(() => { const box = each => each.getBoundingClientRect();"
+        " const of = name => [...document.querySelectorAll(`article.current ${name}`)];"
+        " const names = of('.lane-name').filter(each => each.getAttribute('visibility') === 'visible').map(box);"
+        " return [names.length, names.filter(a => of('[data-vehicle]').map(box).some(b =>"
+        " a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom)).length]; })()"
+    )
+    assert page.evaluate(apart) == [2, 0]
+    page.close()
+
+
+def test_decisions_of_the_policy_stand_on_the_time_axis(browser, tmp_path):
+    finding = replace(real_report().findings[0], decisions=((0.0, 2.0, "IDLE"), (2.0, 5.0, "-3.0 m/s^2")))
+    path = tmp_path / "decisions.html"
+    path.write_text(render_page(Report.of(finding)), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    titles = page.evaluate(ALL.format(selector="article.current .decision title", what="each.textContent"))
+    assert titles == ["0.0 s: IDLE", "2.0 s: -3.0 m/s\u00b2"]
+    page.press("Home")
+    assert (
+        page.evaluate("document.querySelector('article.current .readout tbody tr td:last-child').textContent") == "IDLE"
+    )
     page.close()
 
 

@@ -59,7 +59,7 @@ def test_an_article_on_a_finding_reads_so(snapshot):
 def test_article_on_unseen_finding_matches_its_snapshot(snapshot):
     finding = replace(
         as_seen(hand_made_finding(), path="corpus/a.pafot.yaml"), label="new", runs=3, instructions=(),
-        explanation="", times=(), vehicles=(),
+        happened=(), times=(), vehicles=(),
     )  # fmt: skip
     assert lines_of(finding_article(finding, 1)) == snapshot
 

@@ -46,14 +46,33 @@ class Charts {
   timeline() {
     const zoned = isCrossed(this.finding);
     const laned = zoned && this.finding.instructions.some((row) => row.lane);
-    this.heading(`instructions: cell${laned ? ", lane" : ""} or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && this.width >= 600 ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
+    const isNarrow = this.width < 600;
+    const decided = this.finding.decisions.length ? `decisions${isNarrow ? "" : " of the ego"}; ` : "";
+    this.heading(isNarrow ? `${decided}instructions, speed` : `${decided}instructions: cell${laned ? ", lane" : ""} or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && !isNarrow ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
     this.y += 2;
+    this.decisions();
     this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
       this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, vehicle.name.split(",")[0]));
       for (const row of this.finding.instructions) if (row.npc === npc && row.started) this.block(row, npc);
       this.y += CHART.timeline;
     });
     this.y += CHART.gap;
+  }
+
+  decisions() {
+    // What the ego's policy decided, each decision until the next other one.
+    const { decisions } = this.finding;
+    if (!decisions.length) return;
+    const height = CHART.timeline - 4;
+    this.parts.push(svg("text", { x: CHART.left - 6, y: px(this.y + 15), class: "small", "text-anchor": "end" }, "ego"));
+    for (const [start, end, words] of decisions) {
+      const [x0, x1] = [this.x(start), this.x(Math.min(end, this.duration))];
+      const wide = Math.max(0, x1 - x0 - 1);
+      const shown = inUnits(words);
+      this.parts.push(svg("rect", { x: px(x0 + 0.5), y: px(this.y), width: px(wide), height, rx: 3, class: "block decision" }, svg("title", {}, `${fixed(start, 1)} s: ${shown}`)));
+      this.blockText([shown, shown.split(",")[0]], x0, wide);
+    }
+    this.y += CHART.timeline;
   }
 
   block(row, npc) {
@@ -125,7 +144,7 @@ class Charts {
   check(check) {
     const [y0, y1] = [this.y + CHART.curve, this.y];
     const y = (value) => y0 - ((value - check.low) / (check.high - check.low)) * (y0 - y1);
-    this.heading(check.name, check.unit, `, worst of each frame; red: beyond the bound`);
+    this.heading(check.name, inUnits(check.unit), `, worst of each frame; red: beyond the bound`);
     for (const [from, to] of check.broken) {
       const wide = Math.max(2, this.x(to) - this.x(from));
       this.parts.push(svg("rect", { x: px((this.x(from) + this.x(to) - wide) / 2), width: px(wide), y: px(y1), height: px(y0 - y1), class: "broken" }));

@@ -41,7 +41,7 @@ class Player {
       return button;
     });
     this.readout = html("tbody");
-    const heads = ["", "speed [m/s]", isCrossed(this.finding) ? "place" : "in cell", "gap [m]", "contact in [s]", "instruction"];
+    const heads = ["", "speed [m/s]", isCrossed(this.finding) ? "place" : "in cell", "gap [m]", "contact in [s]", this.finding.decisions.length ? "decision, instruction" : "instruction"];
     const table = html("div", { class: "scroll" }, html("table", { class: "readout" }, [
       html("caption", { class: "unseen" }, "All vehicles at the time shown"),
       html("thead", {}, html("tr", {}, heads.map((head) => html("th", { scope: "col" }, head)))), this.readout,
@@ -131,7 +131,7 @@ class Player {
       index ? placeName(state, this.finding.vehicles[index].zone) : "",
       index ? fixed(state.gap, 1) : "",
       index ? fixed(state.ttc, 2) : "",
-      instruction ? PHASES[instruction.zone ? "crossing" : instruction.phase](instruction) : "",
+      index ? (instruction ? PHASES[instruction.zone ? "crossing" : instruction.phase](instruction) : "") : decisionAt(this.finding, this.time),
     ] : ["-", "-", "-", "-", ""];
     this.rows[index].forEach((cell, column) => { if (cell.textContent !== texts[column]) cell.textContent = texts[column]; });
   }

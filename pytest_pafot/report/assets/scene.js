@@ -63,6 +63,11 @@ function instructionAt(finding, npc, time) {
   return { ...row, phase: row.arrived !== null && time >= row.arrived - 1e-9 ? "arrived" : "approach" };
 }
 
+function decisionAt(finding, time) {
+  const decision = finding.decisions.findLast(([start]) => start <= time + 1e-6);
+  return decision ? inUnits(decision[2]) : "";
+}
+
 function cellCentre(finding, ego, cell, [index, share]) {
   const road = finding.road;
   if (road.shapes.length) {
@@ -109,6 +114,7 @@ const PHASES = {
 const TRAIL_SECONDS = 4;
 const RULER = 24;
 const LANE_NAME = 50;
+const NAME_WIDTH = 40;
 const POINTER_ROOM = 210;
 const SHOULDER = 1.4;
 const HALF_HEIGHT = 18; // Half of the height [m] that the picture of a bent road shows ...
@@ -158,7 +164,11 @@ class Scene {
         "stroke-dasharray": `${px(3 * this.scale)} ${px(9 * this.scale)}`,
       });
     });
-    const names = road.lanes.map((centre, lane) => svg("text", { x: 6, y: px(this.y(centre) + 4), class: "small soft halo" }, `lane ${lane}`));
+    // A plate keeps trails out of the name of a lane. On a bent road the names move with their lanes.
+    const count = this.isWorld ? road.shapes.length : road.lanes.length;
+    this.names = Array.from({ length: this.isCrossed ? 0 : count }, (_, lane) => svg("g", { class: "lane-name" }, [
+      svg("rect", { x: 0, y: -8, width: NAME_WIDTH, height: 15, class: "plate" }), svg("text", { x: 3, y: 4, class: "small soft" }, `lane ${lane}`),
+    ]));
     this.cells = [1, 2, 3, 4, 5, 6, 7, 8].map(() => [svg("rect", { class: "cell", rx: 3 }), svg("text", { class: "cell-number" })]);
     this.trails = this.finding.vehicles.map((vehicle, index) => svg("path", {
       class: `trail ${index ? stroke(index) : "ego-trail"}`, "stroke-dasharray": index ? "1 5" : null, "stroke-linecap": "round",
@@ -179,7 +189,7 @@ class Scene {
       svg("text", { class: "impact-label" }, this.impactText()),
     ]);
     this.root.append(
-      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, this.plan, ...this.lines.flat(), ...names,
+      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, this.plan, ...this.lines.flat(), ...this.names,
       ...this.bodies.map((body) => body.group), ...this.pointers, this.impact, this.ruler(),
     );
   }
@@ -238,7 +248,7 @@ class Scene {
 
   ruler() {
     const y = this.height - RULER;
-    const marks = [];
+    const marks = this.isWorld ? [svg("rect", { x: 0, y: px(y), width: px(this.width), height: RULER, class: "glass solid" })] : [];
     const reach = this.width / this.scale;
     const step = niceStep(reach, this.width / 80);
     for (let metres = Math.ceil(-this.middle / this.scale / step) * step; metres * this.scale + this.middle < this.width; metres += step) {
@@ -267,12 +277,47 @@ class Scene {
     const wanted = this.drawTargets(states, time, frame);
     this.drawCells(ego, wanted, frame);
     this.taken = [];
+    this.texts = [];
+    this.drawNames(states);
     states.forEach((state, index) => this.drawVehicle(state, index));
     states.forEach((state, index) => { if (index && state) this.drawPointer(state, index); });
+    this.hideCovered();
     this.drawTrails(time, frame, ego);
     this.drawPlan(time);
     this.drawImpact(states, time);
     return states;
+  }
+
+  drawNames(states) {
+    // Names at the left, on a bent road near there; none where a vehicle or another name would be in its place.
+    const boxes = this.boxes(states);
+    const isFree = ([x, y]) => [...boxes, ...this.texts].every(([bx, by, wide, high]) => Math.abs(bx - x - NAME_WIDTH / 2) > wide + NAME_WIDTH / 2 || Math.abs(by - y) > high + 8);
+    this.names.forEach((name, lane) => {
+      const places = this.isWorld ? this.placesOf(lane) : [[4, this.y(this.finding.road.lanes[lane])]];
+      const place = places.find(isFree);
+      name.setAttribute("visibility", place ? "visible" : "hidden");
+      if (!place) return;
+      name.setAttribute("transform", `translate(${px(place[0])} ${px(place[1])})`);
+      this.texts.push([place[0] + NAME_WIDTH / 2, place[1], NAME_WIDTH / 2, 8]);
+    });
+  }
+
+  placesOf(lane) {
+    // The places for the name of a bent lane that are in sight, those at the left and near the ego's height first.
+    const away = ([x, y]) => x + 2 * Math.abs(y - this.y(this.egoAcross));
+    return this.finding.road.shapes[lane].points
+      .map(([along, across]) => [this.x(along) - NAME_WIDTH / 2, this.y(across)])
+      .filter(([x, y]) => x > 4 && x < this.width - NAME_WIDTH - 4 && y > 10 && y < this.height - RULER - 10)
+      .sort((a, b) => away(a) - away(b));
+  }
+
+  // The centre of each vehicle, and half of the width and the height of the rectangle around it.
+  boxes(states) {
+    return states.filter(Boolean).map((state) => {
+      const [cos, sin] = this.isWorld ? [Math.abs(Math.cos(state.heading)), Math.abs(Math.sin(state.heading))] : [1, 0];
+      const [wide, high] = [state.length * cos + state.width * sin, state.length * sin + state.width * cos];
+      return [this.x(state.along), this.y(state.across), (wide / 2) * this.scale, (high / 2) * this.scale];
+    });
   }
 
   drawCells(ego, wanted, frame) {
@@ -288,7 +333,16 @@ class Scene {
       number.setAttribute("transform", turned(centre.heading, x, y));
       change(number, { x: px(x - length / 2 + 7), y: px(y - width / 2 + 9), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
-      if (centre.exists) this.numbers.push(this.numberPlace(centre, x, y, length, width));
+      if (centre.exists) this.numbers.push([...this.numberPlace(centre, x, y, length, width), number]);
+    });
+  }
+
+  hideCovered() {
+    // The number of a cell gives way to the name of a lane and to an arrow's text.
+    this.numbers = this.numbers.filter(([x, y, number]) => {
+      const isFree = this.texts.every(([tx, ty, wide, high]) => Math.abs(tx - x) > wide + 6 || Math.abs(ty - y) > high + 8);
+      if (!isFree) number.setAttribute("visibility", "hidden");
+      return isFree;
     });
   }
 
@@ -362,6 +416,8 @@ class Scene {
     const beside = Math.hypot(away, state.across - this.egoAcross);
     const where = this.isWorld ? `${beside.toFixed(0)} m away` : `${away.toFixed(0)} m ${isLeft ? "behind" : "ahead"}`;
     label.textContent = `NPC ${index - 1}, ${where}`;
+    const half = 3.7 * label.textContent.length;
+    this.texts.push([edge + inward * (14 + half), y, half + 14, 9]);
   }
 
   drawTrails(time, frame, ego) {
@@ -420,11 +476,10 @@ class Scene {
   // The place of the text at the impact, relative to it: the nearest one that covers no vehicle, no cell's number and no slot.
   labelOffset(states, x, y) {
     const half = 3.7 * this.impactText().length;
-    const boxes = states.filter(Boolean).map((state) => {
-      const [cos, sin] = this.isWorld ? [Math.abs(Math.cos(state.heading)), Math.abs(Math.sin(state.heading))] : [1, 0];
-      const [wide, high] = [state.length * cos + state.width * sin, state.length * sin + state.width * cos];
-      return [this.x(state.along), this.y(state.across), half + (wide / 2) * this.scale, 8 + (high / 2) * this.scale];
-    }).concat(this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]), this.zoneLabels(states, half));
+    const boxes = this.boxes(states).map(([bx, by, wide, high]) => [bx, by, half + wide, 8 + high]).concat(
+      this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]), this.zoneLabels(states, half),
+      this.texts.map(([tx, ty, wide, high]) => [tx, ty, half + wide, high + 8]),
+    );
     const isFree = ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
       && boxes.every(([bx, by, wide, high]) => Math.abs(bx - x - dx) > wide || Math.abs(by - y - dy + 4) > high);
     return this.offsets.find(isFree) ?? [0, 32];
