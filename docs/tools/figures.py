@@ -49,11 +49,8 @@ REPORTS = {
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
 BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
-    "paper-collisions": (
-        "paper_differences --tables collisions --scenarios {1000|20} --careless {200|2}",
-        "docs/comparisons/README.md",
-    ),
-    "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", "docs/explanation/paper.md"),
+    "paper-collisions": ("paper_differences --tables collisions --scenarios {1000|20} --careless {200|2}", None),
+    "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", None),
     "planted-defects": (
         "planted_defects --half set-aside --arms default random cells random-cells lanes --seeds {20|1} "
         "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
@@ -112,6 +109,8 @@ STATISTICS = "statistics.csv"
 """Every test of the reports."""
 STATISTICS_COLUMNS = "report,measure,at equal,first,second,median of first,median of second,A12 [95 %],p,Holm's p,test"
 STORED = {
+    "paper-collisions": ("paper-collisions.csv",),
+    "paper-readings": ("paper-readings.csv",),
     "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
     "planted-junctions": ("planted-junctions.csv",),
     "collisions": ("ablation-collisions.csv",),
@@ -125,9 +124,7 @@ PICTURES = {"paper/figures/collisions-over-time.png": "paper.png", "planted-defe
 
 SUMMARY = {
     "unique scenarios that collide": "share of unique",
-    "simulated time per scenario": "simulated per scenario",
     "simulated time per collision": "simulated per collision",
-    "time to a collision, where there is one": "time to collision (max / min)",
     "collisions that an NPC alone is responsible for": "share of NPCs",
     "distinct failures of the ego, mean of a run": "mean of a run",
 }

@@ -1,8 +1,8 @@
 """Write the table of explanation/gallery.md, its pictures, and the reasons of all verdicts, from the tests' situations.
 
 Run it after a change of the situations or the rules: ``python docs/tools/gallery.py``. It needs only the plugin. The
-page has no reasons, which would make it three times as long: they are in tests/attribution/gallery.txt, where a change
-of the rules shows what it changes.
+page shows the first situation below each heading with each verdict. The reasons of all situations are in
+tests/attribution/gallery.txt, where a change of the rules shows what it changes.
 """
 
 from __future__ import annotations
@@ -67,11 +67,21 @@ def written(page: str) -> str:
 
 def pictures() -> dict[str, str]:
     """Return the text of every picture, by the name of its file."""
-    return {f"{each.name}.svg": picture(each.trace()) for group in SITUATIONS.values() for each in group}
+    return {f"{each.name}.svg": picture(each.trace()) for group in shown().values() for each in group}
+
+
+def shown() -> dict[str, list[Situation]]:
+    """Return the situations on the page by heading: the first with each verdict and fault."""
+    on_page: dict[str, dict[tuple[str, str | None], Situation]] = {}
+    for heading, group in SITUATIONS.items():
+        first = on_page.setdefault(heading, {})
+        for each in group:
+            first.setdefault((each.responsibility, each.fault), each)
+    return {heading: [*first.values()] for heading, first in on_page.items()}
 
 
 def _rows() -> Iterator[str]:
-    for heading, group in SITUATIONS.items():
+    for heading, group in shown().items():
         yield f"\n## {heading}\n\n| What happens | Verdict |\n| --- | --- |\n"
         for situation in group:
             image = f"![{situation.name}](gallery/{situation.name}.svg)"

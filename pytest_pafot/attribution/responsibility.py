@@ -1,7 +1,7 @@
 """Responsibility for a collision, by written rules that read only the trace of the run.
 
 :func:`rss_rule` decides the verdict; :func:`position_rule` is a second opinion. docs/explanation/verdicts.md has the
-rules clause by clause, with their sources.
+rules, their numbers and their sources.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ from pytest_pafot.model.trace import ALONG, HEADING, LANE, SPEED, Trace, X, Y
 
 # Right of way where the NPC's way meets the ego's: which vehicle did not give way, and which entered a taken zone.
 #
-# This is rule 9 of docs/explanation/verdicts.md, clause by clause. Sources: Shalev-Shwartz, Shammah, Shashua, "On a
-# Formal Model of Safe and Scalable Self-driving Cars", arXiv:1708.06374, definitions 15 to 18, as ad-rss-lib has them;
-# Vienna Convention on Road Traffic, Art. 1 and 18.
+# This is rule 9 of docs/explanation/verdicts.md. Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe
+# and Scalable Self-driving Cars", arXiv:1708.06374, definitions 15 to 18, as ad-rss-lib has them; Vienna Convention on
+# Road Traffic, Art. 1 and 18.
 
 OUTSIDE = 1.0
 """The distance outside its stretch of a zone at which a vehicle still counts as in the zone [m]. The stretches assume
@@ -485,8 +485,8 @@ def rss_rule(trace: Trace) -> Attribution:
     ego is responsible, too, if a careful driver would have avoided a cut-in by braking. Without a lane change, the
     follower is responsible if braking with 6 m/s^2 after 1 s would have avoided the collision. An ego ahead is
     responsible only for braking hard, or stopping, with nothing in its way. If the NPC's way meets the ego's, right of
-    way is decided first. The ego is always responsible for touching a fixed object. Each clause, its source and its
-    numbers are in docs/explanation/verdicts.md.
+    way is decided first. The ego is always responsible for touching a fixed object. The rules, their numbers and
+    their sources are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157

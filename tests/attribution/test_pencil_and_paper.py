@@ -1,7 +1,4 @@
-"""The rules against a second program, written only from their page, and the reasons against their traces.
-
-The page is docs/explanation/verdicts.md.
-"""
+"""The rules against a second program, written without a look at the first, and the reasons against their traces."""
 
 from collections import Counter
 
@@ -53,11 +50,11 @@ def collisions(request):
     }
 
 
-def test_program_written_from_the_page_gives_same_verdicts(collisions):
+def test_second_program_gives_same_verdicts(collisions):
     differ = {}
     for name, trace in collisions.items():
-        package, page = rss_rule(trace), judge(trace)
-        verdicts = [(each.responsibility, each.fault, each.tick) for each in (package, page)]
+        package, second = rss_rule(trace), judge(trace)
+        verdicts = [(each.responsibility, each.fault, each.tick) for each in (package, second)]
         if verdicts[0] != verdicts[1]:
             differ[name] = (*verdicts, package.reason)
     assert differ == {}

@@ -1,6 +1,6 @@
-"""Do two programs that were written from one page come to the same verdicts on random collisions?
+"""Do two programs that were written independently come to the same verdicts on random collisions?
 
-The page is docs/explanation/verdicts.md.
+The rules are those of docs/explanation/verdicts.md.
 
     python -m tests.benchmarks.verdicts_twice [--collisions 2000] [--seed 0] [--policies NAME ...] [--workers 2]
         [--instructions cells]

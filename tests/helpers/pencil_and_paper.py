@@ -1,7 +1,8 @@
-"""A second implementation of the attribution rules, from docs/explanation/verdicts.md only: each clause in plain loops.
+"""A second implementation of the attribution rules: every condition in plain loops.
 
-Its author did not look at the program that it checks. It is obvious rather than fast. Sides are +1 for right and -1 for
-left; ticks are indices of the trace's rows.
+The rules have the numbers of docs/explanation/verdicts.md, which leaves out exceptions. The program was written without
+a look at the one that it checks. It is obvious rather than fast. Sides are +1 for right and -1 for left; ticks are
+indices of the trace's rows.
 """
 
 from __future__ import annotations

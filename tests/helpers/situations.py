@@ -121,6 +121,12 @@ SITUATIONS = {
             "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
         Situation(
+            "hit-from-behind",
+            "The ego keeps its speed of 20 m/s. An NPC with 26 m/s runs into it from behind.",
+            lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
+            "npc", None, "4b", "(safe: ",
+        ),
+        Situation(
             "standing-vehicle-ignored",
             "A vehicle has stood in the ego's lane all the time, 150 m ahead. The ego does not brake.",
             lambda: hit(driven(0.0), driven(155.0, speed=0.0)),
@@ -184,12 +190,6 @@ SITUATIONS = {
             "npc-tailgates",
             "An NPC comes up to 2 m behind the ego and stays there. 5 s later the ego brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(13.0, 4.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
-            "npc", None, "4b", "(safe: ",
-        ),
-        Situation(
-            "hit-from-behind",
-            "The ego keeps its speed of 20 m/s. An NPC with 26 m/s runs into it from behind.",
-            lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
             "npc", None, "4b", "(safe: ",
         ),
         Situation(
