@@ -16,7 +16,7 @@ PYTHONS = nox.project.python_versions(PROJECT)
 """The Python versions that the project supports, oldest first."""
 README = Path("README.md").read_text(encoding="utf-8")
 QUICK = "@tests/quick.txt"
-STAGES = "oracle or stories or processes or hypothesis or extras or long"
+STAGES = "oracle or stories or processes or extras or long"
 
 nox.options.sessions = ["lint", "types", f"quick-{PYTHONS[-1]}"]
 nox.options.reuse_venv = "yes"
@@ -45,10 +45,10 @@ def tests(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0])
 def stages(session: nox.Session) -> None:
-    """Run the stages that the README's command leaves out, with more examples of hypothesis."""
+    """Run the stages that the README's command leaves out."""
     install, run = readme_commands()
     session.run(*install)
-    session.run(*run, "--hypothesis-profile=thorough", "-m", STAGES, *session.posargs)
+    session.run(*run, "-m", STAGES, *session.posargs)
 
 
 @nox.session(python=PYTHONS)

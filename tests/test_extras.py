@@ -205,17 +205,8 @@ def test_executor_of_any_kind_makes_the_runs_of_a_search(project):  # noqa: F811
     project.run().assert_outcomes(passed=1)
 
 
-SLOW = pytest.mark.processes  # importing its library takes seconds
-
-
-@pytest.mark.parametrize(
-    "name", ["av-fuzzer", *(pytest.param(name, marks=SLOW) for name in ("nsga2", "map-elites", "cma-es"))]
-)
-def test_algorithm_asks_and_is_told(name, make_evaluation):  # noqa: F811
-    algorithm = resolve_algorithm(name)
-    if algorithm.library is not None:
-        pytest.importorskip(algorithm.library)
-    search, rng = algorithm.make(SearchSpace(npcs=2)), np.random.default_rng(1)
+def test_algorithm_asks_and_is_told(make_evaluation):  # noqa: F811
+    search, rng = resolve_algorithm("av-fuzzer").make(SearchSpace(npcs=2)), np.random.default_rng(1)
     state, asked = search.ask(search.start(rng), rng)
     assert len(asked) > 0
     state, events = search.tell(state, [make_evaluation(each) for each in asked], rng)

@@ -300,7 +300,8 @@ class _Sparing:
 
 def _write_sparingly(report: pytest.TestReport, writer: Any) -> None:
     """Write a failure report on a terminal, with the colours that :class:`_Sparing` leaves."""
-    pytest.TestReport.toterminal(report, _Sparing(writer))
+    sparing: Any = _Sparing(writer)
+    pytest.TestReport.toterminal(report, sparing)
 
 
 def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:

@@ -18,6 +18,7 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
 from pytest_pafot.searching import DistinctSearch, RandomSearch
+from tests.helpers.sessions import remember_reference_runs
 
 pytestmark = [
     pytest.mark.processes,
@@ -49,6 +50,7 @@ def holds(run):
 @pytest.fixture
 def searched(tmp_path, monkeypatch):
     """Return a function that searches in blocks of 16 runs, and tells all about it and which blocks were given away."""
+    remember_reference_runs(monkeypatch)
     for each in (DistinctSearch, RandomSearch):
         monkeypatch.setattr(each, "block_runs", 16)
     given, task = [], blocks.BlockTask

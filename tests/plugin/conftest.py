@@ -17,7 +17,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway
-from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_sessions
+from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_sessions, remember_reference_runs
 
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
 imported(*CORE)
@@ -199,7 +199,9 @@ def project(request, pytester, monkeypatch, found):
     process does, the others must do as well.
     """
     quick_sessions(monkeypatch)
-    if not request.node.get_closest_marker("processes"):
+    if request.node.get_closest_marker("processes"):
+        remember_reference_runs(monkeypatch)
+    else:
         omit_slow_steps(monkeypatch)
     monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
     for name in (
