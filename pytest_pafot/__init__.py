@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from pytest_pafot.world import Observation as Observation
     from pytest_pafot.world import Perception as Perception
     from pytest_pafot.world import Planned as Planned
+    from pytest_pafot.world import Simulator as Simulator
+    from pytest_pafot.world import SimulatorWorld as SimulatorWorld
     from pytest_pafot.world import World as World
     from pytest_pafot.world import WorldError as WorldError
     from pytest_pafot.world import WorldLike as WorldLike
@@ -94,6 +96,8 @@ _HOMES = {
     "Scenario": "model.scenario",
     "ScenarioError": "model.instructions",
     "Signal": "criticality.signals",
+    "Simulator": "world",
+    "SimulatorWorld": "world",
     "Step": "model.instructions",
     "TRUCK": "model.vehicle_type",
     "Trace": "model.trace",

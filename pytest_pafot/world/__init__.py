@@ -19,14 +19,17 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.perception import Perception
+from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.action import Drive, Planned
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [
     "AdsFactoryError",
+    "Control",
     "CrossingVehicle",
     "Drive",
     "Highway",
@@ -34,6 +37,9 @@ __all__ = [
     "Observation",
     "Perception",
     "Planned",
+    "Simulator",
+    "SimulatorWorld",
+    "Vehicle",
     "VehicleState",
     "World",
     "WorldError",
