@@ -502,8 +502,8 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the default arguments of the search space, for algorithms that are not bound to the paper's space.
 
     NPCs are attentive if the world has styles of traffic. If other ways meet the ego's way, most NPCs cross from there.
-    The other defaults are only for a straight road. The start is random only on a Highway, because an environment
-    defines how its ego starts.
+    The other defaults are only for a straight road. The start is random only on a Highway, and in a user's simulator,
+    because an environment defines how its ego starts.
     """
     world = base_world(world)
     drawn: dict[str, Any] = {}
@@ -523,7 +523,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
-    draws_lane = isinstance(world.given, Highway) and "ego_lane" not in given
+    draws_lane = isinstance(world.given, (Highway, SimulatorWorld)) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
         drawn["npcs"] = npcs
@@ -535,7 +535,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:
         drawn["ego_lanes"] = lanes
-    if isinstance(world.given, Highway) and "ego_speed" not in given:
+    if isinstance(world.given, (Highway, SimulatorWorld)) and "ego_speed" not in given:
         limit = world.speed_limit
         slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn.get("traffic", PAPERS)).least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,8 @@ MOST_LANES = 12
 """The largest number of lanes."""
 LEAST_LENGTH = 100.0
 """The least length of a road [m]."""
+LEAST_RUN = 20.0
+"""The time for which a straight road must last at top speed [s]; the runs of a shorter one end where it ends."""
 ROOM_BEHIND = 150.0
 """The length of a road behind the ego's start if a simulator does not say where it starts [m]."""
 
@@ -99,7 +101,7 @@ class SimulatorWorld(BuiltInWorld):
         return Simulators(self.simulator)
 
     @cached_property
-    def _stated(self) -> SimpleNamespace:
+    def _stated(self) -> _Stated:
         """What the simulator states, checked, in SI units and the axes of a run."""
         simulators = self._simulators
         made = simulators.take()
@@ -112,14 +114,12 @@ class SimulatorWorld(BuiltInWorld):
     @property
     def physics_hz(self) -> int:
         """The simulator's ticks per second."""
-        hz: int = self._stated.hz
-        return hz
+        return self._stated.hz
 
     @property
-    def name(self) -> str:
-        """The name of the simulator's class."""
-        name: str = self._stated.name
-        return name
+    def maker(self) -> type[Simulator]:
+        """The class of the simulator."""
+        return self._stated.maker
 
     @property
     def speed_limit(self) -> float:
@@ -136,52 +136,60 @@ class SimulatorWorld(BuiltInWorld):
         """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
         return None if self.start is None else RoadStart(*self.start, physics_hz=self.physics_hz)
 
-    @cached_property
+    @property
     def road(self) -> Road:
         """The road: straight, or the ego's way along lanes of any shape."""
-        return self._on_road[0]
+        return self._on_road.road
 
     @cached_property
-    def _on_road(self) -> tuple[Road, Frame]:
-        """The road, and the axes of the simulator on it."""
+    def _on_road(self) -> _OnRoad:
+        """The road, the axes of the simulator on it, and how long runs can last there."""
         stated = self._stated
-        lines, width, limit = stated.lines, stated.lane_width, stated.speed_limit
-        self.limits.top_speed(limit)
+        self.limits.top_speed(stated.speed_limit)
+        width, limit = stated.lane_width, stated.speed_limit
+        ends = 2 * ego_start(self.headway, self.clearance)
+        lines = self._lines
         if lines is None:
-            endless = 100.0 + 2 * ego_start(self.headway, self.clearance) + TOP_SPEED * (self.duration + DRIVEN_ON)
-            length = stated.length or endless
-            return StraightRoad.uniform(stated.count, length, width, limit), Frame(stated)
-        from pytest_pafot.world.roads.lines import straight_along  # noqa: PLC0415  (only for lanes with points)
+            length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
+            return _OnRoad(StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf)
+        from pytest_pafot.world.roads.lines import network_of, straight_along  # noqa: PLC0415  (not in each world)
 
         if (found := straight_along(lines, width)) is not None:
             origin, length = found
-            return StraightRoad.uniform(len(lines), length, width, limit), Frame(stated, origin)
-        from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for bent roads)
+            longest = (length - ends) / TOP_SPEED
+            if longest >= min(self.duration, LEAST_RUN):
+                return _OnRoad(StraightRoad.uniform(len(lines), length, width, limit), Frame(stated, origin), longest)
+        from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for roads of other shapes)
 
-        lane, at = stated.start_lane, stated.start_at
-        line = lines[lane]
+        line, at = lines[stated.start_lane], stated.start_at
         lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
         if at is None:
             at = min(ROOM_BEHIND, float(lengths[-1]) / 4)
-        x, y = (float(np.interp(at, lengths, line[:, axis])) for axis in (0, 1))
-        ahead = np.array([np.interp(at + 0.5, lengths, line[:, axis]) for axis in (0, 1)])
-        heading = math.atan2(ahead[1] - y, ahead[0] - x)
+        place, ahead = (np.array([np.interp(each, lengths, line[:, axis]) for axis in (0, 1)]) for each in (at, at + 1))
         speed = min(EGO_SPEED, limit) if stated.start_speed is None else stated.start_speed
-        ego = SimpleNamespace(position=np.array([x, y]), heading=heading, speed=speed)
-        env = SimpleNamespace(road=SimpleNamespace(network=self.network), vehicle=ego)
-        return survey(env, stated.name, self.limits, self.duration * TOP_SPEED), Frame(stated)
+        ego = SimpleNamespace(position=place, heading=math.atan2(*(ahead - place)[::-1]), speed=speed)
+        network = network_of(lines, width, limit)
+        env = SimpleNamespace(road=SimpleNamespace(network=network), vehicle=ego)
+        road = survey(env, stated.name, self.limits, self.duration * TOP_SPEED)
+        longest = (road.end - road.start) / speed if speed > 0.0 else math.inf
+        return _OnRoad(road, Frame(stated), longest, network)
+
+    @property
+    def _lines(self) -> list[Any] | None:
+        """The centre lines of the lanes [m]; None for a straight road without an end."""
+        stated = self._stated
+        if stated.lines is not None or stated.length is None:
+            return stated.lines
+        across = [number * stated.lane_width for number in range(stated.count)]
+        return [np.array([(0.0, each), (stated.length, each)]) for each in across]
 
     @cached_property
     def network(self) -> Any:
         """The road as a road network of highway-env."""
         from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
 
-        stated = self._stated
-        if stated.lines is not None:
-            from pytest_pafot.world.roads.lines import network_of, straight_along  # noqa: PLC0415
-
-            if straight_along(stated.lines, stated.lane_width) is None:
-                return SearchedLanes(network_of(stated.lines, stated.lane_width, stated.speed_limit))
+        if self._on_road.network is not None:
+            return SearchedLanes(self._on_road.network)
         lane = self.road.lanes[0]
         return SearchedLanes(straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit))
 
@@ -196,26 +204,16 @@ class SimulatorWorld(BuiltInWorld):
     def _rules(self) -> Rules:
         road, duration, hz = self.road, self.duration, self.physics_hz
         ads_hz = self.ads_hz or next(each for each in range(5, hz + 1) if hz % each == 0)
-        check_divides((f"{self.name}.hz", hz), ("ads_hz", ads_hz))
+        check_divides((f"{self._stated.name}.hz", hz), ("ads_hz", ads_hz))
         check_ticks(duration, hz)
-        if isinstance(road, StraightRoad):
-            room = (road.length - 2 * ego_start(self.headway, self.clearance)) / TOP_SPEED
-            if room < 1.0:
-                least = 2 * ego_start(self.headway, self.clearance) + TOP_SPEED
-                received = f"{road.length:g} m"
-                raise WorldError(
-                    field=f"{self.name}.lanes", expected=f"a road of {least:g} m or more", received=received
-                )
-            duration = min(duration, math.floor(room * hz) / hz)
-        elif (speed := road.prescribed[1] if road.prescribed else 0.0) > 0:
-            duration = min(duration, (getattr(road, "end") - road.ego_start(0.0, 0.0)) / speed)  # noqa: B009
+        duration = min(duration, self._on_road.longest)
         rules = self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
         return replace(rules, drivers=dict.fromkeys(self._stated.drivers, BySimulator))
 
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
         """The fixed objects: x [m], y [m], heading [rad], length and width [m]."""
-        frame, found = self._on_road[1], []
+        frame, found = self._on_road.frame, []
         for x, y, heading, length, width in self._stated.obstacles:
             placed = frame.state((x, y, heading, 0.0), 0.0, 0.0)
             found.append((*placed[:3], length * frame.metres, width * frame.metres))
@@ -247,7 +245,7 @@ class SimulatorWorld(BuiltInWorld):
             if chain[0].follows_track and not self._stated.follows_recordings:
                 raise ScenarioError(
                     field=f"npcs[{npc}][0]",
-                    expected=f"no recorded NPC in {self.name}, which does not follow recordings",
+                    expected=f"no recorded NPC in {self._stated.name}, which does not follow recordings",
                     received=chain[0].goal,
                     fix="let step put vehicles with control.recorded where the control says, and set "
                     "follows_recordings = True",
@@ -322,7 +320,7 @@ class SimulatorWorld(BuiltInWorld):
 
     def _simulate(self, run: SteppedRun, scenario: Scenario, guard: HangGuard) -> None:
         """Let the simulator move the vehicles of a run that begins."""
-        frame, vehicles = self._on_road[1], run.vehicles
+        frame, vehicles = self._on_road.frame, run.vehicles
         try:
             vehicles.loop.simulation = Simulation(self._simulators, frame, vehicles, scenario.seed, guard)
         except BaseException:
@@ -331,73 +329,132 @@ class SimulatorWorld(BuiltInWorld):
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
         """Return an ego that repeats its decisions up to a tick, which leads the simulator to the same states."""
-        return RepeatedBody(*trace.sizes[0], trace.actions, tick)
+        length, width = trace.sizes[0].tolist()
+        return RepeatedBody(length, width, trace.actions, tick)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for a corpus file, which holds no code: a replay needs the world that its test names."""
-        stated, road = self._stated, self.road
-        limits = asdict(self.limits)
-        own = {"lanes": road.lane_count, "speed_limit": road.speed_limit, "physics_hz": stated.hz}
-        own |= {"ads_hz": self._rules.ads_hz, "duration": self.duration}
-        own |= {name: getattr(self, name) for name in ("clearance", "headway")}
-        data = {"kind": "simulator", "class": stated.name, **own, "limits": limits, "hang_limit": self.hang_limit}
-        if stated.data:
-            data["data"] = stated.data
-        return data if self.ego == CAR else {**data, "ego": self.ego.plain()}
+        """Return plain data for a corpus file, under ``simulator`` what the simulator's own ``to_dict`` returns."""
+        own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
+        own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
+        own |= {"clearance": self.clearance, "headway": self.headway, "limits": asdict(self.limits)}
+        own |= {"hang_limit": self.hang_limit, "simulator": self._stated.data}
+        return own if self.ego == CAR else {**own, "ego": self.ego.plain()}
+
+    @classmethod
+    def of(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
+        """Make a world from its plain data and the class of its simulator; the opposite of :meth:`to_dict`.
+
+        Raises:
+            Exception: any exception of the class, for data that it does not accept.
+        """
+        given, stated = dict(data), ("lanes", "speed_limit", "physics_hz")
+        own = {name: given.pop(name) for name in stated}
+        if not isinstance(given["limits"], dict):
+            raise WorldError(field="world.data.limits", expected="a mapping", received=f"{given['limits']!r:.200}")
+        world = cls(partial(simulator, **given.pop("simulator")), **{**given, "limits": NpcLimits(**given["limits"])})
+        now = world.to_dict()
+        for name in stated:
+            if now[name] != own[name]:
+                field = f"world.data.{name}"
+                raise WorldError(field=field, expected=f"{now[name]!r:.200}, as now", received=f"{own[name]!r:.200}")
+        return world
 
 
-def _stated(simulator: Simulator) -> SimpleNamespace:
-    """Return what a simulator states, checked, in SI units and the axes of a run.
+class _OnRoad(NamedTuple):
+    """A road, the axes of the simulator on it, how long runs can last [s], and highway-env's network of a bent one."""
+
+    road: Road
+    frame: Frame
+    longest: float
+    network: Any = None
+
+
+@dataclass(slots=True)
+class _Stated:
+    """What a simulator states, checked: its units and axes as it states them, all else in those of a run (SI)."""
+
+    maker: type[Simulator]
+    metres: float
+    metres_per_second: float
+    y_is_left: bool
+    degrees: bool
+    from_north: bool
+    at_front: bool
+    hz: int
+    lane_width: float
+    speed_limit: float
+    length: float | None
+    start_lane: int
+    start_speed: float | None
+    start_at: float | None
+    follows_recordings: bool
+    drivers: tuple[str, ...]
+    obstacles: list[tuple[float, float, float, float, float]]
+    data: dict[str, Any]
+    count: int = 0
+    lines: list[Any] | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the simulator's class."""
+        return self.maker.__name__
+
+
+def _stated(simulator: Any) -> _Stated:
+    """Return what a simulator states.
 
     Raises:
         WorldError: for a value that cannot be used; the message names the field.
     """
-    name = type(simulator).__name__
     if not isinstance(simulator, Simulator):
         expected = "that it makes a pafot.Simulator"
         raise WorldError(field="simulator", expected=expected, received=f"{simulator!r:.200}")
-    at = lambda field: f"{name}.{field}"  # noqa: E731
-    metres = number_within(at("metres"), simulator.metres, 1e-3, 1e4)
-    unit = number_within(at("metres_per_second"), simulator.metres_per_second, 1e-3, 1e3)
+    name = type(simulator).__name__
+    metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
+    unit = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
 
-    def in_si(field: str, default: float | None, low: float, high: float, of: float) -> float | None:
+    def flag(field: str) -> bool:
         value = getattr(simulator, field)
-        if value is None:
-            return default
-        return number_within(f"{at(field)} [SI]", number_within(at(field), value, -1e9, 1e9) * of, low, high)
+        if not isinstance(value, bool):
+            raise WorldError(field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}")
+        return value
 
-    found = SimpleNamespace(
-        name=name,
-        hz=whole_within(at("hz"), simulator.hz, *PHYSICS_HZ),
+    def in_si(field: str, low: float, high: float, of: float) -> float | None:
+        """Return a value in SI units; None if the simulator states none."""
+        value = getattr(simulator, field)
+        return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of) * of
+
+    drivers = tuple(map(checked_driver, simulator.drivers))
+    if own := [each for each in drivers if each in BUILT_IN_DRIVERS]:
+        expected = f"other names than {', '.join(BUILT_IN_DRIVERS)}, which the package has"
+        raise WorldError(field=f"{name}.drivers", expected=expected, received=own[0])
+    found = _Stated(
+        maker=type(simulator),
         metres=metres,
         metres_per_second=unit,
-        lane_width=in_si("lane_width", LANE_WIDTH, 2.0, 10.0, metres),
-        speed_limit=in_si("speed_limit", PAPER_SPEED_LIMIT, 5.0, TOP_SPEED, unit),
-        length=in_si("length", None, LEAST_LENGTH, 1e6, metres),
-        start_speed=in_si("start_speed", None, 0.0, TOP_SPEED, unit),
-        start_at=in_si("start_at", None, 0.0, 1e6, metres),
-        start_lane=0,
-        follows_recordings=bool(simulator.follows_recordings),
-        drivers=tuple(map(checked_driver, simulator.drivers)),
-        lines=None,
-        count=0,
-        data=plain_data(at("to_dict()"), simulator.to_dict()),
+        y_is_left=flag("y_is_left"),
+        degrees=flag("degrees"),
+        from_north=flag("from_north"),
+        at_front=flag("at_front"),
+        hz=whole_within(f"{name}.hz", simulator.hz, *PHYSICS_HZ),
+        lane_width=in_si("lane_width", 2.0, 10.0, metres) or LANE_WIDTH,
+        speed_limit=in_si("speed_limit", 5.0, TOP_SPEED, unit) or PAPER_SPEED_LIMIT,
+        length=in_si("length", LEAST_LENGTH, 1e6, metres),
+        start_lane=whole_within(f"{name}.start_lane", simulator.start_lane, 0, MOST_LANES - 1),
+        start_speed=in_si("start_speed", 0.0, TOP_SPEED, unit),
+        start_at=in_si("start_at", 0.0, 1e6, metres),
+        follows_recordings=flag("follows_recordings"),
+        drivers=drivers,
+        obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(simulator.obstacles)],
+        data=plain_data(f"{name}.to_dict()", simulator.to_dict()),
     )
-    for flag in ("y_is_left", "degrees", "from_north", "at_front"):
-        if not isinstance(value := getattr(simulator, flag), bool):
-            raise WorldError(field=at(flag), expected="True or False", received=f"{value!r:.100}")
-        setattr(found, flag, value)
-    if own := [each for each in found.drivers if each in BUILT_IN_DRIVERS]:
-        expected = f"other names than {', '.join(BUILT_IN_DRIVERS)}, which the package has"
-        raise WorldError(field=at("drivers"), expected=expected, received=own[0])
     if isinstance(simulator.lanes, int):
-        found.count = whole_within(at("lanes"), simulator.lanes, 1, MOST_LANES)
+        found.count = whole_within(f"{name}.lanes", simulator.lanes, 1, MOST_LANES)
     else:
         frame = Frame(found)
-        found.lines = [_line(at(f"lanes[{number}]"), line, frame) for number, line in enumerate(simulator.lanes)]
-        found.count = whole_within(f"len({at('lanes')})", len(found.lines), 1, MOST_LANES)
-    found.start_lane = whole_within(at("start_lane"), simulator.start_lane, 0, found.count - 1)
-    found.obstacles = [_obstacle(at(f"obstacles[{number}]"), each) for number, each in enumerate(simulator.obstacles)]
+        found.lines = [_line(f"{name}.lanes[{n}]", line, frame) for n, line in enumerate(simulator.lanes)]
+        found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
+    whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
     return found
 
 
@@ -419,9 +476,10 @@ def _line(place: str, given: Any, frame: Frame) -> Any:
     return line
 
 
-def _obstacle(place: str, given: Any) -> tuple[float, ...]:
+def _obstacle(place: str, given: Any) -> tuple[float, float, float, float, float]:
     values = tuple(given) if isinstance(given, (tuple, list)) else ()
     if len(values) != 5 or not all(isinstance(each, (int, float)) and math.isfinite(each) for each in values):
         expected = "x, y, heading, length and width of a fixed object"
         raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
-    return tuple(map(float, values))
+    x, y, heading, length, width = map(float, values)
+    return x, y, heading, length, width

@@ -209,6 +209,7 @@ class RepeatedBody(Body):
         self._actions = iter(actions)
         self._until = until
         self._tick = 0
+        self._steering = 0.0
         self.repeats: GivenDriver | None = None
         """The driver of its decisions, which needs the other vehicles of the run."""
 
@@ -216,10 +217,12 @@ class RepeatedBody(Body):
         """Move for a tick [s]."""
         driver = self.repeats
         if driver is not None and self._tick < self._until:
+            self.steering = self._steering  # it holds, but the driver that takes over has set its own
             if self._tick % driver.every == 0:
                 driver.observe(self._tick)
                 driver.take(next(self._actions), 0.0)
             driver.actuate()
+            self._steering = self.steering
         self._tick += 1
         super().step(dt)
 
@@ -245,6 +248,7 @@ class Simulation:
         self._tick = 0
         self._hz = vehicles.rules.physics_hz
         self._recorded = [number for number, body in enumerate(self._bodies) if isinstance(body, TrackedNpc)]
+        self._own: set[int] = set()  # the vehicles that a driver of the simulator's drives
         self._simulator: Any = simulators.take()
         self._is_sound = False  # until all methods that were called have returned
         try:
@@ -260,7 +264,7 @@ class Simulation:
     def _starts(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
         frame, rules, scenario = self._frame, vehicles.rules, vehicles.scenario
         kinds = [rules.ego, *scenario.all_vehicles]
-        names = [None, *(getattr(chain[0], "driver", None) for chain in scenario.npcs)]
+        names = ["", *(getattr(chain[0], "driver", "") for chain in scenario.npcs)]
         starts = []
         for number, (body, kind, name) in enumerate(zip(self._bodies, kinds, names, strict=True)):
             is_own = name in self._simulator.drivers
@@ -268,8 +272,9 @@ class Simulation:
             pose = frame.stated(body)
             size = body.length / frame.metres, body.width / frame.metres
             lane = vehicles.places.bodies[number].lane
-            driver = name if is_own else ""
-            starts.append(Vehicle(*pose, *size, lane, kind.name, driver or "", wanted / frame.speed))
+            if is_own:
+                self._own.add(number)
+            starts.append(Vehicle(*pose, *size, lane, kind.name, name if is_own else "", wanted / frame.speed))
         return starts
 
     def move(self) -> None:
@@ -295,7 +300,7 @@ class Simulation:
             if number in recorded:
                 self._speeds[number] = body.speed
                 continue
-            if state[3] != body.speed:  # else its acceleration is the one that it was asked for
+            if state[3] != body.speed or number in self._own:  # else it has the acceleration that it was asked for
                 body.acceleration = (state[3] - self._speeds[number]) * self._hz
             body.place(*state)
             self._speeds[number] = state[3]
