@@ -326,11 +326,9 @@ def _drivers(given: Sequence[str]) -> dict[str, str]:
     """Return the drivers of free NPCs in the values of ``--driver``, as the mark takes them."""
     drivers = dict[str, str]()
     for name, _, reference in (each.partition("=") for each in given):
-        if not reference and name not in BUILT_IN_DRIVERS:
-            expected = f"{', '.join(BUILT_IN_DRIVERS)}, or NAME=MODULE:FACTORY such as last=planner:Last"
-            raise RequestError(f"--driver: expected {expected}, received {name!r}")
         is_here = reference and not reference.startswith(REVISION)
-        drivers[name] = whole_name(reference) if is_here else reference or name
+        built_in = name if name in BUILT_IN_DRIVERS else ""
+        drivers[name] = whole_name(reference) if is_here else reference or built_in
     checked_drivers(drivers, "--driver")
     return drivers
 

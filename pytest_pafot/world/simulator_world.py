@@ -225,6 +225,11 @@ class SimulatorWorld(BuiltInWorld):
         rules = super().rules
         return replace(rules, drivers={**self._rules.drivers, **self.npc_drivers})
 
+    @property
+    def own_drivers(self) -> tuple[str, ...]:
+        """The simulator's :attr:`Simulator.drivers`."""
+        return self._stated.drivers
+
     def check(self) -> None:
         """Make the simulator now, to check what it states.
 

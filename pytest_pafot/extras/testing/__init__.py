@@ -27,6 +27,7 @@ from pytest_pafot import (
     Run,
     Scenario,
     ScenarioError,
+    SimulatorWorld,
     Trace,
 )
 from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
@@ -526,7 +527,8 @@ def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
     taking_over = base.taking_over(every[0].trace)
     is_built_in, has_braking = base is world, taking_over is not None and STEADY_BRAKING in taking_over.drivers
     hits = sum(each.trace.collision is not None for each in every)
-    yield f"check_world: {type(world).__name__} kept its promises in {len(every)} runs, {hits} with a collision."
+    name = base.maker.__name__ if isinstance(base, SimulatorWorld) else type(world).__name__
+    yield f"check_world: {name} kept its promises in {len(every)} runs, {hits} with a collision."
     for has, what, by in (
         (base.reference_drivers, "who would have prevented a collision", "reference_drivers, rollout_reference"),
         (has_braking, "from when on braking avoids it", f"take_over with {STEADY_BRAKING}, or decisions= and SI units"),
