@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from pytest_pafot.world import Planned as Planned
     from pytest_pafot.world import Simulator as Simulator
     from pytest_pafot.world import SimulatorWorld as SimulatorWorld
+    from pytest_pafot.world import VehicleState as VehicleState
     from pytest_pafot.world import World as World
     from pytest_pafot.world import WorldError as WorldError
     from pytest_pafot.world import WorldLike as WorldLike
@@ -104,6 +105,7 @@ _HOMES = {
     "Track": "model.instructions",
     "Traffic": "model.driving_style",
     "VAN": "model.vehicle_type",
+    "VehicleState": "world",
     "VehicleType": "model.vehicle_type",
     "Weights": "searching.fitness",
     "World": "world",

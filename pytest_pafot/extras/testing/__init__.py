@@ -271,7 +271,7 @@ def _stages(world: Any, done: _Done) -> Iterator[Scenario]:
     for first in ((Cell.FRONT,), beside) if rules.is_straight(done.trace) else ((Cell.FRONT,),):
         cells = [*first, *(cell for cell in Cell if cell not in first)]
         if npcs >= len(first) and not scenario.crossings:
-            speeds = [0.0] + [min(scenario.ego_speed, speed_limit)] * (npcs - 1)
+            speeds = [0.0] + [int(10.0 * min(scenario.ego_speed, speed_limit) + 1e-6) / 10] * (npcs - 1)  # steps of 0.1
             genes = map(PositionInstruction, cells, speeds)
             staged = replace(scenario, npcs=tuple((gene,) * scenario.genes for gene in genes))
             with suppress(ScenarioError):

@@ -250,7 +250,7 @@ class Simulation:
         self._recorded = [number for number, body in enumerate(self._bodies) if isinstance(body, TrackedNpc)]
         self._own: set[int] = set()  # the vehicles that a driver of the simulator's drives
         self._simulator: Any = simulators.take()
-        self._is_sound = False  # until all methods that were called have returned
+        self._is_sound = False  # until all that it has stated was right
         try:
             starts = self._starts(vehicles)
             with self._called("start"):
@@ -260,6 +260,7 @@ class Simulation:
             self.close()
             raise
         self._speeds = [body.speed for body in self._bodies]
+        self._is_sound = True
 
     def _starts(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
         frame, rules, scenario = self._frame, vehicles.rules, vehicles.scenario
@@ -291,6 +292,7 @@ class Simulation:
             for number, body in enumerate(bodies)
         ]
         self._tick += 1
+        self._is_sound = False
         with self._called("step"):
             self._simulator.step(controls)
         states = self._read()
@@ -304,6 +306,7 @@ class Simulation:
                 body.acceleration = (state[3] - self._speeds[number]) * self._hz
             body.place(*state)
             self._speeds[number] = state[3]
+        self._is_sound = True
 
     def _read(self) -> list[tuple[float, float, float, float]]:
         with self._called("states"):
@@ -346,7 +349,6 @@ class Simulation:
         """Call a method of the simulator, with a time limit of its own and its name in each error."""
         guard = self._guard
         limit, guard.limit = guard.limit, max(PATIENCE * guard.limit, LEAST_PATIENCE)
-        self._is_sound = False
         try:
             try:
                 guard.decision_starts()
@@ -361,7 +363,6 @@ class Simulation:
         except Exception as error:
             error.add_note(f"raised by {self._place(method)}")
             raise
-        self._is_sound = True
 
     def close(self) -> None:
         """Give the simulator back, after the run."""

@@ -94,8 +94,8 @@ def _slopes(way: FloatArray) -> FloatArray:
     """Return the direction of a lane at each of its points; NaN where it has none."""
     slopes = np.full_like(way, np.nan)
     known = np.flatnonzero(np.isfinite(way[:, 0]))
-    if len(known) > 1:
-        slopes[known] = np.gradient(way[known], axis=0)
+    if len(known) > 1:  # at its ends, those of a parabola, so that a bend begins as it goes on
+        slopes[known] = np.gradient(way[known], axis=0, edge_order=2 if len(known) > 2 else 1)
     slopes[np.isnan(slopes)] = 0.0
     return slopes
 
@@ -104,10 +104,7 @@ def _curve(line: FloatArray) -> FloatArray:
     """Return a point about every metre of a smooth curve through the points of a line (Catmull and Rom 1974)."""
     steps = np.hypot(*np.diff(line, axis=0).T)
     places = np.concatenate(([0.0], np.cumsum(steps)))
-    slopes = np.gradient(line, places, axis=0) if len(line) > 2 else np.tile((line[1] - line[0]) / steps[0], (2, 1))
-    if len(line) > 2:  # the ends as those of a parabola, so that a bend begins with its bend
-        slopes[0] = 2.0 * (line[1] - line[0]) / steps[0] - slopes[1]
-        slopes[-1] = 2.0 * (line[-1] - line[-2]) / steps[-1] - slopes[-2]
+    slopes = np.gradient(line, places, axis=0, edge_order=2 if len(line) > 2 else 1)
     wanted = np.linspace(0.0, places[-1], max(2, round(float(places[-1])) + 1))
     part = np.clip(np.searchsorted(places, wanted, side="right") - 1, 0, len(steps) - 1)
     share = ((wanted - places[part]) / steps[part])[:, None]
