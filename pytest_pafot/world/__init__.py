@@ -10,8 +10,9 @@ an ego has depends on the ADS:
 - a policy with an environment's actions: ``ModelPolicyDriver`` (``driving/policy_driver.py``), and where the kernel
   does not know the lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
 
-Only environments with wrappers, or with a step function of their own, are driven by ``env.step``
-(``engines/gym_replay.py``), as is the check of each finding.
+In a :class:`pytest_pafot.SimulatorWorld`, a simulator of the user's moves all vehicles of the same loop
+(``engines/simulation.py``). Only environments with wrappers, or with a step function of their own, are driven by
+``env.step`` (``engines/gym_replay.py``), as is the check of each finding.
 """
 
 from pytest_pafot.model.crossings import CrossingVehicle
