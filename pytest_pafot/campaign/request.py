@@ -236,7 +236,7 @@ def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any
     if not isinstance(given, Mapping):
         names = (given,) if isinstance(given, str) else given
         if not isinstance(names, Sequence):
-            raise _no_driver(place, BUILT_IN_DRIVERS, given)
+            raise RequestError(f"{wrong} {_some_drivers(BUILT_IN_DRIVERS)}, received {given!r}")
         given = {name: name if name in BUILT_IN_DRIVERS else "" for name in names}
     drivers = dict[str, str | Callable[..., Any]]()
     for name, value in given.items():
@@ -263,11 +263,8 @@ def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any
     return drivers
 
 
-def _no_driver(place: str, known: Sequence[str], given: object) -> RequestError:
-    names = ", ".join(map(repr, known))
-    return RequestError(
-        f'{place}: expected some of {names}, or a mapping such as {{"last": MyPlanner}}, received {given!r}'
-    )
+def _some_drivers(known: Sequence[str]) -> str:
+    return f'some of {", ".join(map(repr, known))}, or a mapping such as {{"last": MyPlanner}}'
 
 
 def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
@@ -435,7 +432,7 @@ def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
         )
     known = (*BUILT_IN_DRIVERS, *world.own_drivers)
     if unknown := [name for name, each in request.drivers.items() if each == "" and name not in known]:
-        raise _no_driver("drivers=...", known, ", ".join(unknown))
+        raise request.error("drivers=...", f"expected {_some_drivers(known)}, received {unknown[0]!r}")
     kinds = request.algorithm.instructions
     if request.algorithm.is_papers or "both" not in kinds or request.space.get("instructions") == "manoeuvres":
         raise request.error(

@@ -418,7 +418,7 @@ def _stated(simulator: Any) -> _Stated:
     metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
     unit = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
 
-    def flag(field: str) -> bool:
+    def is_on(field: str) -> bool:
         value = getattr(simulator, field)
         if not isinstance(value, bool):
             raise WorldError(field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}")
@@ -437,10 +437,10 @@ def _stated(simulator: Any) -> _Stated:
         maker=type(simulator),
         metres=metres,
         metres_per_second=unit,
-        y_is_left=flag("y_is_left"),
-        degrees=flag("degrees"),
-        from_north=flag("from_north"),
-        at_front=flag("at_front"),
+        y_is_left=is_on("y_is_left"),
+        degrees=is_on("degrees"),
+        from_north=is_on("from_north"),
+        at_front=is_on("at_front"),
         hz=whole_within(f"{name}.hz", simulator.hz, *PHYSICS_HZ),
         lane_width=in_si("lane_width", 2.0, 10.0, metres) or LANE_WIDTH,
         speed_limit=in_si("speed_limit", 5.0, TOP_SPEED, unit) or PAPER_SPEED_LIMIT,
@@ -448,7 +448,7 @@ def _stated(simulator: Any) -> _Stated:
         start_lane=whole_within(f"{name}.start_lane", simulator.start_lane, 0, MOST_LANES - 1),
         start_speed=in_si("start_speed", 0.0, TOP_SPEED, unit),
         start_at=in_si("start_at", 0.0, 1e6, metres),
-        follows_recordings=flag("follows_recordings"),
+        follows_recordings=is_on("follows_recordings"),
         drivers=drivers,
         obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(simulator.obstacles)],
         data=plain_data(f"{name}.to_dict()", simulator.to_dict()),
