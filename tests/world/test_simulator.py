@@ -26,6 +26,9 @@ from pytest_pafot import (
     Traffic,
     WorldError,
 )
+from pytest_pafot.campaign.explore import request_of
+from pytest_pafot.campaign.request import build_space
+from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.testing import check_world
 from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
@@ -156,6 +159,17 @@ def test_own_driver_of_a_simulator_drives_the_npcs_that_name_it():
     assert base_world(world).own_drivers == ("steady",)
     with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\].driver: expected one of idm, mobil, policy, received"):
         TOY.rollout(Scenario(npcs=((free,),)), swerving)
+
+
+def test_search_in_a_simulator_draws_its_drivers_and_any_start():
+    world = base_world(SimulatorWorld(Placing))
+    space = build_space(request_of({"ads": lambda: swerving, "drivers": "steady"}), world)
+    drawn = [sample(space, np.random.default_rng(seed)) for seed in range(30)]
+    names = {getattr(chain[0], "driver", None) for scenario in drawn for chain in scenario.npcs}
+    assert names == {None, "steady"}
+    assert {scenario.ego_lane for scenario in drawn} == {0, 1, 2, 3}
+    for scenario in drawn:
+        world.check_fits(scenario)
 
 
 class Batch:
