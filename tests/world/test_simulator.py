@@ -172,6 +172,18 @@ def test_search_in_a_simulator_draws_its_drivers_and_any_start():
         world.check_fits(scenario)
 
 
+def test_acceleration_of_an_own_driver_follows_from_its_speeds():
+    class Hasty(Placing):
+        def start(self, vehicles, seed):
+            super().start(vehicles, seed)
+            self.wanted = [None, 12.0]
+
+    free = Free(beside=0, ahead=20.0, speed=9.0, driver="steady")
+    world = SimulatorWorld(Hasty, duration=2.0)
+    trace = world.rollout(Scenario(npcs=((free,),), gene_seconds=2.0), lambda: lambda _: (-6.0, 0.0))
+    assert trace.states[1:, 1, 4].tolist() == [45.0] + [0.0] * 29  # 3 m/s in a tick of 1/15 s, then none
+
+
 class Batch:
     def __call__(self, seen):
         return -seen.ego.speed / 20, 0.0
