@@ -248,7 +248,6 @@ class Simulation:
         self._tick = 0
         self._hz = vehicles.rules.physics_hz
         self._recorded = [number for number, body in enumerate(self._bodies) if isinstance(body, TrackedNpc)]
-        self._own: set[int] = set()  # the vehicles that a driver of the simulator's drives
         self._simulator: Any = simulators.take()
         self._is_sound = False  # until all that it has stated was right
         try:
@@ -273,8 +272,6 @@ class Simulation:
             pose = frame.stated(body)
             size = body.length / frame.metres, body.width / frame.metres
             lane = vehicles.places.bodies[number].lane
-            if is_own:
-                self._own.add(number)
             starts.append(Vehicle(*pose, *size, lane, kind.name, name if is_own else "", wanted / frame.speed))
         return starts
 
@@ -302,7 +299,7 @@ class Simulation:
             if number in recorded:
                 self._speeds[number] = body.speed
                 continue
-            if state[3] != body.speed or number in self._own:  # else it has the acceleration that it was asked for
+            if state[3] != body.speed:  # else it has the acceleration that it was asked for
                 body.acceleration = (state[3] - self._speeds[number]) * self._hz
             body.place(*state)
             self._speeds[number] = state[3]
