@@ -122,6 +122,17 @@ class SimulatorWorld(BuiltInWorld):
         return self._stated.maker
 
     @property
+    def packages(self) -> tuple[str, ...]:
+        """The packages that the simulator's class names; none if a function makes the simulator."""
+        maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
+        return getattr(maker, "packages", ())  # without a simulator, which is made where its errors are reported
+
+    @property
+    def has_lock_step(self) -> bool:
+        """True if several objects of the simulator can be in use at once."""
+        return not self.maker.one_at_a_time
+
+    @property
     def speed_limit(self) -> float:
         """The speed limit [m/s]."""
         return self.road.speed_limit

@@ -102,6 +102,8 @@ class Simulator(ABC):
         metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
         drivers: the names of drivers of the simulator's own, which can drive free NPCs.
         follows_recordings: True if :meth:`step` puts each vehicle whose control is ``recorded`` in the control's state.
+        one_at_a_time: True if a process can have one simulation only; then several runs do not proceed in lock step.
+        packages: the names of installed packages whose versions change runs, for saved files.
     """
 
     hz: int = 15
@@ -121,6 +123,8 @@ class Simulator(ABC):
     metres_per_second: ClassVar[float] = 1.0
     drivers: tuple[str, ...] = ()
     follows_recordings: bool = False
+    one_at_a_time: ClassVar[bool] = False
+    packages: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def start(self, vehicles: Sequence[Vehicle], seed: int) -> None:
