@@ -24,7 +24,7 @@ CORE = (
 )  # fmt: skip
 EXTRAS = (
     "resumable", "algorithms", "executors", "policies", "testing", "revisions", "comparison", "episodes", "training",
-    "export", "sweeps", "requirements", "recordings",
+    "export", "sweeps", "requirements", "recordings", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
 """The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
@@ -56,6 +56,8 @@ HOMES = {
     "scenariogeneration": {"export"},
     "foxglove": {"export"},
     "commonroad": {"export"},
+    "libsumo": {"sumo"},
+    "sumolib": {"sumo"},
 }
 """Libraries that only some rooms may import."""
 

@@ -282,7 +282,9 @@ def _test(arguments: argparse.Namespace) -> str:
     given += of_world
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
     given += [] if arguments.vehicles is None else [f"vehicles={json.dumps(_vehicles(arguments.vehicles))}"]
-    given += [f"drivers={json.dumps(_drivers(arguments.driver, arguments.world))}"] if arguments.driver else []
+    drivers = _drivers(arguments.driver, arguments.world)
+    only_names = [name for name, value in drivers.items() if value in ("", name)]
+    given += [f"drivers={json.dumps(only_names if len(only_names) == len(drivers) else drivers)}"] if drivers else []
     given += [] if arguments.begin_with is None else [f"begin_with={arguments.begin_with!r}"]
     name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
     if arguments.blame != "ego":
