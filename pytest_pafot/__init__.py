@@ -126,15 +126,7 @@ _HOMES = {
     "until": "criticality.temporal",
 }
 
-_OF_EXTRAS = (
-    "Recording",
-    "Sweep",
-    "policies",
-    "recorded",
-    "sumo",
-    "sweep",
-    "training_env",
-)  # see pytest_pafot.door.NAMES
+_OF_EXTRAS = ("Recording", "Sweep", "policies", "recorded", "sumo", "sweep", "training_env")  # see door.NAMES
 _MODULES = ("properties", "strategies")
 
 __all__ = sorted([*_HOMES, *_MODULES, *_OF_EXTRAS])  # noqa: PLE0605

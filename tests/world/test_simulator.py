@@ -30,6 +30,7 @@ from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.testing import check_world
 from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -583,3 +584,21 @@ def test_simulator_that_does_not_follow_its_controls_is_noticed(members, message
     cls = type("Wrong", (Remembering if "runs" in members else Bicycle,), {} if "runs" in members else members)
     with pytest.raises(AssertionError, match=message):
         check_world(SimulatorWorld(cls, duration=12.0), ads=lambda: lambda seen: (0.0, 0.0))
+
+
+class Alone(Bicycle):
+    """A simulator of which a process has one only, and whose runs depend on a package."""
+
+    one_at_a_time = True
+    packages = ("pytest",)
+
+
+def test_a_simulator_that_is_alone_in_its_process_does_not_drive_in_lock_step():
+    assert SimulatorWorld(Bicycle).has_lock_step
+    assert not SimulatorWorld(Alone).has_lock_step
+
+
+def test_the_packages_of_a_simulator_are_among_the_versions():
+    assert SimulatorWorld(Bicycle).packages == ()
+    assert SimulatorWorld(partial(Alone)).packages == ("pytest",)
+    assert installed_versions(SimulatorWorld(Alone).packages)["pytest"] == pytest.__version__
