@@ -196,6 +196,34 @@ def test_lanes_of_a_route_are_lines_from_the_left(net):
     assert (way.width, way.limit, way.left) == (LANE, 15.0, 0)
 
 
+def test_a_lane_that_begins_at_the_left_is_the_first_line(net):
+    at_left = JOINED.replace('fromLane="0" toLane="1"', 'fromLane="0" toLane="0"')
+    at_left = at_left.replace('fromLane="1" toLane="2"', 'fromLane="1" toLane="1"')
+    for index, y in ((0, 0), (1, 4), (2, 8)):  # so all lanes of the edge are one lane further to the left
+        old = y - 4
+        at_left = at_left.replace(
+            lane_text("three", index, [(505, old), (2000, old)]), lane_text("three", index, [(505, y), (2000, y)])
+        )
+    way = Way(str(net(at_left)), ["two", "three"])
+    assert way.left == 1
+    assert [line[0] for line in way.lines] == [(505.0, 8.0), (0.0, LANE), (0.0, 0.0)]
+    assert [line[-1] for line in way.lines] == [(2000.0, 8.0), (2000.0, LANE), (2000.0, 0.0)]
+
+
+def test_vehicles_that_are_placed_ask_nobody_for_room():
+    import libsumo
+
+    modes = []
+
+    def looks(seen):
+        modes.append([libsumo.vehicle.getLaneChangeMode(name) for name in ("ego", "npc0", "npc1")])
+        return 0.0, 0.0
+
+    WORLD.rollout(scenario(PositionInstruction(Cell.LEFT, 20.0), behind("sumo-idm")), lambda: looks)
+    assert modes[0][:2] == [0, 0]
+    assert modes[0][2] != 0
+
+
 def test_drivers_of_sumo_follow_a_bend_of_a_users_net(net):
     world = pafot.sumo(net(BENT), start_speed=15.0, duration=30.0)
     _, speed = world.start
