@@ -88,7 +88,7 @@ def sumo(
         speed_limit: its speed limit [m/s]; None for 26.8. In a net, it is the lowest one along the way.
         hz: ticks per second; a divisor of 1000, because SUMO counts milliseconds.
         drivers: the drivers of free NPCs by name, each with SUMO's attributes of a vehicle type, such as
-            ``{"calm": {"carFollowModel": "IDM", "tau": 2.0}}``; None for :data:`DRIVERS`.
+            ``{"calm": {"carFollowModel": "IDM", "tau": 2.0}}``; None for those that the guide lists.
         lane_change: how long a driver of SUMO takes to change lanes [s].
         start_lane, start_speed, start_at: on a way with bends, the ego's first lane, counted from 0 at the left of the
             first edge, its first speed [m/s], and its place along the lane [m]; by default 22 m/s or the limit, with
