@@ -60,6 +60,9 @@ if TYPE_CHECKING:
     from pytest_pafot.world import Observation as Observation
     from pytest_pafot.world import Perception as Perception
     from pytest_pafot.world import Planned as Planned
+    from pytest_pafot.world import Simulator as Simulator
+    from pytest_pafot.world import SimulatorWorld as SimulatorWorld
+    from pytest_pafot.world import VehicleState as VehicleState
     from pytest_pafot.world import World as World
     from pytest_pafot.world import WorldError as WorldError
     from pytest_pafot.world import WorldLike as WorldLike
@@ -94,12 +97,15 @@ _HOMES = {
     "Scenario": "model.scenario",
     "ScenarioError": "model.instructions",
     "Signal": "criticality.signals",
+    "Simulator": "world",
+    "SimulatorWorld": "world",
     "Step": "model.instructions",
     "TRUCK": "model.vehicle_type",
     "Trace": "model.trace",
     "Track": "model.instructions",
     "Traffic": "model.driving_style",
     "VAN": "model.vehicle_type",
+    "VehicleState": "world",
     "VehicleType": "model.vehicle_type",
     "Weights": "searching.fitness",
     "World": "world",
@@ -120,7 +126,7 @@ _HOMES = {
     "until": "criticality.temporal",
 }
 
-_OF_EXTRAS = ("Recording", "Sweep", "policies", "recorded", "sweep", "training_env")  # see pytest_pafot.door.NAMES
+_OF_EXTRAS = ("Recording", "Sweep", "policies", "recorded", "sumo", "sweep", "training_env")  # see door.NAMES
 _MODULES = ("properties", "strategies")
 
 __all__ = sorted([*_HOMES, *_MODULES, *_OF_EXTRAS])  # noqa: PLE0605

@@ -95,6 +95,7 @@ NAMES: Mapping[str, str] = MappingProxyType({
     "Sweep": f"{EXTRAS}.sweeps.maps:Sweep",
     "policies": f"{EXTRAS}.policies",
     "recorded": f"{EXTRAS}.recordings.reading:recorded",
+    "sumo": f"{EXTRAS}.sumo:sumo",
     "sweep": f"{EXTRAS}.sweeps.maps:sweep",
     "training_env": f"{EXTRAS}.training:training_env",
 })  # fmt: skip

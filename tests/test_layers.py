@@ -24,7 +24,7 @@ CORE = (
 )  # fmt: skip
 EXTRAS = (
     "resumable", "algorithms", "executors", "policies", "testing", "revisions", "comparison", "episodes", "training",
-    "export", "sweeps", "requirements", "recordings",
+    "export", "sweeps", "requirements", "recordings", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
 """The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
@@ -56,6 +56,8 @@ HOMES = {
     "scenariogeneration": {"export"},
     "foxglove": {"export"},
     "commonroad": {"export"},
+    "libsumo": {"sumo"},
+    "sumolib": {"sumo"},
 }
 """Libraries that only some rooms may import."""
 
@@ -94,7 +96,7 @@ QUESTIONS = {
     "world/guard/own_worlds.py": 1,  # the road of a user's world may be anything
     "world/gym_environment.py": 6,  # what options of highway-env do, and which routes it plans
     "world/gym_world.py": 2,  # how long runs of such an environment are, and who makes its policy
-    "world/kernel/loop.py": 3,  # a C flag, because it is read at each tick
+    "world/kernel/loop.py": 4,  # a C flag, because it is read at each tick
     "world/roads/survey.py": 1,  # whether a lane has points
     "world/run_config.py": 1,  # an error about crossings where there are none
 }

@@ -65,6 +65,7 @@ from pytest_pafot.report.session_record import FINDING, ItemRecord, OrphanRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
+    Control,
     CrossingVehicle,
     Drive,
     Highway,
@@ -72,6 +73,9 @@ from pytest_pafot.world import (
     Observation,
     Perception,
     Planned,
+    Simulator,
+    SimulatorWorld,
+    Vehicle,
     VehicleState,
     World,
     WorldLike,
@@ -238,6 +242,10 @@ def sections() -> dict[str, str]:
         "highway": _fields_table(Highway),
         "world": _fields_table(World),
         "limits": _fields_table(NpcLimits),
+        "simulator-world": _fields_table(SimulatorWorld),
+        "simulator": _fields_table(Simulator),
+        "simulator-vehicle": _fields_table(Vehicle),
+        "simulator-control": _fields_table(Control),
         "world-like": _properties_table(WorldLike),
         "drive": _fields_table(Drive),
         "planned": _fields_table(Planned),

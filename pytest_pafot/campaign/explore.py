@@ -398,7 +398,7 @@ def replays_of(
         folder=folder,
         records=scratch / "records",
         root=Path.cwd(),
-        versions=installed_versions(),
+        versions=installed_versions(world.packages),
         against=reference_of(settings.against, fixture, policy),
         executor=executor,
         drivers=drivers,

@@ -32,7 +32,7 @@ from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
 from pytest_pafot.support.references import REVISION, described, factory_named, imported
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, World, WorldError
+from pytest_pafot.world import Highway, SimulatorWorld, World, WorldError
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -226,18 +226,18 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
 
 
 def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any]]:
-    """Return the drivers of free NPCs by name, in the order of the mark or of the options that ``place`` names."""
+    """Return the drivers of free NPCs by name, in the order of the mark or of the options that ``place`` names.
+
+    One that only has a name, and is none of the plugin's, has an empty text: the world must have it.
+    """
     if given is None:
         return {}
     wrong = f"{place}: expected"
     if not isinstance(given, Mapping):
         names = (given,) if isinstance(given, str) else given
-        if not isinstance(names, Sequence) or not set(names) <= set(BUILT_IN_DRIVERS):
-            known = ", ".join(map(repr, BUILT_IN_DRIVERS))
-            raise RequestError(
-                f'{wrong} some of {known}, or a mapping such as {{"last": MyPlanner}}, received {given!r}'
-            )
-        given = {name: name for name in names}
+        if not isinstance(names, Sequence):
+            raise RequestError(f"{wrong} {_some_drivers(BUILT_IN_DRIVERS)}, received {given!r}")
+        given = {name: name if name in BUILT_IN_DRIVERS else "" for name in names}
     drivers = dict[str, str | Callable[..., Any]]()
     for name, value in given.items():
         try:
@@ -257,10 +257,14 @@ def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any
                 value = factory_named(value)  # noqa: PLW2901
             except ValueError as error:
                 raise RequestError(f"{place}: {error}") from error
-        if problem := _problem_of_ads(value):
+        if value != "" and (problem := _problem_of_ads(value)):
             raise RequestError(f"{place}: {name!r}: {problem}")
         drivers[name] = value
     return drivers
+
+
+def _some_drivers(known: Sequence[str]) -> str:
+    return f'some of {", ".join(map(repr, known))}, or a mapping such as {{"last": MyPlanner}}'
 
 
 def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
@@ -268,7 +272,7 @@ def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[
 
     ``fixture`` returns the value of a fixture.
     """
-    own = {name: each for name, each in request.drivers.items() if name not in BUILT_IN_DRIVERS}
+    own = {name: each for name, each in request.drivers.items() if name not in BUILT_IN_DRIVERS and each != ""}
     given = request.settings.against
     if isinstance(given, str) and given.startswith(REVISION) and set(request.drivers) - {"idm", "mobil"}:
         problem = f"only idm and mobil with against={given!r}, whose process has none of these policies, received"
@@ -426,6 +430,9 @@ def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
             f"expected a world whose NPCs can have drivers, such as pafot.Highway, received {world!r:.100}, which "
             "declares none; leave drivers out",
         )
+    known = (*BUILT_IN_DRIVERS, *world.own_drivers)
+    if unknown := [name for name, each in request.drivers.items() if each == "" and name not in known]:
+        raise request.error("drivers=...", f"expected {_some_drivers(known)}, received {unknown[0]!r}")
     kinds = request.algorithm.instructions
     if request.algorithm.is_papers or "both" not in kinds or request.space.get("instructions") == "manoeuvres":
         raise request.error(
@@ -502,8 +509,8 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the default arguments of the search space, for algorithms that are not bound to the paper's space.
 
     NPCs are attentive if the world has styles of traffic. If other ways meet the ego's way, most NPCs cross from there.
-    The other defaults are only for a straight road. The start is random only on a Highway, because an environment
-    defines how its ego starts.
+    The other defaults are only for a straight road. The start is random only on a Highway, and in a user's simulator,
+    because an environment defines how its ego starts.
     """
     world = base_world(world)
     drawn: dict[str, Any] = {}
@@ -523,7 +530,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
-    draws_lane = isinstance(world.given, Highway) and "ego_lane" not in given
+    draws_lane = isinstance(world.given, (Highway, SimulatorWorld)) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
         drawn["npcs"] = npcs
@@ -535,7 +542,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:
         drawn["ego_lanes"] = lanes
-    if isinstance(world.given, Highway) and "ego_speed" not in given:
+    if isinstance(world.given, (Highway, SimulatorWorld)) and "ego_speed" not in given:
         limit = world.speed_limit
         slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn.get("traffic", PAPERS)).least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}

@@ -282,7 +282,9 @@ def _test(arguments: argparse.Namespace) -> str:
     given += of_world
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
     given += [] if arguments.vehicles is None else [f"vehicles={json.dumps(_vehicles(arguments.vehicles))}"]
-    given += [f"drivers={json.dumps(_drivers(arguments.driver))}"] if arguments.driver else []
+    drivers = _drivers(arguments.driver, arguments.world)
+    only_names = [name for name, value in drivers.items() if value in ("", name)]
+    given += [f"drivers={json.dumps(only_names if len(only_names) == len(drivers) else drivers)}"] if drivers else []
     given += [] if arguments.begin_with is None else [f"begin_with={arguments.begin_with!r}"]
     name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
     if arguments.blame != "ego":
@@ -322,15 +324,19 @@ def _vehicles(text: str) -> list[str]:
     return names
 
 
-def _drivers(given: Sequence[str]) -> dict[str, str]:
-    """Return the drivers of free NPCs in the values of ``--driver``, as the mark takes them."""
+def _drivers(given: Sequence[str], world: str | None) -> dict[str, str]:
+    """Return the drivers of free NPCs in the values of ``--driver``, as the mark takes them.
+
+    Only a ``world`` that is named may have drivers of its own.
+    """
     drivers = dict[str, str]()
     for name, _, reference in (each.partition("=") for each in given):
-        if not reference and name not in BUILT_IN_DRIVERS:
+        if not reference and name not in BUILT_IN_DRIVERS and world is None:
             expected = f"{', '.join(BUILT_IN_DRIVERS)}, or NAME=MODULE:FACTORY such as last=planner:Last"
             raise RequestError(f"--driver: expected {expected}, received {name!r}")
         is_here = reference and not reference.startswith(REVISION)
-        drivers[name] = whole_name(reference) if is_here else reference or name
+        built_in = name if name in BUILT_IN_DRIVERS else ""
+        drivers[name] = whole_name(reference) if is_here else reference or built_in
     checked_drivers(drivers, "--driver")
     return drivers
 

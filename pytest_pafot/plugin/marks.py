@@ -104,7 +104,8 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
         from pytest_pafot.model.instructions import BUILT_IN_DRIVERS  # noqa: PLC0415  (few test files need it)
 
         given += [each for name, each in drivers.items() if name not in BUILT_IN_DRIVERS]
-    fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *(each for each in given if isinstance(each, str) and ":" not in each)]
+    names = [each for each in given if isinstance(each, str) and each and ":" not in each]
+    fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *names]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)
     of_search, tracing = _parted(arguments)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import cache
 from importlib import metadata
 
@@ -13,9 +14,13 @@ RULES_VERSION = "3"
 """The version of the rules of docs/explanation/verdicts.md. It goes up with each change of a verdict."""
 
 
-def installed_versions() -> dict[str, str]:
-    """Return the version of each package by its name, ``unknown`` if it has no installed metadata; and of the rules."""
-    return {**{package: _version_of(package) for package in PACKAGES}, RULES: RULES_VERSION}
+def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
+    """Return the version of each package by its name, ``unknown`` if it has no installed metadata; and of the rules.
+
+    Args:
+        others: the names of other packages on which a run depends.
+    """
+    return {**{package: _version_of(package) for package in (*PACKAGES, *others)}, RULES: RULES_VERSION}
 
 
 @cache  # A loaded package does not change, and reading its metadata takes as long as replaying a file.

@@ -10,8 +10,9 @@ an ego has depends on the ADS:
 - a policy with an environment's actions: ``ModelPolicyDriver`` (``driving/policy_driver.py``), and where the kernel
   does not know the lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
 
-Only environments with wrappers, or with a step function of their own, are driven by ``env.step``
-(``engines/gym_replay.py``), as is the check of each finding.
+In a :class:`pytest_pafot.SimulatorWorld`, a simulator of the user's moves all vehicles of the same loop
+(``engines/simulation.py``). Only environments with wrappers, or with a step function of their own, are driven by
+``env.step`` (``engines/gym_replay.py``), as is the check of each finding.
 """
 
 from pytest_pafot.model.crossings import CrossingVehicle
@@ -19,14 +20,17 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.perception import Perception
+from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.action import Drive, Planned
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [
     "AdsFactoryError",
+    "Control",
     "CrossingVehicle",
     "Drive",
     "Highway",
@@ -34,6 +38,9 @@ __all__ = [
     "Observation",
     "Perception",
     "Planned",
+    "Simulator",
+    "SimulatorWorld",
+    "Vehicle",
     "VehicleState",
     "World",
     "WorldError",

@@ -213,6 +213,16 @@ class BaseWorld(ABC):
         """True if NPCs can have drivers of their own, see :class:`pytest_pafot.Free`."""
         return False
 
+    @property
+    def own_drivers(self) -> tuple[str, ...]:
+        """The names of the drivers of free NPCs that the world has itself."""
+        return ()
+
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """The names of the installed packages whose versions change runs, in addition to those of every world."""
+        return ()
+
     def with_drivers(self, drivers: Mapping[str, Any]) -> BaseWorld:
         """Return the world with the factories of drivers of free NPCs, by name."""
         raise NotImplementedError

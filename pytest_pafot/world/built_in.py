@@ -317,11 +317,13 @@ class BuiltInWorld(BaseWorld):
             expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
             raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
         relief = Relief(_reference_driver(name, TAKING_OVER), tick / trace.physics_hz)
-        return self._driven_by(relief, trace.executed, RecordedBody(trace, tick))
+        return self._driven_by(relief, trace.executed, self._repeated(trace, tick))
 
-    def _driven_by(
-        self, driver: Callable[[Observation], Any], scenario: Scenario, body: RecordedBody | None = None
-    ) -> Trace:
+    def _repeated(self, trace: Trace, tick: int) -> Body:
+        """Return an ego that does in a run up to a tick what that of a trace did."""
+        return RecordedBody(trace, tick)
+
+    def _driven_by(self, driver: Callable[[Observation], Any], scenario: Scenario, body: Body | None = None) -> Trace:
         self.rules.check_fits(scenario)
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, drivers_hz=self.rules.ads_hz)
         return self._planned(every_tick, scenario, driver, body=body)

@@ -1,10 +1,10 @@
 """Worlds in files: conversion to plain data and back, and worlds that the test must name because they are code.
 
 A ``pafot.Highway`` or ``pafot.World`` is data, and a replay makes it from the file. The same holds for a world whose
-class an installed package has registered: the ``kind`` in a file is the name of its entry point in the group
-``pytest_pafot.worlds``. Any other user-defined world is code, and so are wrappers around an environment. Files may
-come from strangers, so no file may decide which code runs. For a world that is code, a replay uses the world that the
-test names, if the name of its class or environment is the name in the file.
+class an installed package has registered, and for a simulator's: the ``kind`` in a file is the name of its entry point
+in the group ``pytest_pafot.worlds``. Any other user-defined world or simulator is code, and so are wrappers around an
+environment. Files may come from strangers, so no file may decide which code runs. For a world that is code, a replay
+uses the world that the test names, if the name of its class or environment is the name in the file.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences
 from pytest_pafot.world.base_world import WorldLike
+from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.simulator_world import SimulatorWorld
 from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 GROUP = "pytest_pafot.worlds"
@@ -113,7 +115,8 @@ def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> Worl
         raise WorldError(field=f"world (kind {entry.name})", expected="the field data", received=received)
     cls = _loaded(entry)
     try:
-        world: WorldLike = cls.from_dict(values["data"])
+        is_simulator = isinstance(cls, type) and issubclass(cls, Simulator)
+        world: WorldLike = SimulatorWorld.of(cls, values["data"]) if is_simulator else cls.from_dict(values["data"])
     except WorldError:
         raise
     except Exception as error:
@@ -149,29 +152,30 @@ def described(world: Any) -> dict[str, Any]:
         WorldError: if its environment cannot be used, or a registered world gives data that a file cannot hold.
     """
     world = base_world(world).given
-    if is_built_in(world):
+    if type(world) in BUILT_IN.values():
         data: dict[str, Any] = world.to_dict()
         return data
-    kind = _kind_of(type(world))
-    own = {"kind": OWN, "class": type(world).__name__} if kind is None else {"kind": kind}
+    maker = world.maker if isinstance(world, SimulatorWorld) else type(world)
+    kind = _kind_of(maker)
+    own = {"kind": OWN, "class": maker.__name__} if kind is None else {"kind": kind}
     try:
         given = plain_data("world", world.to_dict())
         check_plain("world", given)
     except ValueError as error:
         if kind is None:  # Such data cannot be compared later, but the scenario is worth saving.
             return own
-        raise WorldError(f"{type(world).__name__}.to_dict: {error}") from error
+        raise WorldError(f"{maker.__name__}.to_dict: {error}") from error
     return {**own, "data": given}
 
 
 def is_built_in(world: Any) -> bool:
     """Return whether a world is one of this package. A derived class is not, because it may do anything."""
-    return type(world) in BUILT_IN.values()
+    return type(world) in (*BUILT_IN.values(), SimulatorWorld)
 
 
 def _kind_of(cls: type[Any]) -> str | None:
     """Return the kind under which a class's own package has registered the class; None if it is not registered."""
-    if not hasattr(cls, "from_dict"):  # reading the entry points of all packages takes milliseconds
+    if not (hasattr(cls, "from_dict") or issubclass(cls, Simulator)):  # to read the entry points takes milliseconds
         return None
     package = cls.__module__.partition(".")[0]
     for entry in _registered().values():
@@ -207,7 +211,7 @@ def code_of(world: Any) -> tuple[object, ...]:
     """Return the classes and functions whose code a world runs: its own, its environment's and its wrappers."""
     world = base_world(world).given
     if not isinstance(world, World):
-        return (type(world),)
+        return (world.maker if isinstance(world, SimulatorWorld) else type(world),)
     return type(world), type(world.environment.unwrapped), *(world.wrappers or ())
 
 
@@ -248,7 +252,7 @@ def _longest(data: Mapping[str, Any], own: Any) -> float:
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
         # A road may end before the duration that the test asks for, which its files then hold.
-        seconds = float(own.to_dict()["duration"] if is_built_in(own) else own.longest_run)
+        seconds = float(own.to_dict()["duration"] if type(own) in BUILT_IN.values() else own.longest_run)
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
         return math.inf

@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, Trace, load
+from pytest_pafot import Highway, Outcome, Run, SavedScenario, Scenario, ScenarioError, SimulatorWorld, Trace, load
 from pytest_pafot.extending import (
     SUFFIX,
     AdsFactory,
@@ -515,6 +515,8 @@ def _source(what: Any, world: Any, values: Mapping[str, float]) -> tuple[str, _M
 
 def _in_words(world: Any) -> str:
     """Return a world as its environment, or as what differs from the default highway."""
+    if isinstance(world, SimulatorWorld):
+        return world.maker.__name__
     if not isinstance(world, Highway):
         return str(getattr(world, "env_id", type(world).__name__))
     default = Highway().to_dict()

@@ -27,6 +27,7 @@ from pytest_pafot import (
     Run,
     Scenario,
     ScenarioError,
+    SimulatorWorld,
     Trace,
 )
 from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
@@ -265,17 +266,22 @@ def _stages(world: Any, done: _Done) -> Iterator[Scenario]:
 
     They have as many NPCs as other scenarios. If roads bend, only the first one is certain to have its cells.
     """
-    scenario, npcs, speed_limit = done.scenario, len(done.scenario.npcs), float(world.speed_limit)
+    scenario, npcs, speed_limit = done.scenario, len(done.scenario.npcs), _in_steps(world.speed_limit)
     beside = (Cell.FRONT_LEFT, Cell.LEFT) if scenario.ego_lane else (Cell.FRONT_RIGHT, Cell.RIGHT)
     for first in ((Cell.FRONT,), beside) if rules.is_straight(done.trace) else ((Cell.FRONT,),):
         cells = [*first, *(cell for cell in Cell if cell not in first)]
         if npcs >= len(first) and not scenario.crossings:
-            speeds = [0.0] + [min(scenario.ego_speed, speed_limit)] * (npcs - 1)
+            speeds = [0.0] + [min(_in_steps(scenario.ego_speed), speed_limit)] * (npcs - 1)
             genes = map(PositionInstruction, cells, speeds)
             staged = replace(scenario, npcs=tuple((gene,) * scenario.genes for gene in genes))
             with suppress(ScenarioError):
                 base_world(world).check_fits(staged)
                 yield staged
+
+
+def _in_steps(speed: float) -> float:
+    """Return the highest speed that an instruction can have, in steps of 0.1 m/s, up to a speed [m/s]."""
+    return int(10.0 * speed + 1e-6) / 10.0
 
 
 def _check_members(world: Any) -> None:
@@ -368,7 +374,7 @@ def _check_obedience(world: Any, done: Sequence[_Done], egos: Sequence[_Done]) -
         scenario, trace = each.scenario, each.trace
         if scenario.crossings:
             continue
-        other = _rollout(world.rollout, _otherwise(scenario, float(world.speed_limit)), each.calls.factory)
+        other = _rollout(world.rollout, _otherwise(scenario, _in_steps(world.speed_limit)), each.calls.factory)
         # A run may end before the other instructions could show.
         is_told |= trace.duration >= SETTLED + (scenario.gene_seconds if scenario.genes > 1 else SETTLED)
         is_ignored &= _is_same(trace.npcs, other.npcs)
@@ -395,7 +401,7 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
     """
 
     def other(first: Any, gene: Any) -> Any:
-        return (first if first.on_grid else gene).with_speed(speed_limit - gene.speed)
+        return (first if first.on_grid else gene).with_speed(_in_steps(speed_limit - gene.speed))
 
     since = 1 if scenario.genes > 1 else 0
     npcs = [(*one[:since], *(other(one[0], gene) for gene in one[since:])) for one in scenario.npcs]
@@ -405,7 +411,7 @@ def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
 def _check_speed(world: Any, staged: Sequence[_Done]) -> None:
     """Check that an NPC in the cell of its instruction takes on its speed: 0 in a staged run, and another one."""
     for each in staged:
-        other = tuple(gene.with_speed(float(world.speed_limit)) for gene in each.scenario.npcs[0])
+        other = tuple(gene.with_speed(_in_steps(world.speed_limit)) for gene in each.scenario.npcs[0])
         fast = _run(world, replace(each.scenario, npcs=(other, *each.scenario.npcs[1:])), each.calls).trace
         rows = min(len(each.trace.states), len(fast.states))
         slower, faster = (trace.npcs[:rows, 0, SPEED] for trace in (each.trace, fast))
@@ -422,7 +428,7 @@ def _check_sides(world: Any, done: _Done) -> None:
     end, so that they may go to one side only.
     """
     scenario = done.scenario
-    speed = min(scenario.ego_speed, float(world.speed_limit))
+    speed = _in_steps(min(scenario.ego_speed, world.speed_limit))
     if scenario.crossings or len(done.trace.lanes) < 2 or speed <= LEAST_SPEED:
         return
     cells = [Cell.FRONT, Cell.REAR, Cell.REAR_LEFT, Cell.REAR_RIGHT, Cell.LEFT, Cell.RIGHT]
@@ -526,7 +532,8 @@ def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
     taking_over = base.taking_over(every[0].trace)
     is_built_in, has_braking = base is world, taking_over is not None and STEADY_BRAKING in taking_over.drivers
     hits = sum(each.trace.collision is not None for each in every)
-    yield f"check_world: {type(world).__name__} kept its promises in {len(every)} runs, {hits} with a collision."
+    name = base.maker.__name__ if isinstance(base, SimulatorWorld) else type(world).__name__
+    yield f"check_world: {name} kept its promises in {len(every)} runs, {hits} with a collision."
     for has, what, by in (
         (base.reference_drivers, "who would have prevented a collision", "reference_drivers, rollout_reference"),
         (has_braking, "from when on braking avoids it", f"take_over with {STEADY_BRAKING}, or decisions= and SI units"),

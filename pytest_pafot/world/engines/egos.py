@@ -60,9 +60,14 @@ def planner_driver(
     guard: HangGuard,
     sight: Sight | None,
     decisions: Sequence[Any] = (),
+    *,
+    rules: Rules | None = None,
 ) -> GivenDriver:
-    """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`."""
-    rules, scenario, road = vehicles.rules, vehicles.scenario, vehicles.rules.road
+    """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`.
+
+    ``rules`` may have another rate of decisions than those of the run.
+    """
+    rules, scenario, road = rules or vehicles.rules, vehicles.scenario, vehicles.rules.road
     every = rules.physics_hz // rules.ads_hz
     sensor = road.sensor(vehicles.places, vehicles.rows, scenario, (rules.physics_hz, every), sight, rules.ego)
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}

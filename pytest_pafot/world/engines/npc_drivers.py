@@ -26,7 +26,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.instructions.free import NAME
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.trace import AdsError, FloatArray
-from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.policy import Ads, Policy
@@ -274,6 +274,26 @@ class FreeNpc:
                 pass
 
 
+class BySimulator:
+    """A free NPC that a driver of the user's simulator drives: nothing is decided here, and the simulator moves it.
+
+    Args:
+        kind: what vehicle it is.
+        start: its start.
+    """
+
+    def __init__(self, kind: VehicleType, start: Start) -> None:
+        self.body = Body(kind.length, kind.width)
+        self.body.place(*start[1])
+
+    def driver(self, places: Places, record: Any, guard: HangGuard) -> EgoDriver:
+        """Return a driver that does nothing."""
+        return EgoDriver(self.body, 1)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 MOVERS: dict[type[Instruction], Callable[[Rules, Scenario, int, Start, Callable[[], Any]], OwnMover]] = {
     Free: FreeNpc,
 }
@@ -338,11 +358,15 @@ def movers_of(
     rules: Rules, scenario: Scenario, starts: Sequence[Start], stock_road: Callable[[], Any]
 ) -> dict[int, OwnMover]:
     """Return what moves each NPC that the director does not move, by its index."""
-    return {
-        npc: MOVERS[type(chain[0])](rules, scenario, npc, starts[npc], stock_road)
-        for npc, chain in enumerate(scenario.npcs)
-        if chain[0].drives_itself
-    }
+    made: dict[int, OwnMover] = {}
+    for npc, chain in enumerate(scenario.npcs):
+        if not chain[0].drives_itself:
+            continue
+        if rules.drivers.get(getattr(chain[0], "driver", "")) is BySimulator:
+            made[npc] = BySimulator(scenario.vehicle_of(npc), starts[npc])
+        else:
+            made[npc] = MOVERS[type(chain[0])](rules, scenario, npc, starts[npc], stock_road)
+    return made
 
 
 def _standing(x: float, y: float, heading: float, length: float, width: float) -> StaticObstacle:

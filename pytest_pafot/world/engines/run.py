@@ -99,6 +99,8 @@ class VehiclesOfRun:
         """End what moves NPCs in the place of the director, after the run."""
         for mover in self._movers.values():
             mover.close()
+        if self.loop.simulation is not None:
+            self.loop.simulation.close()
 
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
         """Return the trace up to the current tick, given the ego's driver and the ADS's error that ended the run."""

@@ -28,6 +28,7 @@ from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.road import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.simulator_world import SimulatorWorld
 
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
 """The time that a world may take between two decisions, before the first and after the last, before a process that can
@@ -44,7 +45,9 @@ def base_world(world: Any) -> BaseWorld:
 
     A world of a class that a user has derived from ours is the user's, because it may do anything.
     """
-    if isinstance(world, BaseWorld) and (not isinstance(world, BuiltInWorld) or type(world) in (Highway, World)):
+    if isinstance(world, BaseWorld) and (
+        not isinstance(world, BuiltInWorld) or type(world) in (Highway, World, SimulatorWorld)
+    ):
         return world
     return OwnWorld(world)
 

@@ -71,6 +71,7 @@ cdef class Loop:
     cdef Py_ssize_t _row, _end, _columns
     cdef list _vehicles, _npcs, _obstacles, _drivers
     cdef readonly tuple npc_error
+    cdef public object simulation
 
     @cython.locals(due=int, body=Body)
     cpdef run(self, EgoDriver driver, int ticks)

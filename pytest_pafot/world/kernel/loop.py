@@ -245,6 +245,8 @@ class PlannerDriver(GivenDriver):
         """
         taken = len(self.actions)
         if taken < self._given:
+            if self._sensor.is_bent:  # a decision is applied where the ego was last seen
+                self._sensor.observation(tick)
             self.take(self._decisions[taken], 0.0)
             return None
         guard = self._guard
@@ -289,11 +291,13 @@ class Loop:
         ego_touched: true if the run ended by a contact of the ego.
         npcs_touched: true if the run ended by a contact of two NPCs, or of one with a fixed object.
         npc_error: the NPC whose own driver failed, which ended the run, and the error; None if none did.
+        simulation: what replaces the states of all vehicles after each tick by those of a simulator; None in most runs.
     """
 
     def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
         self.tick = 0
         self.npc_error: tuple[int, AdsError] | None = None
+        self.simulation: Any = None
         self.ego_touched = False
         self.npcs_touched = False
         self._director = director
@@ -348,6 +352,8 @@ class Loop:
                 body.step(self._dt)
             if self._drivers and self._step_drivers():
                 break
+            if self.simulation is not None:
+                self.simulation.move()
             if self.moved():
                 break
         return None

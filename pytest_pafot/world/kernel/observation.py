@@ -34,9 +34,15 @@ class VehicleState(NamedTuple):
     heading: float
     speed: float
     lane: int
-    length: float
-    width: float
+    length: float = 5.0
+    width: float = 2.0
 
+
+_FIELDS = (
+    "time", "ego", "others", "lanes", "lane_width", "speed_limit", "decision_period", "acceleration", "steering",
+    "lateral_velocities", "ids", "road_length", "crossing",
+)  # fmt: skip
+"""The fields of an :class:`Observation`, in the order of its arguments."""
 
 _NEW = tuple.__new__
 """Makes a :class:`VehicleState` in half the time of the class itself."""
@@ -191,10 +197,10 @@ class Observation:
         self,
         time: float,
         ego: VehicleState,
-        others: tuple[VehicleState, ...],
-        lanes: int,
-        lane_width: float,
-        speed_limit: float,
+        others: tuple[VehicleState, ...] = (),
+        lanes: int = 4,
+        lane_width: float = 4.0,
+        speed_limit: float = 26.8,
         decision_period: float = 0.2,
         acceleration: float = 0.0,
         steering: float = 0.0,
@@ -330,12 +336,24 @@ class Observation:
     def __hash__(self) -> int:
         return hash(self._values())
 
+    def replace(self, **changes: Any) -> Observation:
+        """Return a copy in which some fields are others, such as ``others=()``.
+
+        Lateral velocities follow from other vehicles, as without steering, and so do their ids from 0 on if the number
+        of others changes, unless they are given.
+
+        Raises:
+            TypeError: for a name that is no field.
+        """
+        fields = dict(zip(_FIELDS, self._values(), strict=True))
+        if "ego" in changes or "others" in changes:
+            fields["lateral_velocities"] = None
+        if len(changes.get("others", self.others)) != len(self.others):
+            fields["ids"] = None
+        return Observation(**{**fields, **changes})
+
     def __repr__(self) -> str:
-        names = (
-            "time", "ego", "others", "lanes", "lane_width", "speed_limit", "decision_period", "acceleration",
-            "steering", "lateral_velocities", "ids", "road_length", "crossing",
-        )  # fmt: skip
-        fields = ", ".join([f"{name}={value!r}" for name, value in zip(names, self._values(), strict=True)])
+        fields = ", ".join([f"{name}={value!r}" for name, value in zip(_FIELDS, self._values(), strict=True)])
         return f"Observation({fields})"
 
     def __reduce__(self) -> tuple[type[Observation], tuple[Any, ...]]:

@@ -1,0 +1,415 @@
+"""A user's simulator as what moves the vehicles of a run, in the place of the package's own model.
+
+In each tick the loop lets all vehicles move by the package's model of a vehicle, as always. Then the simulator receives
+the controls that led there, with the states that this model gives, and its own states replace them. So everything that
+decides, observes, records and compares is the same as in the other worlds, and does not know of the simulator.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from pytest_pafot.support.errors import WorldError
+from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.director import TrackedNpc
+from pytest_pafot.world.kernel.loop import GivenDriver
+
+PATIENCE, LEAST_PATIENCE = 10.0, 60.0
+"""The time that a method of a simulator may take: a multiple of the world's ``hang_limit``, and at least this time [s].
+A simulator may need long to start, but hardly as long as ten decisions that are too slow."""
+STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
+"""The largest difference of a vehicle's first state from the one that was asked for [m, m, rad, m/s]."""
+ON_TRACK = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
+"""The same for a vehicle that drives as recorded, whose simulator may state a speed of its own."""
+
+
+class Vehicle(NamedTuple):
+    """A vehicle at the start of a run, in the units and axes of the simulator.
+
+    Attributes:
+        x, y: its place: the centre of its box, or with ``at_front`` the middle of its front.
+        heading, speed: its heading and speed.
+        length, width: the size of its box.
+        lane: its lane, counted from 0 at the left.
+        kind: the name of what vehicle it is, such as ``"car"`` or ``"truck"``.
+        driver: one of the simulator's :attr:`Simulator.drivers`, which drives it; empty if its controls do.
+        wanted_speed: the speed that such a driver wants to drive; for other vehicles their speed.
+    """
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+    length: float
+    width: float
+    lane: int
+    kind: str
+    driver: str
+    wanted_speed: float
+
+
+class Control(NamedTuple):
+    """What a vehicle does in a tick, in the units and axes of the simulator.
+
+    Attributes:
+        acceleration: the acceleration, in the simulator's speeds per second.
+        steering: the angle of the front wheels; it turns the vehicle in the direction in which headings grow.
+        x, y, heading, speed: the state at the end of the tick by the package's own kinematic bicycle model, for a
+            simulator that puts vehicles at places.
+        recorded: 1 if the vehicle drives as recorded, and so must be in this state; else 0.
+    """
+
+    acceleration: float
+    steering: float
+    x: float
+    y: float
+    heading: float
+    speed: float
+    recorded: int
+
+
+class Simulator(ABC):
+    """The base class of a user's simulator, for :class:`pytest_pafot.SimulatorWorld`.
+
+    An object of it is used for many runs, one after the other; :meth:`start` begins each. All values are in the
+    simulator's own units and axes, which the class attributes state.
+
+    Attributes:
+        hz: ticks per second, a whole number.
+        lanes: the number of parallel straight lanes; the centre of lane 0, the leftmost, is the x axis. Or the centre
+            lines of all lanes from the left, each with the places of at least two points, in the direction of driving.
+        lane_width: the width of each lane; None for 4 m.
+        speed_limit: the speed limit; None for 26.8 m/s.
+        length: the length of the road if ``lanes`` is a number; None if it never ends.
+        start_lane, start_speed, start_at: on a road that is not straight, the lane in which the ego starts, its speed,
+            None for 22 m/s or the limit, and its place along this lane; None for the first one with room behind it.
+        obstacles: fixed objects: x, y, heading, length and width of each.
+        y_is_left: True if y grows to the left of a vehicle that drives along x, and headings counter-clockwise.
+        degrees: True if angles are in degrees.
+        from_north: True if headings are those of a compass: 0 along y, clockwise.
+        at_front: True if the place of a vehicle is the middle of its front; else it is the centre of its box.
+        metres: the length of the simulator's unit of length [m].
+        metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
+        drivers: the names of drivers of the simulator's own, which can drive free NPCs.
+        follows_recordings: True if :meth:`step` puts each vehicle whose control is ``recorded`` in the control's state.
+        one_at_a_time: True if a process can have one simulation only; then several runs do not proceed in lock step.
+        packages: the names of installed packages whose versions change runs, for saved files.
+    """
+
+    hz: int = 15
+    lanes: int | Sequence[Any] = 4
+    lane_width: float | None = None
+    speed_limit: float | None = None
+    length: float | None = None
+    start_lane: int = 0
+    start_speed: float | None = None
+    start_at: float | None = None
+    obstacles: Sequence[tuple[float, float, float, float, float]] = ()
+    y_is_left: ClassVar[bool] = False
+    degrees: ClassVar[bool] = False
+    from_north: ClassVar[bool] = False
+    at_front: ClassVar[bool] = False
+    metres: ClassVar[float] = 1.0
+    metres_per_second: ClassVar[float] = 1.0
+    drivers: tuple[str, ...] = ()
+    follows_recordings: bool = False
+    one_at_a_time: ClassVar[bool] = False
+    packages: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def start(self, vehicles: Sequence[Vehicle], seed: int) -> None:
+        """Begin a run with these vehicles, the ego first. Whatever is random follows from ``seed``."""
+
+    @abstractmethod
+    def step(self, controls: Sequence[Control]) -> None:
+        """Move all vehicles by a tick, with a control for each, the ego's first."""
+
+    @abstractmethod
+    def states(self) -> Any:
+        """Return x, y, heading and speed of each vehicle, the ego first; shape [vehicles, 4]."""
+
+    def close(self) -> None:  # noqa: B027  (most simulators hold nothing)
+        """Release what the simulator holds, such as a process. The object is not used afterwards."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the arguments with which the class makes this simulator again, as plain data for a file."""
+        return {}
+
+
+class Frame:
+    """The units and axes of a simulator, and where its straight road starts.
+
+    Args:
+        simulator: the simulator.
+        origin: world x [m], y [m] and heading [rad] of the beginning of the road, as the simulator states them, after
+            the change of axes. A run has its places from there.
+    """
+
+    def __init__(self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        self.side = -1.0 if simulator.y_is_left else 1.0
+        self.turn = 1.0 if simulator.from_north else self.side
+        self.north = math.pi / 2 if simulator.from_north else 0.0
+        self.angle = math.pi / 180 if simulator.degrees else 1.0
+        self.metres, self.speed = float(simulator.metres), float(simulator.metres_per_second)
+        self.at_front = bool(simulator.at_front)
+        x, y, heading = origin
+        self._x, self._y, self._heading = x, y, heading
+        self._cos, self._sin = math.cos(heading), math.sin(heading)
+
+    def point(self, x: float, y: float) -> tuple[float, float]:
+        """Return x and y of a run [m] of a place in the simulator."""
+        dx, dy = x * self.metres - self._x, self.side * y * self.metres - self._y
+        return dx * self._cos + dy * self._sin, dy * self._cos - dx * self._sin
+
+    def state(self, row: Sequence[float], length: float, near: float) -> tuple[float, float, float, float]:
+        """Return x, y, heading and speed of a vehicle of a given length [m, m, rad, m/s].
+
+        ``row`` has them as the simulator states them. The heading has the turn that is nearest to ``near`` [rad].
+        """
+        x, y = self.point(row[0], row[1])
+        heading = self.turn * self.angle * row[2] - self.north - self._heading
+        heading -= 2.0 * math.pi * round((heading - near) / (2.0 * math.pi))
+        if self.at_front:
+            x -= length / 2.0 * math.cos(heading)
+            y -= length / 2.0 * math.sin(heading)
+        return x, y, heading, row[3] * self.speed
+
+    def stated(self, body: Any) -> tuple[float, float, float, float]:
+        """Return x, y, heading and speed of a body as the simulator states them, the inverse of :meth:`state`."""
+        x, y, heading = body.x, body.y, body.heading
+        if self.at_front:
+            x += body.length / 2.0 * math.cos(heading)
+            y += body.length / 2.0 * math.sin(heading)
+        x, y = x * self._cos - y * self._sin + self._x, y * self._cos + x * self._sin + self._y
+        turned = self.turn * (heading + self._heading + self.north) / self.angle
+        if self.north:
+            turned %= 2.0 * math.pi / self.angle
+        return x / self.metres, self.side * y / self.metres, turned, body.speed / self.speed
+
+
+class RepeatedBody(Body):
+    """The ego of a run that is driven again: it repeats its recorded decisions up to a tick, and then obeys its driver.
+
+    Unlike its states, the decisions also lead a simulator through the same run.
+
+    Args:
+        length, width: its size [m].
+        actions: the decisions.
+        until: the tick at which another driver takes over.
+    """
+
+    def __init__(self, length: float, width: float, actions: Sequence[Any], until: int) -> None:
+        super().__init__(length, width)
+        self._actions = iter(actions)
+        self._until = until
+        self._tick = 0
+        self._steering = 0.0
+        self.repeats: GivenDriver | None = None
+        """The driver of its decisions, which needs the other vehicles of the run."""
+
+    def step(self, dt: float) -> None:
+        """Move for a tick [s]."""
+        driver = self.repeats
+        if driver is not None and self._tick < self._until:
+            self.steering = self._steering  # it holds, but the driver that takes over has set its own
+            if self._tick % driver.every == 0:
+                driver.observe(self._tick)
+                driver.take(next(self._actions), 0.0)
+            driver.actuate()
+            self._steering = self.steering
+        self._tick += 1
+        super().step(dt)
+
+
+class Simulation:
+    """One run of a simulator.
+
+    Args:
+        simulators: what has simulators that are not in use.
+        frame: their units and axes.
+        vehicles: the vehicles of the run at their starts.
+        seed: the seed of the run.
+        guard: the guard of the decisions of the run.
+    """
+
+    def __init__(
+        self, simulators: Simulators, frame: Frame, vehicles: VehiclesOfRun, seed: int, guard: HangGuard
+    ) -> None:
+        self._simulators = simulators
+        self._frame = frame
+        self._bodies: list[Any] = vehicles.vehicles
+        self._guard = guard
+        self._tick = 0
+        self._hz = vehicles.rules.physics_hz
+        self._recorded = [number for number, body in enumerate(self._bodies) if isinstance(body, TrackedNpc)]
+        self._simulator: Any = simulators.take()
+        self._is_sound = False  # until all that it has stated was right
+        try:
+            starts = self._starts(vehicles)
+            with self._called("start"):
+                self._simulator.start(starts, seed)
+            self._check(self._read(), range(len(starts)), STARTS, "start")
+        except BaseException:
+            self.close()
+            raise
+        self._speeds = [body.speed for body in self._bodies]
+        self._is_sound = True
+
+    def _starts(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
+        frame, rules, scenario = self._frame, vehicles.rules, vehicles.scenario
+        kinds = [rules.ego, *scenario.all_vehicles]
+        names = ["", *(getattr(chain[0], "driver", "") for chain in scenario.npcs)]
+        starts = []
+        for number, (body, kind, name) in enumerate(zip(self._bodies, kinds, names, strict=True)):
+            is_own = name in self._simulator.drivers
+            wanted = min(scenario.npcs[number - 1][0].speed, kind.top_speed) if is_own else body.speed
+            pose = frame.stated(body)
+            size = body.length / frame.metres, body.width / frame.metres
+            lane = vehicles.places.bodies[number].lane
+            starts.append(Vehicle(*pose, *size, lane, kind.name, name if is_own else "", wanted / frame.speed))
+        return starts
+
+    def move(self) -> None:
+        """Let the simulator do the tick in which the package's own model has just moved all vehicles."""
+        frame, bodies = self._frame, self._bodies
+        recorded = [number for number in self._recorded if bodies[number].left < 0]
+        controls = [
+            Control(
+                body.acceleration / frame.speed,
+                frame.turn * body.steering / frame.angle,
+                *frame.stated(body),
+                int(number in recorded),
+            )
+            for number, body in enumerate(bodies)
+        ]
+        self._tick += 1
+        self._is_sound = False
+        with self._called("step"):
+            self._simulator.step(controls)
+        states = self._read()
+        if recorded:
+            self._check(states, recorded, ON_TRACK, "step")
+        for number, (body, state) in enumerate(zip(bodies, states, strict=True)):
+            if number in recorded:
+                self._speeds[number] = body.speed
+                continue
+            if state[3] != body.speed:  # else it has the acceleration that it was asked for
+                body.acceleration = (state[3] - self._speeds[number]) * self._hz
+            body.place(*state)
+            self._speeds[number] = state[3]
+        self._is_sound = True
+
+    def _read(self) -> list[tuple[float, float, float, float]]:
+        with self._called("states"):
+            given = self._simulator.states()
+        count = len(self._bodies)
+        try:
+            rows = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            rows = np.empty(0)
+        if rows.shape != (count, 4):
+            expected = f"x, y, heading and speed of {count} vehicles, the ego first, in shape ({count}, 4)"
+            received = f"an array of shape {rows.shape}" if rows.size else f"{given!r:.200}"
+            raise WorldError(field=self._place("states"), expected=expected, received=received)
+        if not np.isfinite(rows).all():
+            number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
+            received = f"{STARTS[column][0]} = {rows[number, column]} of {_named(number)}"
+            raise WorldError(field=self._place("states"), expected="finite numbers", received=received)
+        return [
+            self._frame.state(row, body.length, body.heading)
+            for row, body in zip(rows.tolist(), self._bodies, strict=True)
+        ]
+
+    def _check(self, states: Any, numbers: Sequence[int], most: Any, method: str) -> None:
+        """Refuse states that are not those of the bodies."""
+        for number in numbers:
+            body = self._bodies[number]
+            for (name, largest), value in zip(most, states[number], strict=True):
+                wanted = getattr(body, name)
+                if abs(value - wanted) > largest:
+                    place = f"{self._place('states')} after {method}"
+                    expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
+                    fix = "put each vehicle where it is asked to be, in the order given; do units and axes fit?"
+                    raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=fix)
+
+    def _place(self, method: str) -> str:
+        return f"{type(self._simulator).__name__}.{method}, tick {self._tick}"
+
+    @contextmanager
+    def _called(self, method: str) -> Iterator[None]:
+        """Call a method of the simulator, with a time limit of its own and its name in each error."""
+        guard = self._guard
+        limit, guard.limit = guard.limit, max(PATIENCE * guard.limit, LEAST_PATIENCE)
+        try:
+            try:
+                guard.decision_starts()
+                yield
+            finally:
+                guard.decision_ends()
+                most, guard.limit = guard.limit, limit
+            guard.raise_swallowed()
+        except AdsHang:
+            expected, fix = f"that it returns within {most:g} s", "give the world a longer hang_limit"
+            raise WorldError(field=self._place(method), expected=expected, received="no return", fix=fix) from None
+        except Exception as error:
+            error.add_note(f"raised by {self._place(method)}")
+            raise
+
+    def close(self) -> None:
+        """Give the simulator back, after the run."""
+        simulator, self._simulator = self._simulator, None
+        if simulator is not None:
+            self._simulators.give(simulator, is_sound=self._is_sound)
+
+
+class Simulators:
+    """The simulators of a world: one for each run that is being driven, which later runs use again.
+
+    Another process, which has been forked or has been sent the world, makes its own.
+
+    Args:
+        make: makes a simulator.
+    """
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        self._make = make
+        self._process = os.getpid()
+        self._free: list[Any] = []
+        weakref.finalize(self, _close_all, self._process, self._free)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes an equal one, without its simulators."""
+        return Simulators, (self._make,)
+
+    def take(self) -> Any:
+        """Return a simulator that no other run uses."""
+        if self._process != os.getpid():  # those of the other process are not closed, because it still uses them
+            self.__init__(self._make)  # type: ignore[misc]
+        return self._free.pop() if self._free else self._make()
+
+    def give(self, simulator: Any, *, is_sound: bool = True) -> None:
+        """Take a simulator back after its run; one that has failed is closed instead."""
+        if is_sound and self._process == os.getpid():
+            self._free.append(simulator)
+        else:
+            simulator.close()
+
+
+def _close_all(process: int, simulators: list[Any]) -> None:
+    if process == os.getpid():
+        for each in simulators:
+            each.close()
+
+
+def _named(number: int) -> str:
+    return "the ego" if number == 0 else f"NPC {number - 1}"

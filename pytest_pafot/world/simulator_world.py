@@ -1,0 +1,501 @@
+"""The world that drives scenarios in a simulator of the user's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pytest_pafot.findings.finding import DRIVEN_ON
+from pytest_pafot.model.instructions import BUILT_IN_DRIVERS, ScenarioError, checked_driver
+from pytest_pafot.model.scenario import EGO_SPEED, PAPER_SPEED_LIMIT, Scenario
+from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.support.errors import AdsFactoryError, WorldError
+from pytest_pafot.world.base_world import RoadStart
+from pytest_pafot.world.built_in import BuiltInWorld
+from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.engines.egos import planner_driver, planner_run
+from pytest_pafot.world.engines.npc_drivers import BySimulator
+from pytest_pafot.world.engines.run import SteppedRun
+from pytest_pafot.world.engines.simulation import Frame, RepeatedBody, Simulation, Simulator, Simulators
+from pytest_pafot.world.guard.failure import closing
+from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
+from pytest_pafot.world.roads.road import Road
+from pytest_pafot.world.roads.straight import StraightRoad, ego_start
+from pytest_pafot.world.run_config import Rules
+from pytest_pafot.world.validation import (
+    ADS_HZ,
+    PHYSICS_HZ,
+    check_divides,
+    check_ticks,
+    number_within,
+    plain_data,
+    whole_within,
+)
+
+LANE_WIDTH = 4.0
+"""The width of lanes if a simulator states none [m]."""
+MOST_LANES = 12
+"""The largest number of lanes."""
+LEAST_LENGTH = 100.0
+"""The least length of a road [m]."""
+LEAST_RUN = 20.0
+"""The time for which a straight road must last at top speed [s]; the runs of a shorter one end where it ends."""
+ROOM_BEHIND = 150.0
+"""The length of a road behind the ego's start if a simulator does not say where it starts [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorWorld(BuiltInWorld):
+    """A world in which a simulator of the user's moves all vehicles; see :class:`pytest_pafot.Simulator`.
+
+    The ADS is a planner, as in :class:`pytest_pafot.Highway`: a callable from :class:`pytest_pafot.Observation` to
+    ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`.
+
+    Attributes:
+        simulator: the class of the simulator, or a function without parameters that makes one.
+        ads_hz: decisions of the ADS per second; a divisor of the simulator's ``hz``. None for 5, or for the next larger
+            divisor.
+        duration: the longest duration of a run [s].
+        clearance, headway, limits, hang_limit, lasts, npc_drivers, ego: as in :class:`pytest_pafot.Highway`. A method
+            of the simulator may take ten times ``hang_limit``, and a minute in any case.
+
+    Raises:
+        WorldError: if a value cannot be used. The simulator itself is made and checked at the first use.
+    """
+
+    simulator: Callable[[], Simulator] = field(kw_only=False)
+    ads_hz: int | None = None
+    duration: float = 60.0
+    clearance: float = CLEARANCE
+    headway: float = HEADWAY
+    limits: NpcLimits = field(default_factory=NpcLimits)
+    ego: VehicleType = CAR
+    hang_limit: float = HANG_LIMIT
+    lasts: float | None = field(default=None, compare=False)
+    npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.simulator, Simulator) or not callable(self.simulator):
+            expected = "the class of a pafot.Simulator, or a function without parameters that makes one"
+            name = type(self.simulator).__name__
+            fix = f"write pafot.SimulatorWorld({name}), or functools.partial({name}, ...) with its arguments"
+            raise WorldError(field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix)
+        if self.ads_hz is not None:
+            object.__setattr__(self, "ads_hz", whole_within("ads_hz", self.ads_hz, *ADS_HZ))
+        object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
+        self._check_fields()
+
+    @cached_property
+    def _simulators(self) -> Simulators:
+        return Simulators(self.simulator)
+
+    @cached_property
+    def _stated(self) -> _Stated:
+        """What the simulator states, checked, in SI units and the axes of a run."""
+        simulators = self._simulators
+        made = simulators.take()
+        try:
+            stated = _stated(made)
+        finally:
+            simulators.give(made)
+        return stated
+
+    @property
+    def physics_hz(self) -> int:
+        """The simulator's ticks per second."""
+        return self._stated.hz
+
+    @property
+    def maker(self) -> type[Simulator]:
+        """The class of the simulator."""
+        return self._stated.maker
+
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """The packages that the simulator's class names; none if a function makes the simulator."""
+        maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
+        return getattr(maker, "packages", ())  # without a simulator, which is made where its errors are reported
+
+    @property
+    def has_lock_step(self) -> bool:
+        """True if several objects of the simulator can be in use at once."""
+        return not self.maker.one_at_a_time
+
+    @property
+    def speed_limit(self) -> float:
+        """The speed limit [m/s]."""
+        return self.road.speed_limit
+
+    @property
+    def start(self) -> tuple[int, float] | None:
+        """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
+        return self.road.prescribed
+
+    @property
+    def road_start(self) -> RoadStart | None:
+        """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
+        return None if self.start is None else RoadStart(*self.start, physics_hz=self.physics_hz)
+
+    @property
+    def road(self) -> Road:
+        """The road: straight, or the ego's way along lanes of any shape."""
+        return self._on_road.road
+
+    @cached_property
+    def _on_road(self) -> _OnRoad:
+        """The road, the axes of the simulator on it, and how long runs can last there."""
+        stated = self._stated
+        self.limits.top_speed(stated.speed_limit)
+        width, limit = stated.lane_width, stated.speed_limit
+        ends = 2 * ego_start(self.headway, self.clearance)
+        lines = self._lines
+        if lines is None:
+            length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
+            return _OnRoad(StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf)
+        from pytest_pafot.world.roads.lines import network_of, straight_along  # noqa: PLC0415  (not in each world)
+
+        if (found := straight_along(lines, width)) is not None:
+            origin, length = found
+            longest = (length - ends) / TOP_SPEED
+            if longest >= min(self.duration, LEAST_RUN):
+                return _OnRoad(StraightRoad.uniform(len(lines), length, width, limit), Frame(stated, origin), longest)
+        from pytest_pafot.world.roads.survey import survey  # noqa: PLC0415  (only for roads of other shapes)
+
+        line, at = lines[stated.start_lane], stated.start_at
+        lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+        if at is None:
+            at = min(ROOM_BEHIND, float(lengths[-1]) / 4)
+        place, ahead = (np.array([np.interp(each, lengths, line[:, axis]) for axis in (0, 1)]) for each in (at, at + 1))
+        speed = min(EGO_SPEED, limit) if stated.start_speed is None else stated.start_speed
+        ego = SimpleNamespace(position=place, heading=math.atan2(*(ahead - place)[::-1]), speed=speed)
+        network = network_of(lines, width, limit)
+        env = SimpleNamespace(road=SimpleNamespace(network=network), vehicle=ego)
+        road = survey(env, stated.name, self.limits, self.duration * TOP_SPEED)
+        longest = (road.end - road.start) / speed if speed > 0.0 else math.inf
+        return _OnRoad(road, Frame(stated), longest, network)
+
+    @property
+    def _lines(self) -> list[Any] | None:
+        """The centre lines of the lanes [m]; None for a straight road without an end."""
+        stated = self._stated
+        if stated.lines is not None or stated.length is None:
+            return stated.lines
+        across = [number * stated.lane_width for number in range(stated.count)]
+        return [np.array([(0.0, each), (stated.length, each)]) for each in across]
+
+    @cached_property
+    def network(self) -> Any:
+        """The road as a road network of highway-env."""
+        from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
+
+        if self._on_road.network is not None:
+            return SearchedLanes(self._on_road.network)
+        lane = self.road.lanes[0]
+        return SearchedLanes(straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit))
+
+    @property
+    def stock_road(self) -> Any:
+        """The road as a road of highway-env without vehicles."""
+        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
+
+        return Road(self.network)
+
+    @cached_property
+    def _rules(self) -> Rules:
+        road, duration, hz = self.road, self.duration, self.physics_hz
+        ads_hz = self.ads_hz or next(each for each in range(5, hz + 1) if hz % each == 0)
+        check_divides((f"{self._stated.name}.hz", hz), ("ads_hz", ads_hz))
+        check_ticks(duration, hz)
+        duration = min(duration, self._on_road.longest)
+        rules = self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
+        return replace(rules, drivers=dict.fromkeys(self._stated.drivers, BySimulator))
+
+    @cached_property
+    def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
+        """The fixed objects: x [m], y [m], heading [rad], length and width [m]."""
+        frame, found = self._on_road.frame, []
+        for x, y, heading, length, width in self._stated.obstacles:
+            placed = frame.state((x, y, heading, 0.0), 0.0, 0.0)
+            found.append((*placed[:3], length * frame.metres, width * frame.metres))
+        return tuple(found)
+
+    @property
+    def rules(self) -> Rules:
+        """The settings that all runs have in common, with the drivers of the simulator's own."""
+        rules = super().rules
+        return replace(rules, drivers={**self._rules.drivers, **self.npc_drivers})
+
+    @property
+    def own_drivers(self) -> tuple[str, ...]:
+        """The simulator's :attr:`Simulator.drivers`."""
+        return self._stated.drivers
+
+    def check(self) -> None:
+        """Make the simulator now, to check what it states.
+
+        Raises:
+            WorldError: if it cannot be used; the message names the field.
+        """
+        _ = self.rules
+
+    def check_fits(self, scenario: Scenario) -> None:
+        """Check a scenario against this world.
+
+        Raises:
+            ScenarioError: if the scenario does not fit; the error names the field.
+            WorldError: if the simulator cannot be used.
+        """
+        super().check_fits(scenario)
+        for npc, chain in enumerate(scenario.npcs):
+            if chain[0].follows_track and not self._stated.follows_recordings:
+                raise ScenarioError(
+                    field=f"npcs[{npc}][0]",
+                    expected=f"no recorded NPC in {self._stated.name}, which does not follow recordings",
+                    received=chain[0].goal,
+                    fix="let step put vehicles with control.recorded where the control says, and set "
+                    "follows_recordings = True",
+                )
+
+    @property
+    def replays_in_gym(self) -> bool:
+        """False, because a simulator is no environment."""
+        return False
+
+    @property
+    def is_resumable(self) -> bool:
+        """True, because :meth:`rollout` accepts ``decisions``."""
+        return True
+
+    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
+        """Simulate a scenario with a fresh ADS.
+
+        Args:
+            scenario: the scenario to run; it is checked against this world.
+            ads_factory: a callable that returns the ADS, called once.
+            decisions: the first decisions of the run, in the form of ``Trace.actions``; the ADS is not called for
+                them. Decisions beyond the end of the run are ignored.
+
+        Raises:
+            ScenarioError: if the scenario does not fit this world.
+            AdsFactoryError: if the factory returns nothing that can drive here.
+            BadAction: if one of the decisions is not a valid action.
+            WorldError: if the simulator states what cannot be.
+            Exception: any exception of the factory or the simulator itself. An exception of the ADS ends the run as
+                ``ads_error``.
+        """
+        self.check_fits(scenario)
+        policy = Policy(ads_factory)
+        policy.check_drives_in(self)
+        if policy.simulates or policy.drives_itself:
+            raise self._no_planner(ads_factory)
+        ads, rules = policy.make(), self.driven_in((scenario,), ads_factory).rules
+        if ads.drives_itself:
+            raise self._no_planner(ads.given)
+        with closing(ads.given, self.hang_limit):
+            return self._planned(rules, scenario, ads.given, decisions)
+
+    def _no_planner(self, given: Any) -> AdsFactoryError:
+        return AdsFactoryError(
+            f"ads: expected a planner, a callable from a pafot.Observation to (acceleration, steering), in a simulator "
+            f"of your own, received {given!r:.200}; a vehicle class of highway-env drives in pafot.Highway, and a "
+            "planner that simulates in pafot.World"
+        )
+
+    def _planned(
+        self,
+        rules: Rules,
+        scenario: Scenario,
+        ads: Callable[[Any], Any],
+        decisions: Sequence[Any] = (),
+        body: Body | None = None,
+    ) -> Trace:
+        guard = HangGuard(rules.hang_limit)
+        run = planner_run(rules, scenario, lambda: self.stock_road, ads, guard, decisions=decisions, body=body)
+        if isinstance(body, RepeatedBody):
+            own = replace(rules, ads_hz=rules.drivers_hz or rules.ads_hz)
+            body.repeats = planner_driver(run.vehicles, None, guard, None, rules=own)
+        with guard:
+            self._simulate(run, scenario, guard)
+        return run.finish()
+
+    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
+        run = planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
+        self._simulate(run, scenario, guard)
+        return run
+
+    def _simulate(self, run: SteppedRun, scenario: Scenario, guard: HangGuard) -> None:
+        """Let the simulator move the vehicles of a run that begins."""
+        frame, vehicles = self._on_road.frame, run.vehicles
+        try:
+            vehicles.loop.simulation = Simulation(self._simulators, frame, vehicles, scenario.seed, guard)
+        except BaseException:
+            vehicles.close()
+            raise
+
+    def _repeated(self, trace: Trace, tick: int) -> Body:
+        """Return an ego that repeats its decisions up to a tick, which leads the simulator to the same states."""
+        length, width = trace.sizes[0].tolist()
+        return RepeatedBody(length, width, trace.actions, tick)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for a corpus file, under ``simulator`` what the simulator's own ``to_dict`` returns."""
+        own: dict[str, Any] = {"lanes": self.road.lane_count, "speed_limit": self.road.speed_limit}
+        own |= {"physics_hz": self.physics_hz, "ads_hz": self.ads_hz, "duration": self.duration}
+        own |= {"clearance": self.clearance, "headway": self.headway, "limits": asdict(self.limits)}
+        own |= {"hang_limit": self.hang_limit, "simulator": self._stated.data}
+        return own if self.ego == CAR else {**own, "ego": self.ego.plain()}
+
+    @classmethod
+    def of(cls, simulator: type[Simulator], data: Mapping[str, Any]) -> SimulatorWorld:
+        """Make a world from its plain data and the class of its simulator; the opposite of :meth:`to_dict`.
+
+        Raises:
+            Exception: any exception of the class, for data that it does not accept.
+        """
+        given, stated = dict(data), ("lanes", "speed_limit", "physics_hz")
+        own = {name: given.pop(name) for name in stated}
+        if not isinstance(given["limits"], dict):
+            raise WorldError(field="world.data.limits", expected="a mapping", received=f"{given['limits']!r:.200}")
+        world = cls(partial(simulator, **given.pop("simulator")), **{**given, "limits": NpcLimits(**given["limits"])})
+        now = world.to_dict()
+        for name in stated:
+            if now[name] != own[name]:
+                field = f"world.data.{name}"
+                raise WorldError(field=field, expected=f"{now[name]!r:.200}, as now", received=f"{own[name]!r:.200}")
+        return world
+
+
+class _OnRoad(NamedTuple):
+    """A road, the axes of the simulator on it, how long runs can last [s], and highway-env's network of a bent one."""
+
+    road: Road
+    frame: Frame
+    longest: float
+    network: Any = None
+
+
+@dataclass(slots=True)
+class _Stated:
+    """What a simulator states, checked: its units and axes as it states them, all else in those of a run (SI)."""
+
+    maker: type[Simulator]
+    metres: float
+    metres_per_second: float
+    y_is_left: bool
+    degrees: bool
+    from_north: bool
+    at_front: bool
+    hz: int
+    lane_width: float
+    speed_limit: float
+    length: float | None
+    start_lane: int
+    start_speed: float | None
+    start_at: float | None
+    follows_recordings: bool
+    drivers: tuple[str, ...]
+    obstacles: list[tuple[float, float, float, float, float]]
+    data: dict[str, Any]
+    count: int = 0
+    lines: list[Any] | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the simulator's class."""
+        return self.maker.__name__
+
+
+def _stated(simulator: Any) -> _Stated:
+    """Return what a simulator states.
+
+    Raises:
+        WorldError: for a value that cannot be used; the message names the field.
+    """
+    if not isinstance(simulator, Simulator):
+        expected = "that it makes a pafot.Simulator"
+        raise WorldError(field="simulator", expected=expected, received=f"{simulator!r:.200}")
+    name = type(simulator).__name__
+    metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
+    unit = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
+
+    def is_on(field: str) -> bool:
+        value = getattr(simulator, field)
+        if not isinstance(value, bool):
+            raise WorldError(field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}")
+        return value
+
+    def in_si(field: str, low: float, high: float, of: float) -> float | None:
+        """Return a value in SI units; None if the simulator states none."""
+        value = getattr(simulator, field)
+        return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of) * of
+
+    drivers = tuple(map(checked_driver, simulator.drivers))
+    if own := [each for each in drivers if each in BUILT_IN_DRIVERS]:
+        expected = f"other names than {', '.join(BUILT_IN_DRIVERS)}, which the package has"
+        raise WorldError(field=f"{name}.drivers", expected=expected, received=own[0])
+    found = _Stated(
+        maker=type(simulator),
+        metres=metres,
+        metres_per_second=unit,
+        y_is_left=is_on("y_is_left"),
+        degrees=is_on("degrees"),
+        from_north=is_on("from_north"),
+        at_front=is_on("at_front"),
+        hz=whole_within(f"{name}.hz", simulator.hz, *PHYSICS_HZ),
+        lane_width=in_si("lane_width", 2.0, 10.0, metres) or LANE_WIDTH,
+        speed_limit=in_si("speed_limit", 5.0, TOP_SPEED, unit) or PAPER_SPEED_LIMIT,
+        length=in_si("length", LEAST_LENGTH, 1e6, metres),
+        start_lane=whole_within(f"{name}.start_lane", simulator.start_lane, 0, MOST_LANES - 1),
+        start_speed=in_si("start_speed", 0.0, TOP_SPEED, unit),
+        start_at=in_si("start_at", 0.0, 1e6, metres),
+        follows_recordings=is_on("follows_recordings"),
+        drivers=drivers,
+        obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(simulator.obstacles)],
+        data=plain_data(f"{name}.to_dict()", simulator.to_dict()),
+    )
+    if isinstance(simulator.lanes, int):
+        found.count = whole_within(f"{name}.lanes", simulator.lanes, 1, MOST_LANES)
+    else:
+        frame = Frame(found)
+        found.lines = [_line(f"{name}.lanes[{n}]", line, frame) for n, line in enumerate(simulator.lanes)]
+        found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
+    whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
+    return found
+
+
+def _line(place: str, given: Any, frame: Frame) -> Any:
+    """Return the points of a lane in the axes of a run [m]."""
+    try:
+        points = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
+        expected = "x and y of two points or more, in the direction of driving"
+        raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
+    line = np.array([frame.point(x, y) for x, y in points.tolist()])
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    if steps.min() < 1e-3:
+        number = int(steps.argmin())
+        expected = "points at least a millimetre from each other"
+        raise WorldError(field=f"{place}[{number + 1}]", expected=expected, received="the point before it")
+    return line
+
+
+def _obstacle(place: str, given: Any) -> tuple[float, float, float, float, float]:
+    values = tuple(given) if isinstance(given, (tuple, list)) else ()
+    if len(values) != 5 or not all(isinstance(each, (int, float)) and math.isfinite(each) for each in values):
+        expected = "x, y, heading, length and width of a fixed object"
+        raise WorldError(field=place, expected=expected, received=f"{given!r:.200}")
+    x, y, heading, length, width = map(float, values)
+    return x, y, heading, length, width

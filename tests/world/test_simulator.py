@@ -1,0 +1,604 @@
+"""A simulator of the user's as a world: its runs, its units and axes, its road, its files and its errors."""
+
+import math
+import os
+import pickle
+from functools import partial
+
+import numpy as np
+import pytest
+
+from pytest_pafot import (
+    Drive,
+    Free,
+    Highway,
+    LaneInstruction,
+    Manoeuvre,
+    Outcome,
+    PositionInstruction,
+    Recorded,
+    Scenario,
+    ScenarioError,
+    Simulator,
+    SimulatorWorld,
+    Step,
+    Track,
+    Traffic,
+    WorldError,
+)
+from pytest_pafot.campaign.explore import request_of
+from pytest_pafot.campaign.request import build_space
+from pytest_pafot.searching.space import sample
+from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.testing import check_world
+from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
+from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.roads.lines import network_of, straight_along
+from tests.helpers.tables import table
+
+LANE = 4.0
+
+
+class Bicycle(Simulator):
+    """A kinematic bicycle, operation by operation as highway-env writes it."""
+
+    hz, lanes = 15, 4
+
+    def start(self, vehicles, seed):
+        self.cars = [[each.x, each.y, each.heading, each.speed] for each in vehicles]
+        self.lengths = [each.length for each in vehicles]
+
+    def step(self, controls):
+        dt = 1 / self.hz
+        for car, length, control in zip(self.cars, self.lengths, controls, strict=True):
+            x, y, heading, speed = car
+            slip = math.atan(0.5 * math.tan(control.steering))
+            x += speed * math.cos(heading + slip) * dt
+            y += speed * math.sin(heading + slip) * dt
+            heading += speed * math.sin(slip) / (length / 2.0) * dt
+            car[:] = x, y, heading, speed + control.acceleration * dt
+
+    def states(self):
+        return self.cars
+
+
+class Placing(Bicycle):
+    """The same, which follows recordings, and has a driver of its own: it keeps to the speed that it wants."""
+
+    drivers = ("steady",)
+    follows_recordings = True
+
+    def start(self, vehicles, seed):
+        super().start(vehicles, seed)
+        self.wanted = [each.wanted_speed if each.driver else None for each in vehicles]
+
+    def step(self, controls):
+        super().step(controls)
+        for number, (control, wanted) in enumerate(zip(controls, self.wanted, strict=True)):
+            if control.recorded:
+                self.cars[number] = [control.x, control.y, control.heading, control.speed]
+            elif wanted is not None:
+                self.cars[number][3] = wanted
+
+
+BEHIND = ((PositionInstruction(6, 0.0),),)
+"""An NPC that stays behind."""
+
+TOY = SimulatorWorld(Bicycle, duration=20.0)
+HIGHWAY = Highway(duration=20.0)
+
+
+def swerving():
+    """Return an ADS that steers and brakes by numbers and by Drives in turn."""
+
+    def decide(seen):
+        if int(seen.time) % 4 < 2:
+            return Drive(lane=min(seen.ego.lane + int(seen.time) % 2, 3), speed=20.0 - seen.time / 2)
+        return 1.5 - seen.time / 4, 0.004 * math.sin(seen.time)
+
+    return decide
+
+
+def scenarios():
+    cells = tuple(PositionInstruction(cell, speed) for cell, speed in ((2, 10.0), (3, 24.0), (4, 19.0)))
+    lanes = tuple(LaneInstruction(lane, speed) for lane, speed in (("left", 12.0), ("keep", 26.0), ("right", 5.0)))
+    cuts_in = (Manoeuvre(beside=1, ahead=15.0, speed=22.0, steps=(Step(after=1.0, lane="left"),)),)
+    common = {"gene_seconds": 4.0, "ego_lane": 1}
+    return [
+        Scenario(npcs=(cells, lanes), **common),
+        Scenario(
+            npcs=(lanes, cells, lanes[::-1]),
+            traffic=Traffic(style="everyday"),
+            vehicles=("truck", "car", "motorcycle"),
+            **common,
+        ),
+        Scenario(npcs=(cuts_in, cells), ego_speed=17.0, seed=5, **common),
+        Scenario(npcs=((Free(beside=0, ahead=20.0, speed=9.0, driver="idm"),), lanes), **common),
+        Scenario(npcs=((Free(beside=1, ahead=-20.0, speed=26.0, driver="mobil"),), lanes), **common),
+    ]
+
+
+def same(one, other):
+    """Return whether two runs have the same states, decisions and end, to the last bit."""
+    return (
+        np.array_equal(one.states, other.states)
+        and (one.outcome, one.collision, one.actions) == (other.outcome, other.collision, other.actions)
+        and (one.arrivals, one.executed, one.begun) == (other.arrivals, other.executed, other.begun)
+    )
+
+
+@pytest.mark.parametrize("scenario", scenarios(), ids=["mixed", "vehicles", "manoeuvre", "idm", "mobil"])
+def test_simulator_with_the_same_physics_drives_the_runs_of_a_highway_to_the_bit(scenario):
+    in_toy, on_highway = TOY.rollout(scenario, swerving), HIGHWAY.rollout(scenario, swerving)
+    assert same(in_toy, on_highway)
+    for name in ("careful-human", "steady-braking"):
+        tick = on_highway.ticks // 2
+        assert same(TOY.take_over(in_toy, tick, name), HIGHWAY.take_over(on_highway, tick, name))
+    assert same(TOY.rollout_reference(scenario, "idm-aeb"), HIGHWAY.rollout_reference(scenario, "idm-aeb"))
+    first = on_highway.actions[:7]
+    repeated = (world.rollout(scenario, lambda: lambda _: (0.5, 0.0), decisions=first) for world in (TOY, HIGHWAY))
+    assert same(*repeated)
+
+
+def test_recorded_npcs_drive_as_on_a_highway_where_the_simulator_follows_recordings():
+    states = np.array([(40.0 + 2.0 * row, 4.0, 0.0, 20.0) for row in range(120)])
+    scenario = Scenario(npcs=((Recorded(track=Track.of(states)),),), ego_lane=1, ego_speed=22.0)
+    assert same(SimulatorWorld(Placing).rollout(scenario, swerving), Highway().rollout(scenario, swerving))
+    with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\]: .*Bicycle, which does not follow recordings"):
+        TOY.rollout(scenario, swerving)
+
+
+def test_own_driver_of_a_simulator_drives_the_npcs_that_name_it():
+    world = SimulatorWorld(Placing, duration=6.0)
+    free = Free(beside=0, ahead=20.0, speed=9.0, driver="steady")
+    trace = world.rollout(Scenario(npcs=((free,),), gene_seconds=6.0), lambda: lambda _: (-6.0, 0.0))
+    assert trace.outcome is Outcome.SAFE
+    assert (trace.states[:, 1, 3] == 9.0).all()
+    assert trace.states[-1, 1, 0] - trace.states[0, 1, 0] == pytest.approx(9.0 * 6.0)
+    assert (trace.states[:, 1, 4:6] == 0.0).all()
+    assert base_world(world).own_drivers == ("steady",)
+    with pytest.raises(ScenarioError, match=r"npcs\[0\]\[0\].driver: expected one of idm, mobil, policy, received"):
+        TOY.rollout(Scenario(npcs=((free,),)), swerving)
+
+
+def test_search_in_a_simulator_draws_its_drivers_and_any_start():
+    world = base_world(SimulatorWorld(Placing))
+    space = build_space(request_of({"ads": lambda: swerving, "drivers": "steady"}), world)
+    drawn = [sample(space, np.random.default_rng(seed)) for seed in range(30)]
+    names = {getattr(chain[0], "driver", None) for scenario in drawn for chain in scenario.npcs}
+    assert names == {None, "steady"}
+    assert {scenario.ego_lane for scenario in drawn} == {0, 1, 2, 3}
+    for scenario in drawn:
+        world.check_fits(scenario)
+
+
+def test_acceleration_of_an_own_driver_follows_from_its_speeds():
+    class Hasty(Placing):
+        def start(self, vehicles, seed):
+            super().start(vehicles, seed)
+            self.wanted = [None, 12.0]
+
+    free = Free(beside=0, ahead=20.0, speed=9.0, driver="steady")
+    world = SimulatorWorld(Hasty, duration=2.0)
+    trace = world.rollout(Scenario(npcs=((free,),), gene_seconds=2.0), lambda: lambda _: (-6.0, 0.0))
+    assert trace.states[1:, 1, 4].tolist() == [45.0] + [0.0] * 29  # 3 m/s in a tick of 1/15 s, then none
+
+
+class Batch:
+    def __call__(self, seen):
+        return -seen.ego.speed / 20, 0.0
+
+    def batch(self, observations):
+        return [self(seen) for seen in observations]
+
+
+def test_runs_in_lock_step_have_simulators_of_their_own():
+    many = scenarios()[:3]
+    for one, other in zip(TOY.rollout_batch(many, Batch), many, strict=True):
+        assert same(one, TOY.rollout(other, Batch))
+
+
+def test_longer_runs_begin_as_the_others():
+    scenario = scenarios()[2]
+    longer = TOY.lasting(30.0).rollout(scenario, Batch)
+    short = TOY.rollout(scenario, Batch)
+    assert longer.ticks > short.ticks
+    assert np.array_equal(longer.states[: short.ticks + 1], short.states)
+
+
+# Units and axes.
+
+FOOT, KMH = 0.3048, 1 / 3.6
+
+
+def other_axes(cls, **flags):
+    """Return a bicycle that states its places and moves in other axes, of which it makes its own by hand."""
+
+    class Other(cls):
+        def start(self, vehicles, seed):
+            self.lengths = [each.length * self.metres for each in vehicles]
+            self.cars = [self.mine(each, length) for each, length in zip(vehicles, self.lengths, strict=True)]
+
+        def mine(self, each, length):
+            side = -1.0 if self.y_is_left else 1.0
+            heading = math.radians(each.heading) if self.degrees else each.heading
+            heading = heading - math.pi / 2 if self.from_north else side * heading
+            x, y = each.x * self.metres, side * each.y * self.metres
+            if self.at_front:
+                x, y = x - length / 2 * math.cos(heading), y - length / 2 * math.sin(heading)
+            return [x, y, heading, each.speed * self.metres_per_second]
+
+        def step(self, controls):
+            side = -1.0 if self.y_is_left and not self.from_north else 1.0
+            angle = math.pi / 180 if self.degrees else 1.0
+            unit = self.metres_per_second
+            super().step(
+                [
+                    each._replace(acceleration=each.acceleration * unit, steering=side * each.steering * angle)
+                    for each in controls
+                ]
+            )
+
+        def states(self):
+            side, rows = -1.0 if self.y_is_left else 1.0, []
+            for (x0, y0, heading, speed), length in zip(self.cars, self.lengths, strict=True):
+                ahead = length / 2 if self.at_front else 0.0
+                x, y = x0 + ahead * math.cos(heading), y0 + ahead * math.sin(heading)
+                turned = heading + math.pi / 2 if self.from_north else side * heading
+                turned = math.degrees(turned) if self.degrees else turned
+                rows.append(
+                    (
+                        x / self.metres,
+                        side * y / self.metres,
+                        turned % 360.0 if self.degrees else turned,
+                        speed / self.metres_per_second,
+                    )
+                )
+            return np.array(rows)
+
+    for name, value in flags.items():
+        setattr(Other, name, value)
+    return Other
+
+
+@table(
+    "flags",
+    {
+        "y to the left": {"y_is_left": True},
+        "degrees": {"degrees": True},
+        "front bumper": {"at_front": True},
+        "feet and km/h": {
+            "metres": FOOT,
+            "metres_per_second": KMH,
+            "lane_width": LANE / FOOT,
+            "speed_limit": 26.8 / KMH,
+        },
+        "a compass": {"y_is_left": True, "from_north": True},
+        "all, as SUMO states them": {"y_is_left": True, "degrees": True, "from_north": True, "at_front": True},
+    }.values(),
+)
+def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
+    world = SimulatorWorld(other_axes(Bicycle, **flags), duration=20.0)
+    for scenario in scenarios()[1:3]:
+        there, here = world.rollout(scenario, swerving), HIGHWAY.rollout(scenario, swerving)
+        assert (there.outcome, there.ticks) == (here.outcome, here.ticks)
+        assert there.states == pytest.approx(here.states, abs=1e-6)
+
+
+@table(
+    "begin",
+    {
+        "elsewhere": (300.0, -50.0, 0.0),
+        "to the north": (10.0, 20.0, -math.pi / 2),
+        "at an angle": (-90.0, 7.0, 2.5),
+    }.values(),
+)
+def test_straight_lanes_in_any_direction_are_the_straight_road(begin):
+    x0, y0, turn = begin
+
+    class Turned(Bicycle):
+        lanes = tuple(
+            tuple(
+                (x0 + x * math.cos(turn) - y * math.sin(turn), y0 + x * math.sin(turn) + y * math.cos(turn))
+                for x in (0.0, 2000.0)
+            )
+            for y in (0.0, 4.0, 8.0, 12.0)
+        )
+
+    world = SimulatorWorld(Turned, duration=20.0)
+    there, here = world.rollout(scenarios()[1], swerving), HIGHWAY.rollout(scenarios()[1], swerving)
+    assert world.start is None
+    assert there.states[..., :6] == pytest.approx(here.states[..., :6], abs=1e-6)
+
+
+# Roads.
+
+
+def arc(radius, angle, points=60, y=0.0):
+    """Return points of a circle to the right around (0, radius), at a distance ``y`` to its inside."""
+    turns = np.linspace(0.0, angle, points)
+    return np.stack([(radius - y) * np.sin(turns), radius - (radius - y) * np.cos(turns)], axis=-1)
+
+
+class Ring(Bicycle):
+    """Three lanes in a bend to the right with a radius of 400 m, of the leftmost."""
+
+    lanes = tuple(arc(400.0, 3.0, y=4.0 * number) for number in range(3))
+    start_lane, start_speed = 1, 20.0
+
+
+RING = SimulatorWorld(Ring, duration=20.0)
+
+
+def test_lanes_of_a_circle_are_arcs_of_its_radius():
+    network = network_of([np.asarray(line) for line in Ring.lanes], LANE, 26.8)
+    for (_, _, number), lane in network.lanes_dict().items():
+        assert lane.radius == pytest.approx(400.0 - 4.0 * number, rel=3e-3)
+        assert np.hypot(*(lane.center - np.array([0.0, 400.0]))) == pytest.approx(0.0, abs=1.3)
+        assert np.hypot(*(lane.position(lane.length / 2, 0) - np.array([0.0, 400.0]))) == pytest.approx(
+            400.0 - 4.0 * number, abs=5e-3
+        )
+
+
+def test_ego_that_keeps_its_lane_stays_on_its_circle():
+    trace = RING.rollout(
+        Scenario(npcs=BEHIND, ego_lane=1, ego_speed=20.0, gene_seconds=20.0),
+        lambda: lambda _: Drive(lane=1, speed=20.0),
+    )
+    away = np.hypot(trace.states[:, 0, 0], trace.states[:, 0, 1] - 400.0)
+    assert trace.outcome is Outcome.SAFE
+    assert away == pytest.approx(396.0, abs=0.1)
+    assert np.abs(trace.track[:, 0, 3]).max() < 0.1
+    assert trace.track[-1, 0, 0] - trace.track[0, 0, 0] == pytest.approx(20.0 * 20.0, rel=0.01)
+
+
+@table("name", ["careful-human", "steady-braking"])
+def test_take_over_repeats_a_run_in_a_bend_to_the_bit(name):
+    scenario = Scenario(npcs=((PositionInstruction(2, 15.0),),), ego_lane=1, ego_speed=20.0)
+    trace = RING.rollout(scenario, swerving)
+    taken = RING.take_over(trace, trace.ticks // 2, name)
+    assert np.array_equal(taken.states[: trace.ticks // 2 + 1], trace.states[: trace.ticks // 2 + 1])
+    again = RING.rollout(scenario, lambda: pytest.fail, decisions=trace.actions)
+    assert same(again, trace)
+
+
+def test_lane_that_ends_is_no_lane_further_on():
+    class Merging(Bicycle):
+        lanes = (((0.0, 0.0), (900.0, 0.0)), ((0.0, 4.0), (400.0, 4.0)))
+
+    road = SimulatorWorld(Merging, duration=20.0).road
+    assert (road.lane_count, road.has_lane(1, 300.0), road.has_lane(1, 500.0)) == (2, True, False)
+
+
+def test_short_straight_road_ends_runs_where_it_ends():
+    class Short(Bicycle):
+        lanes, length = 2, 400.0
+
+    world = SimulatorWorld(Short)
+    trace = world.rollout(
+        Scenario(npcs=BEHIND, ego_lane=0, ego_speed=22.0, gene_seconds=30.0), lambda: lambda _: (0.0, 0.0)
+    )
+    assert trace.outcome is Outcome.END_OF_ROAD
+    assert trace.states[-1, 0, 0] == pytest.approx(397.5, abs=2.0)
+
+
+@table(
+    ("lines", "found"),
+    {
+        "equal lanes": ([[(0, 0), (900, 0)], [(0, 4), (900, 4)]], ((0.0, 0.0, 0.0), 900.0)),
+        "one lane": ([[(5, 5), (5, 400)]], ((5.0, 5.0, math.pi / 2), 395.0)),
+        "other widths": ([[(0, 0), (900, 0)], [(0, 5), (900, 5)]], None),
+        "a bend": ([[(0, 0), (500, 0), (900, 1)]], None),
+        "lanes from the right": ([[(0, 4), (900, 4)], [(0, 0), (900, 0)]], None),
+        "a lane that ends": ([[(0, 0), (900, 0)], [(0, 4), (400, 4)]], None),
+    }.values(),
+)
+def test_lines_are_a_straight_road_if_lanes_are_equal(lines, found):
+    assert straight_along([np.array(line, dtype=float) for line in lines], LANE) == found
+
+
+# Errors.
+
+
+def broken(**members):
+    return SimulatorWorld(type("Broken", (Bicycle,), members), duration=4.0)
+
+
+def raising(self, controls):
+    raise KeyError("wheel")
+
+
+@table(
+    ("members", "message"),
+    {
+        "no ticks": ({"hz": 0}, r"Broken.hz: expected a whole number from 5"),
+        "no flag": ({"y_is_left": 1}, r"Broken.y_is_left: expected True or False, received 1"),
+        "a number as a lane": ({"lanes": (1, 2)}, r"Broken.lanes\[0\]: expected x and y of two points"),
+        "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the point before it"),
+        "a built-in driver": ({"drivers": ("idm",)}, r"Broken.drivers: expected other names than idm, mobil, policy"),
+        "a narrow lane": ({"lane_width": 0.4}, r"Broken.lane_width: expected a number from 2 to 10"),
+        "no lane there": ({"start_lane": 7}, r"Broken.start_lane: expected a whole number from 0 to 3"),
+        "odd obstacles": ({"obstacles": ((1, 2),)}, r"Broken.obstacles\[0\]: expected x, y, heading, length and width"),
+        "too few rows": ({"states": lambda self: self.cars[1:]}, r"Broken.states, tick 0: expected .* of 2 vehicles"),
+        "words": ({"states": lambda self: "here"}, r"Broken.states, tick 0: .* received 'here'"),
+        "no numbers": (
+            {"states": lambda self: [self.cars[0], [math.nan] * 4]},
+            r"Broken.states, tick 0: expected finite numbers, received x = nan of NPC 0",
+        ),
+        "another order": (
+            {"states": lambda self: self.cars[::-1]},
+            r"Broken.states, tick 0 after start: expected x = 200.00 of the ego",
+        ),
+        "y to the left": (
+            {"states": lambda self: [(x, -y, heading, speed) for x, y, heading, speed in self.cars]},
+            r"Broken.states, tick 0 after start: expected y = 4.00 of the ego, .* do units and axes fit\?",
+        ),
+    }.values(),
+)
+def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message):
+    with pytest.raises(WorldError, match=message):
+        broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
+
+
+def test_exception_of_a_simulator_names_its_method_and_its_tick():
+    with pytest.raises(KeyError, match="wheel") as error:
+        broken(step=raising).rollout(scenarios()[0], swerving)
+    assert error.value.__notes__ == ["raised by Broken.step, tick 1"]
+
+
+def test_method_that_does_not_return_is_ended(monkeypatch):
+    monkeypatch.setattr("pytest_pafot.world.engines.simulation.LEAST_PATIENCE", 0.2)
+
+    def wait(self, controls):
+        while True:
+            pass
+
+    world = SimulatorWorld(type("Stuck", (Bicycle,), {"step": wait}), duration=4.0, hang_limit=0.02)
+    with pytest.raises(WorldError, match=r"Stuck.step, tick 1: expected that it returns within 0.2 s"):
+        world.rollout(scenarios()[0], swerving)
+
+
+def test_decision_that_hangs_ends_the_run_and_not_the_simulator():
+    def hangs(seen):
+        while seen.time > 1.0:
+            pass
+        return 0.0, 0.0
+
+    trace = SimulatorWorld(Bicycle, hang_limit=0.1).rollout(scenarios()[0], lambda: hangs)
+    assert (trace.outcome, trace.error.tick) == (Outcome.HANG, 18)
+
+
+@table("given", ["class", "env"])
+def test_ads_of_another_kind_is_refused(given):
+    from highway_env.vehicle.behavior import IDMVehicle
+
+    with pytest.raises(AdsFactoryError, match="expected a planner"):
+        TOY.rollout(scenarios()[0], IDMVehicle if given == "class" else lambda env: None)
+
+
+@table("given", [Bicycle(), 3, "toy"])
+def test_object_instead_of_a_class_is_refused_with_what_to_write(given):
+    with pytest.raises(WorldError, match=r"simulator: expected the class .* write pafot.SimulatorWorld\("):
+        SimulatorWorld(given)
+
+
+# Objects, processes and files.
+
+
+class Counted(Bicycle):
+    made, closed = [], []
+
+    def __init__(self, name="plain"):
+        self.name = name
+        self.made.append(os.getpid())
+
+    def close(self):
+        self.closed.append(self.name)
+
+    def to_dict(self):
+        return {"name": self.name}
+
+
+def test_runs_use_one_simulator_after_the_other_until_one_fails():
+    Counted.made.clear()
+    Counted.closed.clear()
+    world = SimulatorWorld(partial(Counted, "own"), duration=2.0)
+    for _ in range(3):
+        world.rollout(scenarios()[0], Batch)
+    world.take_over(world.rollout(scenarios()[0], Batch), 3, "steady-braking")
+    assert (len(Counted.made), Counted.closed) == (1, [])
+    world._simulators._free[0].states = lambda: None
+    with pytest.raises(WorldError):
+        world.rollout(scenarios()[0], Batch)
+    assert Counted.closed == ["own"]
+    world.rollout(scenarios()[0], Batch)
+    assert len(Counted.made) == 2
+
+
+def test_world_that_is_sent_to_a_process_makes_its_own_simulator():
+    world = SimulatorWorld(Counted, duration=2.0)
+    trace = world.rollout(scenarios()[0], Batch)
+    Counted.made.clear()
+    again = pickle.loads(pickle.dumps(world))
+    assert same(again.rollout(scenarios()[0], Batch), trace)
+    assert len(Counted.made) == 1
+
+
+def test_file_names_the_class_of_a_simulator_and_what_it_states():
+    world = SimulatorWorld(partial(Counted, "own"), duration=2.0)
+    data = described(world)
+    assert (data["kind"], data["class"], data["data"]["simulator"]) == ("own", "Counted", {"name": "own"})
+    assert (data["data"]["physics_hz"], data["data"]["lanes"], data["data"]["duration"]) == (15, 4, 2.0)
+    assert is_code(data)
+    assert named(data, world) is world
+    with pytest.raises(WorldError, match="a world of the class Counted"):
+        named(data, TOY)
+
+
+def test_world_of_a_registered_simulator_is_made_from_its_file(register):
+    register(GROUP, counted=f"{__name__}:Counted")
+    world = SimulatorWorld(partial(Counted, "own"), duration=2.0, ads_hz=3, ego="truck")
+    data = described(world)
+    assert (data["kind"], "class" in data, is_code(data)) == ("counted", False, False)
+    again = from_dict(data)
+    assert described(again) == data
+    assert same(again.rollout(scenarios()[0], Batch), world.rollout(scenarios()[0], Batch))
+    with pytest.raises(WorldError, match=r"world.data"):
+        from_dict({**data, "data": {**data["data"], "lanes": 3}})
+
+
+def held(self, controls):
+    """Move as if nobody steered or braked."""
+    Bicycle.step(self, [each._replace(acceleration=0.0, steering=0.0) for each in controls])
+
+
+def mirrored(self, controls):
+    Bicycle.step(self, [each._replace(steering=-each.steering) for each in controls])
+
+
+class Remembering(Bicycle):
+    """It does not drive a run as it drove the one before."""
+
+    runs = 0
+
+    def start(self, vehicles, seed):
+        super().start(vehicles, seed)
+        type(self).runs += 1
+
+    def step(self, controls):
+        super().step(
+            [each._replace(acceleration=each.acceleration * (1 - 0.01 * (self.runs % 9))) for each in controls]
+        )
+
+
+@table(
+    ("members", "message"),
+    [
+        ({"step": held}, "the ego follows its ADS"),
+        ({"step": mirrored}, "the heading of NPCs"),
+        ({"start": Remembering.start, "step": Remembering.step, "runs": 0}, "same"),
+    ],
+)
+def test_simulator_that_does_not_follow_its_controls_is_noticed(members, message):
+    cls = type("Wrong", (Remembering if "runs" in members else Bicycle,), {} if "runs" in members else members)
+    with pytest.raises(AssertionError, match=message):
+        check_world(SimulatorWorld(cls, duration=12.0), ads=lambda: lambda seen: (0.0, 0.0))
+
+
+class Alone(Bicycle):
+    """A simulator of which a process has one only, and whose runs depend on a package."""
+
+    one_at_a_time = True
+    packages = ("pytest",)
+
+
+def test_a_simulator_that_is_alone_in_its_process_does_not_drive_in_lock_step():
+    assert SimulatorWorld(Bicycle).has_lock_step
+    assert not SimulatorWorld(Alone).has_lock_step
+
+
+def test_the_packages_of_a_simulator_are_among_the_versions():
+    assert SimulatorWorld(Bicycle).packages == ()
+    assert SimulatorWorld(partial(Alone)).packages == ("pytest",)
+    assert installed_versions(SimulatorWorld(Alone).packages)["pytest"] == pytest.__version__
