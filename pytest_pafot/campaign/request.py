@@ -605,8 +605,8 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         made = factory()
     except (Exception, SystemExit) as error:
         # If its own code has not begun, it was called with too few arguments, or too many.
-        is_called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
-        fix = "correct it" if is_called else "its argument is a text in the reference: module:factory:argument"
+        begun = not isinstance(error, TypeError) or error.__traceback__ is None or error.__traceback__.tb_next
+        fix = "correct it" if begun else "its argument is a text in the reference: module:factory:argument"
         received = f"{reference!r}, which raises {described(error)}"
         raise RequestError(f"{place}: expected a factory of a world, received {received}; {fix}") from error
     _whole_world(made, f"{place}: expected a factory of a world, received {reference!r}, which returns ")

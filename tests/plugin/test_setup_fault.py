@@ -292,8 +292,8 @@ MESSAGES = {
     "world='operator:neg'": [
         "which raises TypeError: * takes exactly one argument (0 given); its argument is a text in the reference: *"
     ],
-    "world='pytest_pafot:Highway:two'": ["received 'two' *; correct it"],
-    "world=pafot.Highway": ["which has no rollout, to_dict, speed_limit, longest_run; call it: Highway(...)"],
+    "world='decimal:Decimal:two'": ["which raises decimal.InvalidOperation: *; correct it"],
+    "world=pafot.Highway": ["; call it: Highway(...)"],
     "world='fractions:Fraction'": [
         "received 'fractions:Fraction', which returns Fraction(0, 1), which has no rollout, *"
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import warnings
 
 import gymnasium
@@ -22,6 +23,7 @@ from pytest_pafot.model.trace import Outcome, X
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.codec import from_dict
+from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.gym_environment import ENDS, vehicle_classes_kept
 
 IDLE, FASTER, SLOWER = 1, 3, 4
@@ -344,6 +346,32 @@ def test_what_an_end_remembers_is_that_of_its_run_alone(register, name):
         assert [each.duration for each in world.rollout_batch([scenario] * 2, Batching)] == [7.0, 7.0]
         assert planners.rollout(scenario, straight).duration == 7 / 5
     assert world.rollout_in_gym(scenario, idle).duration == 7.0
+
+
+class Chance(HighwayEnvFast):
+    def _is_terminated(self):
+        return random.random() < 0.2 or np.random.random() < 0.1
+
+
+def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register):
+    """Whoever drives, and whatever the process has drawn before."""
+    register("ending-v0", entry_point=Chance)
+    world = World("ending-v0")
+    scenario = scenario_in(world)
+    trace, seen = rollout_of(World("ending-v0", ends="duration"))(scenario, idle), []
+    for seed in (1, 2, 3):
+        random.seed(seed)
+        np.random.seed(seed)
+        seen.append(
+            (
+                rollout_of(world)(scenario, idle).ticks,
+                world.rollout_reference(scenario, "careful-human").ticks,
+                world.take_over(trace, 10, "careful-human").ticks,
+            )
+        )
+        assert random.random() == random.Random(seed).random()  # given back
+    assert len({*seen}) == 1
+    assert len({*seen[0]}) == 1
 
 
 class TwentySteps(HighwayEnvFast):
