@@ -559,19 +559,27 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
 
 
 def _checked_world(request: Request, given: Any, origin: str) -> BaseWorld:
-    world = base_world(given)
-    if world.missing:
-        raise RequestError(
-            f"expected {origin} pafot.Highway(...) or pafot.World(...), or your own world with "
-            f"{', '.join(REQUIRED)}, received {given!r:.100}, which has no {', '.join(world.missing)}"
-            f"{hint_at_world(given)}"
-        )
+    own = f"your own world with {', '.join(REQUIRED)}"
+    world = _whole_world(given, f"expected {origin} pafot.Highway(...) or pafot.World(...), or {own}, received ")
     if request.blame == "preventable" and not world.reference_drivers:
         raise request.error(
             "blame='preventable'",
             f"expected a world with reference_drivers and rollout_reference(scenario, name), received {world!r:.100}; "
             "write these, or use blame='ego'",
         )
+    return world
+
+
+def _whole_world(given: Any, message: str) -> BaseWorld:
+    """Return a world as a search sees it.
+
+    Raises:
+        RequestError: with the message, if it lacks what every search needs.
+    """
+    world = base_world(given)
+    if world.missing:
+        lacking = ", ".join(world.missing)
+        raise RequestError(f"{message}{shown(given)}, which has no {lacking}{hint_at_world(given)}")
     return world
 
 
@@ -603,11 +611,12 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
     try:
         made = factory()
     except (Exception, SystemExit) as error:
+        # If its own code has not begun, it was called with too few arguments, or too many.
+        begun = not isinstance(error, TypeError) or error.__traceback__ is None or error.__traceback__.tb_next
+        fix = "correct it" if begun else "its argument is a text in the reference: module:factory:argument"
         received = f"{reference!r}, which raises {described(error)}"
-        raise RequestError(f"{place}: expected a factory of a world, received {received}; correct it") from error
-    if lacking := base_world(made).missing:
-        received = f"{reference!r}, which returns {made!r:.100}, without {', '.join(lacking)}{hint_at_world(made)}"
-        raise RequestError(f"{place}: expected a factory of a world, received {received}")
+        raise RequestError(f"{place}: expected a factory of a world, received {received}; {fix}") from error
+    _whole_world(made, f"{place}: expected a factory of a world, received {reference!r}, which returns ")
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
         fix = "let the factory return pafot.World(..., planner_hz=5)"
         raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none; {fix}")
@@ -621,6 +630,8 @@ def hint_at_world(given: Any) -> str:
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
     if isinstance(given, type) and hasattr(given, "rollout"):
         return f"; call it: {given.__name__}(...)"
+    if given is None:
+        return '; return a world, such as pafot.World("highway-v0")'
     try:
         World(env_id or "").environment.make()
     except WorldError:

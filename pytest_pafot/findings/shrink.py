@@ -529,7 +529,7 @@ def _plainer(scenario: Scenario, kind: type[Instruction]) -> Candidates:
     """Try the simpler numbers of each instruction of a kind."""
     for npc, chain in enumerate(scenario.npcs):
         for gene, each in enumerate(chain if type(chain[0]) is kind else ()):
-            for simpler in each.plainer():
+            for simpler in islice(each.plainer(), MOST_PLAINER):
                 yield _with_chain(scenario, npc, (*chain[:gene], simpler, *chain[gene + 1 :]))
 
 
@@ -543,6 +543,9 @@ def _papers_traffic(scenario: Scenario) -> Candidates:
     if scenario.traffic == Traffic():
         yield replace(scenario, traffic=PAPERS)
 
+
+MOST_PLAINER = 1000
+"""The number of simpler instructions that are taken of one, because those of a registered kind may not end."""
 
 STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _cars, _shorter, _merged, _staying, _shorter_chains, _passing)
 

@@ -57,6 +57,8 @@ def referred_to(reference: str, what: str = "a name") -> Any:
         own = [each for each, value in vars(module).items() if getattr(value, "__module__", "") == module_name]
         hint = f"; did you mean {f'{module_name}:{near[0]}'!r}?" if near else ""
         hint = hint or (f"; it has {', '.join(own[:MOST_NAMES])}" if own else "; it has no such name")
+        file = getattr(module, "__file__", None) or "built into Python"
+        hint += "" if Path(file).is_relative_to(Path.cwd()) else f"; this module is {file}"  # one of the same name
         raise ValueError(f"expected {what} in the module {module_name}, received {reference!r}{hint}")
     return getattr(module, name)
 
@@ -69,13 +71,16 @@ def imported(reference: str) -> ModuleType:
     """
     module_name, _, name = reference.partition(":")
     try:
+        if not module_name or module_name.startswith("."):  # which would be relative to nothing
+            raise ModuleNotFoundError(f"No module named {module_name!r}", name=module_name)
         return importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # A script without a guard calls sys.exit() in its import.
         # A module that lacks another one raises ModuleNotFoundError, too.
         is_missing = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
         way_out = "run where it is, or put its folder on the path (pytest: `pythonpath = .`)"
-        if module_name.endswith(".py"):
-            way_out = f"give {module_name.removesuffix('.py').replace('/', '.')}:{name}"
+        path = os.path.relpath(module_name.removesuffix(".py") or ".").replace(os.sep, ".")
+        if path != module_name and not path.startswith("."):  # else it is no path, or not below this folder
+            way_out = f"give {path}:{name}"
         received = f" ({type(error).__name__}: {error})" if is_missing else f", which raises {described(error)}"
         way_out = way_out if is_missing else "correct it"
         raise ValueError(
@@ -97,7 +102,10 @@ def described(error: BaseException, folder: Path | None = None) -> str:
 
     Paths below ``folder``, if there is one, are relative to it.
     """
-    frames = traceback.extract_tb(error.__traceback__)
+    # The line of this package that called the user's code, or refused a value, is not where to look.
+    # Nor is code that is in no file, such as the `__init__` of a dataclass.
+    here = f"{Path(__file__).parents[1]}{os.sep}", "<"
+    frames = [each for each in traceback.extract_tb(error.__traceback__) if not each.filename.startswith(here)]
     prefix = "" if folder is None else f"{folder}{os.sep}"
     text = one_line("".join(traceback.format_exception_only(error)).replace(prefix, ""))
     has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place

@@ -22,6 +22,7 @@ from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
 from pytest_pafot.world.engines.lock_step import rollouts
 from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun, drives_itself
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation
@@ -294,7 +295,7 @@ class BuiltInWorld(BaseWorld):
             WorldError: if there is no reference driver with this name.
             ScenarioError: if the scenario does not fit this world.
         """
-        return self._driven_by(_reference_driver(name), scenario)
+        return self._driven_by(lambda: (_reference_driver(name), None), scenario)
 
     def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
         """Simulate a run again, and let a reference driver take over the ego at a tick.
@@ -316,17 +317,27 @@ class BuiltInWorld(BaseWorld):
         if trace.physics_hz != self.rules.physics_hz:
             expected = f"a run in this world, with {self.rules.physics_hz} ticks per second"
             raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
-        relief = Relief(_reference_driver(name, TAKING_OVER), tick / trace.physics_hz)
-        return self._driven_by(relief, trace.executed, self._repeated(trace, tick))
+        seconds = tick / trace.physics_hz
+        return self._driven_by(
+            lambda: (Relief(_reference_driver(name, TAKING_OVER), seconds), self._repeated(trace, tick)), trace.executed
+        )
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
         """Return an ego that does in a run up to a tick what that of a trace did."""
         return RecordedBody(trace, tick)
 
-    def _driven_by(self, driver: Callable[[Observation], Any], scenario: Scenario, body: Body | None = None) -> Trace:
+    def _driven_by(
+        self, driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]], scenario: Scenario
+    ) -> Trace:
         self.rules.check_fits(scenario)
         every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, drivers_hz=self.rules.ads_hz)
-        return self._planned(every_tick, scenario, driver, body=body)
+
+        def driven(scenario: Scenario, factory: Callable[[], Any]) -> Trace:
+            driver, body = factory()
+            return self._planned(every_tick, scenario, driver, body=body)
+
+        # Reference drivers draw nothing, but the user's methods that end runs may.
+        return GENERATORS.run(driven, scenario, driver_of) if self.rules.ends else driven(scenario, driver_of)
 
     def _planned(
         self,

@@ -6,12 +6,14 @@ This module refuses every unusable environment, configuration or wrapper; the er
 from __future__ import annotations
 
 import ast
+import copy
 import difflib
 import inspect
 import itertools
 import math
 import textwrap
 import warnings
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -119,6 +121,9 @@ RESETS, RESETS_IN_WRAPPERS = 10, 4
 
 PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 """The types of attributes that are values, and no part of highway-env."""
+
+MUTABLE = (list, dict, set, bytearray, deque, np.ndarray)
+"""The types of attributes that are changed in place."""
 
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
@@ -309,10 +314,15 @@ class GymEnvironment:
         The ``step`` of intersections spawns and removes traffic, which runs do not have, and their ``RegulatedRoad``
         makes vehicles yield, which this package's runs reproduce. The ``step`` of exits only adds to ``info``.
         """
-        env, road = self.unwrapped, self.unwrapped.road
+        road = self.unwrapped.road
         steps = type(road) is not RegulatedRoad and type(road).step is not Road.step
         has_own_road = steps or "step" in vars(road) or has_own_act(road)
-        return has_own_road or not (drives_itself or has_known_step(type(env)))
+        return has_own_road or (self.has_own_step and not drives_itself)
+
+    @property
+    def has_own_step(self) -> bool:
+        """True if the environment overrides the ``step`` of highway-env."""
+        return not has_known_step(type(self.unwrapped))
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
@@ -322,10 +332,10 @@ class GymEnvironment:
         """
         found, cls, config = [], type(self.unwrapped), self.unwrapped.config
         for name in ENDS:
-            method = getattr(cls, name)
-            owner = method.__qualname__.partition(".")[0]
+            method = getattr(cls, name)  # in a class of the user's own it need not be a function
+            owner = getattr(method, "__qualname__", "").partition(".")[0]
             by_crash = owner in ENDED_ANYWAY or (owner == "HighwayEnv" and not config.get("offroad_terminal"))
-            is_stock = str(method.__module__).startswith("highway_env.")
+            is_stock = str(getattr(method, "__module__", "")).startswith("highway_env.")
             if not is_stock or (name == "_is_terminated" and not by_crash):
                 found.append(name)
         return tuple(found)
@@ -341,8 +351,34 @@ class GymEnvironment:
 
     @property
     def has_own_ends(self) -> bool:
-        """True if an episode may end where a run would go on that only its duration ends."""
-        return bool(self.own_ends) or self.step_limit is not None
+        """True if an episode may end where a run would go on that only its duration ends.
+
+        What a ``step`` of the user's own returns is not known before.
+        """
+        return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
+
+    @cached_property
+    def sets_ends(self) -> bool:
+        """True if the environment sets a method that ends episodes on itself, where a copy would ask the original."""
+        return any(name in vars(self.unwrapped) for name in ENDS)
+
+    @cached_property
+    def own_state(self) -> tuple[str, ...]:
+        """The names of the attributes whose values the environment's own code may change in place.
+
+        Each run has copies of them. Values that cannot be copied, and those of libraries, are shared.
+        """
+        env, found = self.unwrapped, []
+        homes = {each.__module__.partition(".")[0] for each in type(env).__mro__} - {"highway_env", "gymnasium"}
+        for name, value in vars(env).items():
+            home = type(value).__module__.partition(".")[0]
+            is_own = isinstance(value, MUTABLE) or (home in homes and home != "builtins")
+            if not is_own or name in (*WITH_EGO, "config"):
+                continue
+            with suppress(Exception):
+                copy.deepcopy(value, {id(env): env, id(env.road): env.road, id(env.vehicle): env.vehicle})
+                found.append(name)
+        return tuple(found)
 
     def episodes_itself(self, *, drives_itself: bool) -> bool:
         """Return whether runs must be episodes of the environment itself: by its own ``step``, or after its own reset.
@@ -351,7 +387,8 @@ class GymEnvironment:
         an episode of the environment. It has no effect on an ego that drives itself.
         """
         resets_itself = type(self.unwrapped).reset is not AbstractEnv.reset
-        return self.steps_itself(drives_itself=drives_itself) or (resets_itself and not drives_itself)
+        is_its_own = resets_itself or self.sets_ends
+        return self.steps_itself(drives_itself=drives_itself) or (is_its_own and not drives_itself)
 
     @cached_property
     def left_out(self) -> dict[str, tuple[str, ...]]:

@@ -376,7 +376,8 @@ class World(BuiltInWorld):
         if self.ends == "duration":
             return made
         made = replace(made, ends=self.environment.own_ends)
-        if (steps := self.environment.step_limit) is None:
+        # A `step` of the user's own may repeat actions, so its ticks are not known.
+        if (steps := self.environment.step_limit) is None or self.environment.has_own_step:
             return made
         limit = steps * made.step_ticks
         return replace(made, step_limit=limit, duration=min(duration, limit / physics_hz))

@@ -9,7 +9,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, World, door
 from pytest_pafot.campaign.explore import request_of
-from pytest_pafot.campaign.request import build_space, drawn_space
+from pytest_pafot.campaign.request import build_space, drawn_space, named_world
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
@@ -196,3 +196,13 @@ def test_more_manoeuvres_than_fit_a_road_are_refused():
     assert {(chain[0].ahead > 0) for chain in sample(space, np.random.default_rng(0)).npcs} == {True, False}
     with pytest.raises(ValueError, match="npcs: expected at most 2 NPCs with manoeuvres, received 3; the road has no"):
         sample(replace(space, npcs=3), np.random.default_rng(0))
+
+
+def a_class():
+    return Highway
+
+
+def test_factory_of_a_world_that_returns_its_class_is_refused():
+    message = r"returns <class '.*Highway'>, which has no rollout, .*; call it: Highway\(\.\.\.\)"
+    with pytest.raises(RequestError, match=message):
+        named_world(f"{__name__}:a_class", "--world")

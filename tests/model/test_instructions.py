@@ -358,6 +358,31 @@ def test_kind_with_a_planner_drives_by_itself():
     assert (bent.npc_error, np.ptp(bent.states[:, 1, Y]) > 0.3) == (None, True)
 
 
+@pytest.mark.parametrize("made", [None, "left"])
+def test_what_is_no_instruction_is_refused_by_the_name_of_its_kind(made):
+    kind = changed(name="odd", drawn=classmethod(lambda cls, *others: made), varied=lambda self, *others: made)
+    register(kind, drives="itself")
+    rng, space = np.random.default_rng(0), SearchSpace(npcs=3, kinds=(kind,))
+    with pytest.raises(ScenarioError, match=f"Changed.drawn: expected an instruction, received {made!r}; return one"):
+        [sample(space, rng) for _ in range(30)]
+    scenario = Scenario(npcs=((kind(beside=1, ahead=20.0, speed=20.0, period=4.0),),))
+    with pytest.raises(ScenarioError, match=f"Changed.varied: expected an instruction, received {made!r}; return one"):
+        [mutate(scenario, SearchSpace(npcs=1), rng) for _ in range(30)]
+
+
+def test_simpler_instructions_without_an_end_are_shrunk():
+    def plainer(self):
+        while True:
+            yield replace(self, period=5.0)
+
+    rough = property(lambda self: int(self.period != 5.0))
+    kind = changed(name="endless", plainer=plainer, roughness=rough)
+    register(kind, drives="itself")
+    scenario = Scenario(npcs=((kind(beside=1, ahead=20.0, speed=20.0, period=7.3),),))
+    simplest, _ = shrink(scenario, lambda each: each if type(each.npcs[0][0]) is kind else None, rollouts=500)
+    assert simplest.npcs[0][0].period == 5.0
+
+
 def test_error_of_a_kinds_planner_names_the_kind():
     kind = changed(name="late", planner=lambda self: lambda seen: 1 / 0)
     register(kind, drives="itself")

@@ -286,7 +286,17 @@ MESSAGES = {
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "ads=lambda: in_turn": ["an ADS is an ordinary function, without `async` and `yield`"],
     "world='highway-v9'": ["expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"],
-    "world='fractions:Fraction'": ["received 'fractions:Fraction', which returns Fraction(0, 1), without rollout, *"],
+    "world='builtins:print'": [
+        "received 'builtins:print', which returns None, which has no rollout, * return a world, such as pafot.World("
+    ],
+    "world='operator:neg'": [
+        "which raises TypeError: * takes exactly one argument (0 given); its argument is a text in the reference: *"
+    ],
+    "world='decimal:Decimal:two'": ["which raises decimal.InvalidOperation: *; correct it"],
+    "world=pafot.Highway": ["; call it: Highway(...)"],
+    "world='fractions:Fraction'": [
+        "received 'fractions:Fraction', which returns Fraction(0, 1), which has no rollout, *"
+    ],
     "world=gymnasium.make('highway-fast-v0')": ["; did you mean pafot.World('highway-fast-v0')?"],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"

@@ -4,7 +4,8 @@ import functools
 
 import pytest
 
-from pytest_pafot.support.references import factory_named, referred_to
+from pytest_pafot import Highway, WorldError
+from pytest_pafot.support.references import described, factory_named, imported, referred_to
 
 MODULE = """\
 import functools
@@ -55,6 +56,13 @@ def test_factory_gets_all_behind_the_second_colon(reference, given):
         ("named_here:zzz", "received 'named_here:zzz'; it has Planner"),
         ("named_there:x", r"received 'named_there:x' \(ModuleNotFoundError: .*; run where it is, or put its folder on"),
         ("named_here.py:Planner", r"ModuleNotFoundError.*; give named_here:Planner"),
+        ("./named_here.py:Planner", r"ModuleNotFoundError.*; give named_here:Planner"),
+        ("folder/named_here.py:Planner", r"ModuleNotFoundError.*; give folder.named_here:Planner"),
+        ("/folder/named_here.py:Planner", r"ModuleNotFoundError.*; run where it is"),
+        ("../named_here.py:Planner", r"ModuleNotFoundError.*; run where it is"),
+        (".named_here:Planner", r"received '.named_here:Planner' \(ModuleNotFoundError: .*; run where it is"),
+        ("json:zzz", r"it has .*; this module is .*json.__init__.py"),
+        ("time:zzz", "it has .*; this module is built into Python"),
         ("lacks_another:x", r"which raises ModuleNotFoundError: No .*no_such_library.*another.py:1\); correct it"),
         ("exits_here:x", r"which raises SystemExit: 3 \(.*exits_here.py:1\); correct it"),
         ("raises_here:x", r"which raises KeyError: 3 \(.*raises_here.py:1\); correct it"),
@@ -63,6 +71,19 @@ def test_factory_gets_all_behind_the_second_colon(reference, given):
 def test_wrong_name_is_an_error_with_its_cause(reference, message):
     with pytest.raises(ValueError, match=message):
         factory_named(reference)
+
+
+def test_module_without_a_name_is_none():
+    with pytest.raises(ValueError, match=r"received ':x' \(ModuleNotFoundError: .*; run where it is"):
+        imported(":x")
+
+
+def test_place_of_an_error_is_in_the_users_code():
+    """What refuses a value is not where to look, nor is the code that a dataclass makes of itself."""
+    with pytest.raises(WorldError) as raised:
+        Highway(lanes=99)
+    here = raised.traceback[0].lineno + 1
+    assert described(raised.value).endswith(f"received 99 ({__file__}:{here})")
 
 
 def test_name_refers_to_any_object_of_a_module():

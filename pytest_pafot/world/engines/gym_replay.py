@@ -242,7 +242,8 @@ def replay_environment(
         )
         every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, ads.sight, scenario)
         driver = StockPolicy(ads.decides, seen, ego, every, guard, view, eyes)
-        return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects).run()
+        limit = environment.step_limit if environment.wrappers is None else None  # else wrappers count themselves
+        return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects, limit).run()
 
 
 def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = None) -> tuple[Any, list[Any]]:
@@ -312,9 +313,16 @@ class _Loop:
     """One episode, with the NPCs' director added to the road's ``act``, and the record to its ``step``."""
 
     def __init__(
-        self, vehicles: VehiclesOfRun, env: Any, driver: EgoDriver, guard: HangGuard, objects: Sequence[Any] = ()
+        self,
+        vehicles: VehiclesOfRun,
+        env: Any,
+        driver: EgoDriver,
+        guard: HangGuard,
+        objects: Sequence[Any] = (),
+        step_limit: int | None = None,
     ) -> None:
         self._env, self._driver, self._guard, self._run, self._objects = env, driver, guard, vehicles, objects
+        self._step_limit = step_limit
         self._bodies = vehicles.vehicles
         vehicles.give_drivers(guard)
         self._vehicles = [env.vehicle]
@@ -410,7 +418,9 @@ class _Loop:
         """End the run after a step if the environment or one of its wrappers ends the episode."""
         run, driver = self._run, self._driver
         if isinstance(driver, StockPolicy):
-            if driver.is_over and not ends.ended:
+            if len(self._asked) == self._step_limit and not ends.ended:
+                ends.ended = f"the limit of {self._step_limit} steps"
+            elif driver.is_over and not ends.ended:
                 limits = [each for each in wrappers_of(driver.outer) if isinstance(each, TimeLimit)]
                 passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
                 said = " in ".join(wrapper_names(driver.outer)) or f"{type(self._env).__name__}.step"

@@ -405,6 +405,7 @@ class ScenarioSteps:
     def __init__(self, world: World, scenario: Scenario) -> None:
         self._run = policies.begin(world.environment, world.rules, scenario, HangGuard(world.rules.hang_limit), None)
         self._env = self._run.driver.env
+        self._goes_on = world.ends == "duration"
         self._env.action_space.seed(scenario.seed)
 
     @property
@@ -437,7 +438,7 @@ class ScenarioSteps:
         if ends is not None and ends.asked == run.vehicles.loop.tick:  # a method may count its calls
             is_terminated = ends.ended.endswith("_is_terminated")
         else:
-            is_terminated = bool(env._is_terminated())
+            is_terminated = not (trace is None and self._goes_on) and bool(env._is_terminated())
         if is_terminated and trace is None:  # it ends the episode before the run is over, such as behind a merge
             run.trace = trace = run.vehicles.trace(run.driver)
         return seen, reward, is_terminated, trace is not None and not is_terminated, env._info(seen, action)

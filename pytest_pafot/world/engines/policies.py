@@ -206,6 +206,13 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     env.time = env.steps = 0
     env.road = environment.road(env.np_random)
     env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)
+    env.config = dict(env.config)
+    if environment.own_state:
+        first = environment.unwrapped
+        there = [(first, env), (first.road, env.road), *zip(first.road.objects, env.road.objects, strict=True)]
+        # The ego stays the one of the reset, by which `put_ego` finds it.
+        known = {id(old): new for old, new in [*there, (first.vehicle, first.vehicle)]}
+        vars(env).update(copy.deepcopy({name: vars(first)[name] for name in environment.own_state}, known))
     return env
 
 

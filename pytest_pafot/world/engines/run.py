@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -320,17 +321,19 @@ class OwnEnds:
         self._env, self._guard, self._show = env, guard, show
         self._methods = {name: getattr(env, name) for name in names}
         self._longest = max(rules.duration, rules.lasts or 0.0)
-        self._step_time, self._time = 1 / (rules.physics_hz / self.every), 0.0
+        self._hz = rules.physics_hz // self.every
+        self._time = 0.0
 
     def ask(self, tick: int) -> None:
         """Ask all methods at a tick that ends a step."""
         self.asked = tick
-        self._time += self._step_time  # as highway-env does, with the same rounding
+        self._time += 1 / self._hz  # as highway-env does, with the same rounding
         if self._show is not None:
             self._show()
         self._env.steps, self._env.time = tick, self._time
-        for name in self._methods:
-            self.says(name)
+        with _options(self._env.config, policy_frequency=self._hz):
+            for name in self._methods:
+                self.says(name)
 
     def says(self, name: str) -> bool:
         """Return whether a method says that the episode is over. An error that it raises ends the run, too."""
@@ -345,14 +348,24 @@ class OwnEnds:
         return is_over
 
     def _answer(self, method: Callable[[], Any]) -> bool:
-        env, guard, config = self._env, self._guard, self._env.config
+        guard, config = self._guard, self._env.config
+        longest = {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
         try:
             guard.decision_starts()
-            if "duration" in config:
-                env.config = {**config, "duration": max(config["duration"], self._longest)}
-            is_over = bool(method())
+            with _options(config, **longest):
+                is_over = bool(method())
         finally:
-            env.config = config
             guard.decision_ends()
         guard.raise_swallowed()
         return is_over
+
+
+@contextmanager
+def _options(config: dict[str, Any], **given: Any) -> Iterator[None]:
+    """Let options of a configuration have other values in this context, in place, because a method may count in it."""
+    before = {name: config[name] for name in given}
+    config.update(given)
+    try:
+        yield
+    finally:
+        config.update(before)

@@ -101,8 +101,10 @@ class OwnWorld(BaseWorld):
     def missing(self) -> tuple[str, ...]:
         """The names in :data:`REQUIRED` that the world lacks.
 
-        Properties are not evaluated, because a property may make the world's environment.
+        Properties are not evaluated, because a property may make the world's environment. A class lacks all.
         """
+        if isinstance(self.world, type):
+            return REQUIRED
         lacks = lambda name: not hasattr(type(self.world), name) and not hasattr(self.world, name)  # noqa: E731
         return tuple(filter(lacks, REQUIRED))
 

@@ -210,7 +210,7 @@ def test_map_is_driven_in_the_world_of_a_factory(told):
     assert (code, out.startswith("r157/cut-in in Highway speed_limit=36.0")) == (0, True), err
     code, _, err = told(*CUT_IN, *OVER, "--world", f"{__name__}:NoReference")
     assert (code, "reference drivers, which tell what can be avoided, received <" in err) == (2, True)
-    with pytest.raises(RequestError, match=r"world: expected a factory of a world, received .*, without rollout"):
+    with pytest.raises(RequestError, match=r"world: expected a factory of a world, received .*, which has no rollout"):
         pafot.sweep("r157/cut-in", "policies:Named", over={"gap": "10:20:2"}, world="fractions:Fraction")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import warnings
 
 import gymnasium
@@ -22,7 +23,8 @@ from pytest_pafot.model.trace import Outcome, X
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.codec import from_dict
-from pytest_pafot.world.gym_environment import vehicle_classes_kept
+from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.gym_environment import ENDS, vehicle_classes_kept
 
 IDLE, FASTER, SLOWER = 1, 3, 4
 
@@ -299,6 +301,153 @@ def test_a_failure_behind_the_end_has_drifted(register):
     assert replay_label(finding, Run(now), None, {}) == "drifted"
     said = unhandled(finding, Run(now))
     assert said == "Goal._is_terminated ended the run after 3.0 s, before the saved failure at 6.4 s"
+
+
+class Judge:
+    """A helper of the user's own, which remembers."""
+
+    def __init__(self, road):
+        self.road, self.asked = road, 0
+
+    def says(self, env):
+        assert self.road is env.road
+        self.asked += 1
+        return self.asked == 7
+
+
+class Remembering(HighwayEnvFast):
+    """It counts in all places that are changed in place."""
+
+    def _reset(self):
+        super()._reset()
+        self.seen, self.judge = [], Judge(self.road)
+        self.config["asked"] = 0
+
+    def _is_terminated(self):
+        self.seen.append(self.vehicle.position[0])
+        return len(self.seen) == 7
+
+    def _is_truncated(self):
+        self.config["asked"] += 1
+        return self.judge.says(self) and self.config["asked"] == 7
+
+
+@pytest.mark.parametrize("name", ["_is_terminated", "_is_truncated"])
+def test_what_an_end_remembers_is_that_of_its_run_alone(register, name):
+    """An episode ends with its seventh step, whatever ran before, and whoever drives."""
+    ends = type("Ends", (Remembering,), {each: getattr(HighwayEnvFast, each) for each in ENDS if each != name})
+    register("ending-v0", entry_point=ends)
+    world, planners = World("ending-v0"), World("ending-v0", planner_hz=5)
+    scenario = scenario_in(world)
+    for _ in range(2):
+        assert world.rollout(scenario, idle).duration == 7.0
+        assert world.rollout(scenario, lambda: IDMVehicle).duration == 7.0
+        assert world.rollout_reference(scenario, "careful-human").duration == 7.0
+        assert [each.duration for each in world.rollout_batch([scenario] * 2, Batching)] == [7.0, 7.0]
+        assert planners.rollout(scenario, straight).duration == 7 / 5
+    assert world.rollout_in_gym(scenario, idle).duration == 7.0
+
+
+class Chance(HighwayEnvFast):
+    def _is_terminated(self):
+        return random.random() < 0.2 or np.random.random() < 0.1
+
+
+def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register):
+    """Whoever drives, and whatever the process has drawn before."""
+    register("ending-v0", entry_point=Chance)
+    world = World("ending-v0")
+    scenario = scenario_in(world)
+    trace, seen = rollout_of(World("ending-v0", ends="duration"))(scenario, idle), []
+    for seed in (1, 2, 3):
+        random.seed(seed)
+        np.random.seed(seed)
+        seen.append(
+            (
+                rollout_of(world)(scenario, idle).ticks,
+                world.rollout_reference(scenario, "careful-human").ticks,
+                world.take_over(trace, 10, "careful-human").ticks,
+            )
+        )
+        assert random.random() == random.Random(seed).random()  # given back
+    assert len({*seen}) == 1
+    assert len({*seen[0]}) == 1
+
+
+class TwentySteps(HighwayEnvFast):
+    """It knows the time, and how long its steps are."""
+
+    def _is_truncated(self):
+        return self.time * self.config["policy_frequency"] >= 20
+
+
+def test_an_end_reads_the_rate_of_the_steps_after_which_it_is_asked(register):
+    register("ending-v0", entry_point=TwentySteps)
+    planners, others = World("ending-v0", planner_hz=5), World("ending-v0")
+    for world, ads, seconds in ((planners, straight, 4.0), (others, idle, 20.0), (others, lambda: IDMVehicle, 20.0)):
+        scenario = scenario_in(world)
+        assert world.rollout(scenario, ads).duration == pytest.approx(seconds)
+        assert world.rollout_in_gym(scenario, ads).duration == pytest.approx(seconds)
+
+
+class Skipping(HighwayEnvFast):
+    """Each of its steps is three."""
+
+    def step(self, action):
+        for _ in range(3):
+            result = super().step(action)
+        return result
+
+
+@pytest.mark.parametrize("wrappers", [None, []])
+def test_a_limit_counts_steps_of_the_environment_that_repeat_actions(register, wrappers):
+    register("limited-v0", entry_point=Skipping, max_episode_steps=4)
+    world = World("limited-v0", wrappers=wrappers)
+    trace = world.rollout(scenario_in(world), idle)
+    assert (trace.ended, trace.duration) == ("the limit of 4 steps", 12.0)
+    assert World("limited-v0", wrappers=wrappers, ends="duration").to_dict()["ends"] == "duration"
+
+
+class Computed(HighwayEnvFast):
+    @property
+    def _is_terminated(self):
+        return lambda: self.vehicle.position[0] > 260.0
+
+
+class SetOnItself(HighwayEnvFast):
+    def __init__(self, *args, **given):
+        super().__init__(*args, **given)
+        self._is_terminated = lambda: self.vehicle.position[0] > 260.0
+
+
+class OwnStep(HighwayEnvFast):
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated or self.vehicle.position[0] > 260.0, truncated, info
+
+
+@pytest.mark.parametrize("entry_point", [Computed, SetOnItself, OwnStep])
+def test_an_end_need_not_be_a_method_of_the_class(register, entry_point):
+    """The goal is that of ``Goal``, in all of them."""
+    register("goal-v0", entry_point=Goal)
+    register("ending-v0", entry_point=entry_point)
+    expected, world = World("goal-v0"), World("ending-v0")
+    scenario = scenario_in(world)
+    trace = world.rollout(scenario, idle)
+    assert trace.ended.startswith(entry_point.__name__)
+    assert trace.ticks == expected.rollout(scenario, idle).ticks
+    assert World("ending-v0", ends="duration").rollout(scenario, idle).ended == ""
+    assert World("ending-v0", ends="duration").to_dict()["ends"] == "duration"
+
+
+def test_training_goes_on_behind_an_end_that_does_not_count(register):
+    register("ending-v0", entry_point=Goal)
+    training = pytest.importorskip("pytest_pafot.extras.training")
+    world = World("ending-v0", ends="duration", duration=5.0)
+    env = training.training_env(world, [scenario_in(world)], share=1.0)
+    env.reset(seed=1)
+    results = [any(env.step(IDLE)[2:4]) for _ in range(5)]
+    assert results == [False] * 4 + [True]
 
 
 def test_the_checks_of_worlds_know_ends(register):
