@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import random
 import warnings
+from contextlib import suppress
 
 import gymnasium
 import numpy as np
@@ -108,6 +110,8 @@ class Fenced(gymnasium.Wrapper):
 @pytest.fixture
 def register(monkeypatch):
     """Register an environment for one test."""
+    with suppress(ImportError):  # its first import registers an environment for good
+        importlib.import_module("pytest_pafot.extras.training")
     monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     return gymnasium.register
