@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -13,7 +14,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
-import pytest_pafot.world.stock  # noqa: F401  before any test imports highway-env, with matplotlib and pandas
+import pytest_pafot.world.stock  # noqa: F401  before any test imports highway-env, with matplotlib
+
+# After a session within a session, pytester forgets what that one imported, and pandas cannot be imported twice.
+with suppress(ImportError):
+    import pandas as pd  # noqa: F401
 
 pytest_plugins = ["pytester"]
 
