@@ -28,7 +28,7 @@ from pytest_pafot.extending import (
     require,
 )
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
-from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number
+from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number, words_of
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
@@ -387,7 +387,7 @@ def sweep(
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
     if against is not None and not isinstance(against, str | Path | Sweep):
         raise RequestError(f"against: expected a map or the file of one, received {against!r:.80}")
-    axes = tuple(Axis(each, values_of(each, given), make.unit(each)) for each, given in over.items())
+    axes = tuple(Axis(each, values_of(each, given), make.unit(each), make.about(each)) for each, given in over.items())
     twice = [each for each in over if each in values]
     if twice:
         raise RequestError(f"{twice[0]}: expected an axis or a value, received both")
@@ -459,6 +459,12 @@ class _Made:
         if isinstance(self.source, Entry) and name in self.source.parameters:
             return self.source.parameters[name].unit
         return unit_of(name)
+
+    def about(self, name: str) -> str:
+        """Return in words what a number is."""
+        if isinstance(self.source, Entry) and name in self.source.parameters:
+            return self.source.parameters[name].about
+        return words_of(name)
 
     def check(self, axes: tuple[Axis, ...]) -> tuple[str, ...]:
         """Return a sentence for each value outside of its range.
