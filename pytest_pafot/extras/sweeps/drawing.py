@@ -50,7 +50,7 @@ def png(sweep: Sweep) -> bytes:
     try:
         from matplotlib.colors import ListedColormap  # noqa: PLC0415  (an extra)
         from matplotlib.figure import Figure  # noqa: PLC0415
-        from matplotlib.patches import Patch  # noqa: PLC0415
+        from matplotlib.patches import Patch, Rectangle  # noqa: PLC0415
     except ImportError:
         raise RequestError(f"png: expected matplotlib to be installed; {install('compare')}") from None
     rows = sweep.axes[0] if len(sweep.axes) == 2 else None
@@ -58,16 +58,16 @@ def png(sweep: Sweep) -> bytes:
     grid = np.array([KINDS.index(point.kind) for point in sweep.points]).reshape(-1, len(columns.values))
     title = [
         part
-        for line in (sweep.name, sweep.headline, *sweep.on_islands())
-        for part in wrapped_to(line, 90, phrases=True)
+        for line in (": ".join(filter(None, [sweep.name, sweep.about])), sweep.headline, *sweep.on_islands())
+        for part in wrapped_to(line, 75, phrases=True)
     ]
-    height = 1.9 + 0.15 * len(title) + min(0.32 * len(grid), 12)
-    figure = Figure(figsize=(7.5, height), layout="constrained", dpi=120)
+    height = 2.2 + 0.15 * len(title) + min(0.32 * len(grid), 12)
+    figure = Figure(figsize=(6, height), layout="constrained", dpi=240)
     axes = figure.add_subplot()
     colours = ListedColormap([COLOURS[kind] for kind in KINDS])
     axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
-    odd = np.where(grid == KINDS.index("not as asked"), 1.0, np.nan)
-    axes.pcolor(np.ma.masked_invalid(odd), hatch=HATCH, alpha=0, edgecolor="#5d6770", linewidth=0)
+    for row, column in np.argwhere(grid == KINDS.index("not as asked")):
+        axes.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch=HATCH, ec="#5d6770", linewidth=0))
     axes.set_xticks(*_ticks(columns.values), rotation=45)
     axes.set_xlabel(columns.words)
     axes.set_yticks(*(_ticks(rows.values) if rows else ([], [])))
@@ -77,7 +77,7 @@ def png(sweep: Sweep) -> bytes:
     patches = [
         Patch(fc=COLOURS[kind], ec="#5d6770", hatch=hatch, label=LEGEND[kind]) for kind, hatch in hatches.items()
     ]
-    figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize="small")
+    figure.legend(handles=patches, loc="outside lower center", fontsize="small")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -98,6 +98,7 @@ def page(sweep: Sweep) -> str:
     legend = "".join(
         f'<li><span class="swatch {_name(kind)}">{MARKS[kind]}</span>{LEGEND[kind]}</li>' for kind in sweep.legend
     )
+    told = " ".join(filter(None, [sweep.about, sweep.headline]))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -105,7 +106,7 @@ def page(sweep: Sweep) -> str:
         f"<meta http-equiv=\"Content-Security-Policy\" content=\"{policy}; base-uri 'none'; form-action 'none'\">\n"
         f"<title>{escape(sweep.name)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f'<header class="top"><div class="masthead"><p class="kicker">pytest-pafot</p><h1>{escape(sweep.name)}</h1>'
-        f'<p>{escape(sweep.headline)}</p></div></header>\n<main class="map">\n<section>{_table(sweep)}'
+        f'<p>{escape(told)}</p></div></header>\n<main class="map">\n<section>{_table(sweep)}'
         f'<ul class="legend">{legend}</ul><ul class="notes">{notes}</ul></section>\n'
         '<section id="run" hidden><h2 id="where"></h2><p id="words"></p><p id="still" hidden>There is no run here.'
         '</p><div id="player"><svg id="scene" role="img" aria-label="The run from above"></svg><p class="controls">'

@@ -127,6 +127,7 @@ class Sweep:
         points: all points; the last axis changes fastest.
         changes: the points whose answer differs from that of the map given as ``against``.
         remarks: values outside of the ranges of an entry, in sentences.
+        about: what happens in an entry, in a sentence; empty for a finding.
     """
 
     name: str
@@ -134,6 +135,7 @@ class Sweep:
     points: tuple[Point, ...]
     changes: tuple[Change, ...] = ()
     remarks: tuple[str, ...] = ()
+    about: str = ""
 
     def count(self, kind: Kind) -> int:
         """Return the number of points of a kind."""
@@ -414,7 +416,7 @@ def sweep(
     found = tuple(driver.points)
     pairs = [(point, before[_key(point.at)]) for point in found] if before else []
     changes = tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
-    return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks)
+    return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks, about=make.described)
 
 
 def named_factory(ads: AdsFactory | str) -> Any:
@@ -459,6 +461,11 @@ class _Made:
         if isinstance(self.source, Entry) and name in self.source.parameters:
             return self.source.parameters[name].unit
         return unit_of(name)
+
+    @property
+    def described(self) -> str:
+        """What happens in an entry, in a sentence; empty for a finding."""
+        return self.source.about if isinstance(self.source, Entry) else ""
 
     def about(self, name: str) -> str:
         """Return in words what a number is."""
