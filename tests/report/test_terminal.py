@@ -436,6 +436,17 @@ def test_lines_are_wrapped_to_the_terminal_width(width):
     )
 
 
+def test_lists_are_wrapped_between_their_phrases():
+    line = "  20 runs in 0.5 s, 0 failing, 3 npc at fault; a phrase that is longer than half a line stays a text"
+    assert wrapped_to(line, 36, phrases=True) == [
+        "  20 runs in 0.5 s, 0 failing,",
+        "    3 npc at fault; a phrase that is",
+        "    longer than half a line stays a",
+        "    text",
+    ]
+    assert wrapped_to(line, 36)[0] == "  20 runs in 0.5 s, 0 failing, 3 npc"
+
+
 def test_wrapped_line_retains_its_mark_and_indentation():
     assert wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
 
