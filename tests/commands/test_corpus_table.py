@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.report.session_record import SessionRecord, finding_entry, markdown
+from pytest_pafot.report.terminal import annotation_lines
 from pytest_pafot.support.errors import RequestError
-from tests.findings.builders import plain_finding
+from tests.findings.builders import plain_finding, sighting
 from tests.helpers.sessions import Copy
 
 AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
@@ -399,6 +402,17 @@ def test_rows_are_found_by_the_parameters_of_their_test(here, capsys):
     save(here, finding("a", test="test_it.py::test_x[planner-a]"), finding("b", test="test_it.py::test_x[planner-b]"))
     (row,) = listed(capsys, "--where=test=planner-b")
     assert (row["id"], row["test"]) == ("b", "test_x[planner-b]")
+
+
+def test_the_list_that_a_ci_job_names_has_the_findings(here, capsys):
+    finds = [sighting(f"f{number}") for number in range(6)]
+    save(here, *(each.finding for each in finds))
+    said = annotation_lines(finds)[-1].partition("`")[2].removesuffix("`")
+    record = SessionRecord(findings=[finding_entry(each) for each in finds])
+    assert f"see `{said}`\n" in markdown(record)
+    assert main([*shlex.split(said.removeprefix("python -m pytest_pafot")), "--no-tests"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"\n{each.id} " in printed for each in finds)
 
 
 def test_texts_of_strangers_change_no_table(here, capsys, monkeypatch):
