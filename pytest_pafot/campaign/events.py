@@ -138,9 +138,9 @@ class SearchSummary:
         known: failing runs by id of the saved scenario with the same failure.
         unlike: up to three of these runs by id of the saved scenario, with what differs from the file.
         failures: ids of findings by the signature of failures that its runs in this session showed.
-        random_failing, random_otherwise, random_runs: random scenarios at the beginning: failing by the ego's fault,
-            failing otherwise, and all.
-        given: number of saved scenarios with which the search began; if not 0, the three counts before are of these.
+        random_failing, random_otherwise, random_checks, random_runs: random scenarios at the beginning: failing in a
+            collision by the ego's fault, failing otherwise, of the latter those that broke a check, and all.
+        given: number of saved scenarios with which the search began; if not 0, the four counts before are of these.
         drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
         against: the reference that failures were compared with; empty without one.
         paired: `runs`, the number of random scenarios that both drove to decide whether the findings count, at most
@@ -187,6 +187,7 @@ class SearchSummary:
     failures: Mapping[str, str] = field(default_factory=dict)
     random_failing: int = 0
     random_otherwise: int = 0
+    random_checks: int = 0
     random_runs: int = 0
     given: int = 0
     drawn: str = ""

@@ -702,6 +702,7 @@ class SearchSession:
             random_failing=0 if is_cut_short else random.at_fault,
             random_runs=0 if is_cut_short else random.runs,
             random_otherwise=0 if is_cut_short else random.otherwise,
+            random_checks=0 if is_cut_short else random.checks,
             given=0 if state.space is None else min(len(state.space.first), state.runs),
             drawn="" if self.state.space is None else self.state.space.described,
             coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",

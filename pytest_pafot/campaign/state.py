@@ -76,6 +76,7 @@ class RandomRuns:
         runs: the number of runs that say something about the ego.
         at_fault: the number of those with a collision for which the ego is responsible, alone or with the NPC.
         otherwise: the number of those that failed in any other way, such as by a check or an error of the ADS.
+        checks: the number of the latter that failed a check.
         most: the number of random scenarios with which the search begins; infinite if all are random.
         judged: the events of runs whose scenarios were not evaluated yet.
     """
@@ -84,6 +85,7 @@ class RandomRuns:
     runs: int = 0
     at_fault: int = 0
     otherwise: int = 0
+    checks: int = 0
     most: float = field(init=False, default=0.0)
     judged: dict[Scenario, Judged] = field(init=False, default_factory=dict)
 
@@ -101,19 +103,21 @@ class RandomRuns:
         elif isinstance(event, events.Evaluated):
             judged = self.judged.pop(event.evaluation.scenario, None)
             if judged is None or judged.verdict.discarded or judged.verdict.kind == "invalid":
-                self._add(1, 0, 0, 0)
+                self._add(1, 0, 0, 0, 0)
             else:
                 is_at_fault = fails_by_ego(judged.verdict, judged.responsibility)
-                self._add(1, 1, is_at_fault, judged.verdict.kind in FAILING and not is_at_fault)
+                is_other = judged.verdict.kind in FAILING and not is_at_fault
+                self._add(1, 1, is_at_fault, is_other, is_other and judged.verdict.is_check)
 
-    def take(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
+    def take(self, evaluated: int, runs: int, at_fault: int, otherwise: int, checks: int) -> None:
         """Count runs that another process has judged, which are all of the beginning or none."""
         if not self.is_whole:
-            self._add(evaluated, runs, at_fault, otherwise)
+            self._add(evaluated, runs, at_fault, otherwise, checks)
 
-    def _add(self, evaluated: int, runs: int, at_fault: int, otherwise: int) -> None:
+    def _add(self, evaluated: int, runs: int, at_fault: int, otherwise: int, checks: int) -> None:
         self.evaluated, self.runs = self.evaluated + evaluated, self.runs + runs
         self.at_fault, self.otherwise = self.at_fault + at_fault, self.otherwise + otherwise
+        self.checks += checks
 
 
 @dataclass(slots=True, kw_only=True)

@@ -163,7 +163,7 @@ class Tally(Digest, RunsEvaluated):
     outcomes: Counter[str]
     failed: Counter[Signature]
     manners: tuple[tuple[Signature, Manner, str], ...]
-    random: tuple[int, int, int, int]
+    random: tuple[int, int, int, int, int]
     doubt: str
     avoidable: str
 
@@ -178,8 +178,9 @@ class Tally(Digest, RunsEvaluated):
         """Count runs of a generation; without its number, the tally has the event of each run."""
         evaluations, verdicts = [each.evaluation for each in runs], [each.event.verdict for each in runs]
         valid = [each for each in verdicts if not (each.discarded or each.kind == "invalid")]
-        failed = sum(each.kind in FAILING for each in valid)
-        at_fault = sum(fails_by_ego(each.event.verdict, each.event.responsibility) for each in runs)
+        failed = [each.event for each in runs if each.event.verdict.kind in FAILING]
+        others = [each.verdict for each in failed if not fails_by_ego(each.verdict, each.responsibility)]
+        checks = sum(each.is_check for each in others)
         rows: list[dict[str, Any]] = []
         if generation is not None:
             rows = [
@@ -204,7 +205,7 @@ class Tally(Digest, RunsEvaluated):
                 for each in runs
                 if each.signature is not None and each.manner is not None
             ),
-            random=(len(runs), len(valid), at_fault, failed - at_fault),
+            random=(len(runs), len(valid), len(failed) - len(others), len(others), checks),
             rows=tuple(rows),
             doubt=next((each.doubt for each in runs if each.doubt), ""),
             avoidable=next((each.excused for each in verdicts if each.excused), ""),

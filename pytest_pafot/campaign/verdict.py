@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
-from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.signature import CHECK_FAILED, Failure, Signature
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -52,6 +52,11 @@ class Verdict:
     def failed(self) -> bool:
         """True if the run is a failure that counts, so it is a finding."""
         return self.kind == "failed"
+
+    @property
+    def is_check(self) -> bool:
+        """True if a check with a bound is broken."""
+        return self.failure is not None and self.failure.kind == CHECK_FAILED
 
     @property
     def passes(self) -> bool:

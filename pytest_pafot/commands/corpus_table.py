@@ -23,12 +23,12 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import ascii_text, wrapped_to
 from pytest_pafot.support.traced import Traced
 
-COLUMNS = ("id", "what", "severity", "breadth", "who", "requirement", "owner", "state", "since")
+COLUMNS = ("id", "test", "what", "severity", "breadth", "who", "requirement", "owner", "state", "since")
 
 GAP = "  "
 """The space between two columns of text."""
 
-BELOW = ("what", "since", "requirement", "owner", "who", "breadth", "state", "severity")
+BELOW = ("what", "test", "since", "requirement", "owner", "who", "breadth", "state", "severity")
 """The columns that move to a line of their own below a row that is too wide, in this order."""
 
 
@@ -57,6 +57,7 @@ class Row:
         broad = None if finding is None else finding.neighbours
         return {
             "id": self.saved.id,
+            "test": "" if finding is None else finding.test.partition("::")[2],
             "what": self.saved.error if finding is None else finding.expect.brief,
             "severity": "" if self.severity is None else str(self.severity),
             "breadth": "" if broad is None else broad.word,
@@ -236,13 +237,15 @@ def _lines(rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
     texts = {name: list(map(ascii_text, cells)) for name, *cells in zip(COLUMNS, *rows, strict=True)}
     widths = {name: max(map(len, (name, *cells))) for name, cells in texts.items()}
     below: list[str] = []
-    order = [*(name for name in COLUMNS if not any(texts[name])), *(name for name in BELOW if any(texts[name]))]
+    if width is not None:  # a program that reads the text finds all columns
+        widths = {name: room for name, room in widths.items() if any(texts[name])}
+    order = [name for name in BELOW if name in widths]
     while width is not None and order and sum(widths.values()) + len(GAP) * (len(widths) - 1) > width:
         below.append(order.pop(0))
         del widths[below[-1]]
     for number in range(-1, len(rows)):
         cells = {name: name if number < 0 else texts[name][number] for name in COLUMNS}
         yield GAP.join(f"{cells[name]:{room}}" for name, room in widths.items()).rstrip()
-        rest = [cells[name] if name == "what" else f"{name} {cells[name]}" for name in below if cells[name]]
+        rest = [cells[name] if name in ("what", "test") else f"{name} {cells[name]}" for name in below if cells[name]]
         if rest and number >= 0 and width is not None:
-            yield from wrapped_to(f"    {'; '.join(rest)}", width)
+            yield from wrapped_to(f"    {'; '.join(rest)}", width, phrases=True)

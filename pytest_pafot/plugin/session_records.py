@@ -106,7 +106,7 @@ class Records:
             from pytest_pafot.support.files import append  # noqa: PLC0415
 
             file = self._config.invocation_params.dir / path
-            text = markdown(self._made(code))
+            text = markdown(self._made(code), page=self._config.getoption(BY_NAME["report"].key) or "")
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
             if problem:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin import orphans
 from pytest_pafot.plugin.messages import Message, received
@@ -175,8 +176,9 @@ class Reporter:
             if self._record.searches and os.environ.get("GITHUB_ACTIONS") == "true":
                 from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
 
-                searches = self._record.searches.values()
-                for line in annotation_lines(each for search in searches for each in search.finds):
+                finds = (each for search in self._record.searches.values() for each in search.finds)
+                page = self._config.getoption(BY_NAME["report"].key) or ""
+                for line in annotation_lines(finds, page):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
@@ -288,13 +290,18 @@ class _Sparing:
 
     def __init__(self, writer: Any) -> None:
         self._writer = writer
+        self._last = (0, True)  # the indentation of the line before, and whether that line stands out
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._writer, name)
 
     def line(self, text: str = "", **markup: bool) -> None:
         """Write a line, without its colour if it is a part of a message that says neither."""
-        stands_out = not text.startswith("E    ") or VERDICT.search(text) or DEADLINE.search(text)
+        indent = len(text[1:]) - len(text[1:].lstrip())
+        stands_out = not text.startswith("E    ") or bool(VERDICT.search(text) or DEADLINE.search(text))
+        if text.startswith("E    ") and indent == self._last[0] + 2:  # the rest of a wrapped line
+            stands_out, indent = self._last[1], self._last[0]
+        self._last = indent, stands_out
         self._writer.line(text, **(markup if stands_out else {}))
 
 

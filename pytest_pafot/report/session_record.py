@@ -17,12 +17,14 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
+from pytest_pafot.support.errors import command
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import plural, quiet_json
 from pytest_pafot.support.traced import Traced, counted
@@ -330,14 +332,24 @@ def worst(results: Iterable[str]) -> str:
 
 MAX_LISTED = 20
 """The largest number of entries that a list in the summary names. Any more are only counted."""
+MAX_TOLD = 5
+"""The largest number of failures in the summary, over all of its lists."""
 
 
-def markdown(record: SessionRecord) -> str:
-    """Return the summary of a session; empty if nothing in the session concerned this plugin."""
-    return "" if record.is_empty else "\n".join(_lines(record)) + "\n"
+def markdown(record: SessionRecord, page: str = "") -> str:
+    """Return the summary of a session; empty if nothing in the session concerned this plugin.
+
+    ``page`` is the path of the report page; empty without one.
+    """
+    rest = (
+        f"see {code(page)} among the files of this job"
+        if page
+        else f"see {code(command('pytest_pafot', 'corpus', 'list'))}"
+    )
+    return "" if record.is_empty else "\n".join(_lines(record, rest)) + "\n"
 
 
-def _lines(record: SessionRecord) -> Iterator[str]:
+def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
     groups: dict[Label, list[dict[str, Any]]] = {label: [] for label in Label}
     for entry in record.findings:
         groups[Label.ACCEPTED if entry["result"] == "xfailed" else entry["status"]].append(entry)
@@ -345,12 +357,17 @@ def _lines(record: SessionRecord) -> Iterator[str]:
     yield f"### pafot: {', '.join([*([] if groups[Label.NEW] else ['nothing new']), *counts])}"
     yield ""
     yield from _search_lines(record)
+    left = MAX_TOLD
     for label, group in groups.items():
         if group:
             yield from ("", f"**{label.group}**", "")
-            for entry in sorted(group, key=_rank)[:MAX_LISTED]:
+            is_failure = label not in (Label.ACCEPTED, Label.PASSES, *PASSING)
+            most = left if is_failure else MAX_LISTED
+            left -= min(most, len(group)) if is_failure else 0
+            for entry in sorted(group, key=_rank)[:most]:
                 yield from _finding_lines(entry)
-            yield from ([f"- ... and {len(group) - MAX_LISTED} more"] if len(group) > MAX_LISTED else [])
+            others = f"{len(group) - most} more" if most else f"{len(group)}"
+            yield from ([f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"] if len(group) > most else [])
     requirements = [
         f"{code(named.ids)}{f' {plain(named.title)}' if named.title else ''}"
         f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
@@ -380,6 +397,14 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
         yield f"A run counts as a failure only if {against} passes it."
+    drawn = [search for search in ran if search.random_runs and not search.given]
+    failing, others = (sum(getattr(each, name) for each in drawn) for name in ("random_failing", "random_otherwise"))
+    if failing or others:
+        checks, counted = (sum(getattr(each, name) for each in drawn) for name in ("random_checks", "random_runs"))
+        more = [f"{checks} failed a check"] if checks else []
+        more += [f"{others - checks} failed in other ways"] if others > checks else []
+        told = "".join(f", {each}" for each in more)
+        yield f"Of {plural(counted, 'random scenario')} {failing} failed by the ego's fault{told}."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
         yield f"{compared[0].upper()}{compared[1:]}."
 
@@ -410,6 +435,9 @@ def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
         parts.append(f"accepted{flaky}{until}: {plain(xfail['reason'] or '')}")
     parts += [f"breaks {', '.join(map(code, entry['requirements']))}"] if entry["requirements"] else []
     yield f"- {': '.join(filter(None, [code(entry['test'] or entry['node_id']), '; '.join(filter(None, parts))]))}"
+    moment = None if entry["moment"] is None else Moment(**entry["moment"])
+    told = entry["sentences"] or ([] if moment is None else [str(moment)])
+    yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else told))
     missing = f"not saved: {plain(entry['detail'])}; " if entry["file"] is None else ""
     yield f"  <br>{missing}{code(entry['replay'])}"
 

@@ -19,7 +19,7 @@ from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.run import ReferenceOutcome
-from pytest_pafot.support.errors import flag
+from pytest_pafot.support.errors import command, flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
 from pytest_pafot.support.traced import Traced
@@ -35,6 +35,14 @@ MAX_FINDS = 20
 
 MAX_NAMED = 3
 """The largest number of findings that are named in one line."""
+
+PARAMETERS = re.compile(r"^([^\[]*::[^\[]*)\[(.*)\]$")
+"""A node id with parameters: the test without them, and the parameters."""
+SEARCH = "-search"
+"""The end of the name of a search, behind the parameters of its test."""
+
+MAX_ANNOTATED = 5
+"""The largest number of findings that a CI job tells whole."""
 
 MAX_REPLAYS = 10
 """The largest number of listed replays. Only replays that do not simply fail as before are listed."""
@@ -279,25 +287,40 @@ def search_lines(
     # Of a search that found nothing, the start of the ego and the kinds of vehicles are details.
     told = search.drawn.partition("; ")[0] if _is_quiet(search) and not verbose else search.drawn
     drawn = [told] if told else []
-    texts = [_figures(search), *_decisions(search), *_find_lines(search), *_comparison(search), origin, *drawn]
+    texts = [*_decisions(search), *_find_lines(search), *_comparison(search)]
+    lists = [origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
         # Nobody drew the saved scenarios at random, so their share is no estimate of anything.
         what, share = (
             ("saved scenarios at first", "") if search.given else ("random scenarios", interval_text(failing, counted))
         )
-        others = f"; {search.random_otherwise} failed in other ways" if search.random_otherwise else ""
+        others = f"; {other_failures(search)}" if search.random_otherwise else ""
         share = f", {share}" if failing and share else share.removeprefix("0 %")
-        texts.append(f"{what}: {failing} of {counted} failed by the ego's fault{share}{others}")
-    texts += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
+        lists.append(f"{what}: {failing} of {counted} failed by the ego's fault{share}{others}")
+    lists += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
+    head = [traced.described] if traced else []
+    lines = [
+        *(line for text in head for line in _wrapped(text, width)),
+        *_wrapped(_figures(search), width, phrases=True),
+        *(line for text in texts for line in _wrapped(text, width)),
+        *(line for text in lists for line in _wrapped(text, width, phrases=True)),
+    ]
+    texts = []
     for id_, count in sorted(search.known.items()):
         texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")
         unlike = search.unlike.get(id_, ())
         texts += [f"of them, unlike saved-{id_}: {', '.join(unlike)}"] if unlike else []
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
-    texts = [traced.described, *texts] if traced else texts
-    return [search.node_id, *(line for text in texts for line in _wrapped(text, width))]
+    return [search.node_id, *lines, *(line for text in texts for line in _wrapped(text, width))]
+
+
+def other_failures(search: SearchSummary) -> str:
+    """Say of random scenarios that fail without a collision by the ego's fault how many broke a check."""
+    checks, rest = search.random_checks, search.random_otherwise - search.random_checks
+    broke = f"{checks} {'more ' if search.random_failing else ''}failed a check" if checks else ""
+    return ", ".join(filter(None, [broke, f"{rest} failed in other ways" if rest else ""]))
 
 
 def _figures(search: SearchSummary) -> str:
@@ -430,10 +453,49 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 def _measured(sighting: Sighting, traced: Traced | None) -> str:
     """Return a line with a failure's label and id, how bad it is, who is responsible, and what it breaks."""
     breaks = f", breaks {traced.ids}" if traced is not None and traced.ids else ""
+    name = f"{sighting.label}: {sighting.id}{_parameters(sighting.finding.test)}"
     if sighting.severity is None:
-        return f"{sighting.label}: {sighting.id} has no measure{breaks}"
+        return f"{name} has no measure{breaks}"
     who = f", {sighting.responsible} at fault" if sighting.severity.is_fault(sighting.responsible) else ""
-    return f"{sighting.label}: {sighting.id} {sighting.severity}{who}{breaks}"
+    return f"{name} {sighting.severity}{who}{breaks}"
+
+
+def _parameters(test: str) -> str:
+    """Return the parameters of a test behind a space, such as `` [planner-a]``; empty if it has none."""
+    found = PARAMETERS.search(test)
+    return f" [{found[2]}]" if found else ""
+
+
+def parameter_lines(searches: Sequence[SearchSummary], width: int = WIDTH) -> list[str]:
+    """Return a table for each parametrised test: in how many random scenarios it failed, the worst parameters first.
+
+    Searches without random scenarios, or that begin with saved ones, are left out: their shares are no estimates.
+    """
+    tests: dict[str, list[tuple[float, str, SearchSummary]]] = {}
+    for each in searches:
+        found = PARAMETERS.search(each.node_id)
+        if found and each.random_runs and not each.given and found[2].endswith(SEARCH):
+            share = (each.random_failing + each.random_otherwise) / each.random_runs
+            tests.setdefault(found[1], []).append((-share, found[2].removesuffix(SEARCH), each))
+    lines: list[str] = []
+    for test, rows in sorted(tests.items()):
+        rows.sort(key=lambda row: row[:2])
+        shown = [row for row in rows if row[0]][:MAX_FINDS]
+        if len(rows) < 2 or not shown:
+            continue
+        lines.append(f"{test}, the parameters that fail most first:")
+        room = max(len(name) for _, name, _ in shown)
+        for _, name, each in shown:
+            measured = [seen.severity for seen in each.finds if seen.severity is not None]
+            impacts = [severity.value or 0.0 for severity in measured if severity.kind == "collision"]
+            hits = f", hits at {max(impacts):.1f} m/s" if impacts else ""
+            failing = each.random_failing + each.random_otherwise
+            text = f"  {name:{room}}  fails in {failing} of {each.random_runs} random scenarios{hits}"
+            # Wrapping would remove the alignment of rows that fit.
+            lines += [text] if len(text) <= width else wrapped_to(text, width)
+        rest = [name for share, name, _ in rows if not share]
+        lines += wrapped_to(f"  in none: {_listed(rest)}", width) if rest else []
+    return lines
 
 
 def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
@@ -442,7 +504,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += replay_lines(session.replays, width, seconds=session.neighbour_seconds)
-    lines += [*against_lines(session, width), *worst_lines(session, width)]
+    lines += [*parameter_lines(session.searches, width), *against_lines(session, width), *worst_lines(session, width)]
     for folder, names, expected in session.orphans:
         lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")
         lines += _wrapped(f"{', '.join(names)}: {expected}", width)
@@ -457,14 +519,19 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
-def annotation_lines(sightings: Iterable[Sighting]) -> list[str]:
-    """Return commands by which GitHub Actions shows each finding at its test file.
+def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]:
+    """Return commands by which GitHub Actions shows the worst five findings at their test files.
 
     Each has the headline, the sentences that explain the finding, and what is known of its decisions. In all of these,
-    and in names, what such a command reads as its own marks is escaped.
+    and in names, what such a command reads as its own marks is escaped. If there are more findings, a notice counts
+    them and says where they are: on the report page, whose path is ``page``, or in the list of the corpus.
     """
+    ranked = sorted(
+        sightings,
+        key=lambda each: (*Severity.worst_first(each.responsible, each.severity, each.breadth), each.node_id),
+    )
     lines = []
-    for sighting in sightings:
+    for sighting in ranked[:MAX_ANNOTATED]:
         parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions]
         text = "%0A".join(ascii_text(each).replace("%", "%25") for each in parts)
         file, title = (
@@ -472,7 +539,10 @@ def annotation_lines(sightings: Iterable[Sighting]) -> list[str]:
             for each in (sighting.node_id.partition("::")[0], sighting.id)
         )
         lines.append(f"::error file={file},title={title}::{text}")
-    return lines
+    left = len(ranked) - MAX_ANNOTATED
+    where = f"{page} among the files of this job" if page else f"`{command('pytest_pafot', 'corpus', 'list')}`"
+    text = ascii_text(f"{plural(left, 'more finding')}: see {where}").replace("%", "%25")
+    return [*lines, f"::notice title=pafot::{text}"] if left > 0 else lines
 
 
 def _is_quiet(search: SearchSummary) -> bool:
@@ -517,5 +587,5 @@ def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:
     return f"{', '.join(names[:limit])}{more}"
 
 
-def _wrapped(text: str, width: int) -> list[str]:
-    return wrapped_to(f"  {ascii_text(text.strip())}", width)
+def _wrapped(text: str, width: int, *, phrases: bool = False) -> list[str]:
+    return wrapped_to(f"  {ascii_text(text.strip())}", width, phrases=phrases)

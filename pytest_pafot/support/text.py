@@ -116,6 +116,7 @@ MARKER = "E   "
 
 _GLUED = re.compile(r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)")
 _GLUE = "\N{NO-BREAK SPACE}"
+_PHRASE = re.compile(r"(?<=[,;]) ")
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
@@ -123,10 +124,11 @@ def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
     return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
 
 
-def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
+def wrapped_to(line: str, width: int, prefix: str = "", *, phrases: bool = False) -> list[str]:
     """Wrap a line between words, but not between a number and its unit, or between NPC and its number.
 
-    All resulting lines are safe to print, and begin with the prefix and the indentation of ``line``.
+    All resulting lines are safe to print, and begin with the prefix and the indentation of ``line``. With ``phrases``,
+    for lists, the parts between commas and semicolons stay whole if they are shorter than half the width.
     """
     line = visible(line.expandtabs())  # before wrapping, which would turn other line breaks into spaces
     text = line.removeprefix(prefix)
@@ -134,7 +136,11 @@ def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
     if len(line) <= width:
         return [line]
-    return [part.replace(_GLUE, " ") for part in wrapper.wrap(_GLUED.sub(_GLUE, text.strip()))]
+    text = text.strip()
+    if phrases:
+        parts = _PHRASE.split(text)
+        text = " ".join(part.replace(" ", _GLUE) if len(part) < width // 2 else part for part in parts)
+    return [part.replace(_GLUE, " ") for part in wrapper.wrap(_GLUED.sub(_GLUE, text))]
 
 
 MAX_TOLD = 3

@@ -10,6 +10,7 @@ from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.state import RandomRuns
 from pytest_pafot.campaign.tallies import Digested, Tally
 from pytest_pafot.campaign.verdict import Verdict, evaluated
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.terminal import search_lines
 from pytest_pafot.searching.events import Evaluated
@@ -62,10 +63,10 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
     runs = {each.run.trace.scenario.id: each.run for each in judged if each.verdict.failed}.values()
     collided = sum(run.collision is not None and run.responsibility != "npc" for run in runs)
     assert found.summary.random_failing == collided
-    assert found.summary.random_otherwise == len(runs) - collided > 0
+    assert found.summary.random_otherwise == found.summary.random_checks == len(runs) - collided > 0
     told = " ".join(search_lines(found.summary))
     assert " failed by the ego's fault, " in told
-    assert told.count(f"; {len(runs) - collided} failed in other ways") == 1
+    assert told.count(f"; {len(runs) - collided} more failed a check") == 1
 
 
 class Slow:
@@ -80,7 +81,8 @@ def test_slow_decisions_are_one_finding_and_no_ego_fault():
         algorithm="random", decision_limit=0.001,
     )  # fmt: skip
     assert [each.id.rpartition("-")[0] for each in found.findings] == ["slow-decision"]
-    assert (found.summary.random_failing, found.summary.random_otherwise) == (0, 8)
+    summary = found.summary
+    assert (summary.random_failing, summary.random_otherwise, summary.random_checks) == (0, 8, 0)
 
 
 def test_early_stopped_search_gives_no_random_share():
@@ -96,9 +98,10 @@ def test_random_share_uses_only_initial_random_scenarios():
 
 @pytest.mark.parametrize("kind", ["failed", "unpreventable", "passed", "rejected"])
 @pytest.mark.parametrize("responsible", ["ego", "npc"])
-def test_session_and_processes_count_the_same_runs_as_failures_of_the_ego(kind, responsible):
+@pytest.mark.parametrize("failure", ["AssertionError", "CheckFailed"])
+def test_session_and_processes_count_the_same_runs_as_failures_of_the_ego(kind, responsible, failure):
     crash = trace_of(vehicle(0, ticks=9), vehicle(0, ticks=9), outcome=Outcome.COLLISION)
-    run, verdict = blamed_on(responsible, crash), Verdict(kind=kind)
+    run, verdict = blamed_on(responsible, crash), Verdict(kind=kind, failure=Failure(kind=failure))
     judged, evaluation = Judged.here(run, verdict), evaluated(run, verdict, None, lambda run: 0.0, False)
     here, elsewhere = RandomRuns(), RandomRuns()
     here.most = elsewhere.most = 1
@@ -108,5 +111,7 @@ def test_session_and_processes_count_the_same_runs_as_failures_of_the_ego(kind, 
         evaluation=evaluation, event=judged, facts=None, signature=None, manner=None, decisions=0, caught=(), doubt=""
     )
     elsewhere.take(*Tally.of([digested], generation=0).random)
-    counts = [(each.evaluated, each.runs, each.at_fault, each.otherwise) for each in (here, elsewhere)]
+    counts = [(each.evaluated, each.runs, each.at_fault, each.otherwise, each.checks) for each in (here, elsewhere)]
     assert counts[0] == counts[1]
+    is_failure = kind in ("failed", "unpreventable")
+    assert here.checks == (is_failure and responsible == "npc" and failure == "CheckFailed")

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.report.session_record import SessionRecord, finding_entry, markdown
+from pytest_pafot.report.terminal import annotation_lines
 from pytest_pafot.support.errors import RequestError
-from tests.findings.builders import plain_finding
+from tests.findings.builders import plain_finding, sighting
 from tests.helpers.sessions import Copy
 
 AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
@@ -357,9 +360,10 @@ def rows_for(*cells):
     return list(map(Row, cells))
 
 
-LONG = ("leader-unanswered-b7c133", "collision after 6.3 s: NPC 0 in cell 2 (front)", "hits at 7.5 m/s", "broad",
-        "ego", "REQ-1", "Ann", "still failing, accepted until 2027-01-31", "1a2b3c4 2026-10-01")  # fmt: skip
-SHORT = ("a", "gap 1 < 2 m", "", "", "none", "", "", "open", "")
+LONG = ("leader-unanswered-b7c133", "test_it[a]", "collision after 6.3 s: NPC 0 in cell 2 (front)",
+        "hits at 7.5 m/s", "broad", "ego", "REQ-1", "Ann", "still failing, accepted until 2027-01-31",
+        "1a2b3c4 2026-10-01")  # fmt: skip
+SHORT = ("a", "test_x", "gap 1 < 2 m", "", "", "none", "", "", "open", "")
 
 
 def test_a_text_without_a_width_has_a_line_for_each_row():
@@ -378,6 +382,37 @@ def test_a_text_fits_its_width_and_loses_nothing(width):
         assert " ".join(cell.split()) in text
     assert any(line.startswith(LONG[0]) for line in lines)
     assert set(BELOW) == set(COLUMNS) - {"id"}
+
+
+def test_a_column_without_any_text_is_left_out_and_a_phrase_stays_whole():
+    cells = dict.fromkeys(COLUMNS, "") | {"id": "a", "test": "test_it[planner-a]", "what": "gap 1 < 2 m", "who": "ego"}
+    assert text_of_table(rows_for(cells.values()), 80).splitlines() == [
+        "id  test                what         who",
+        "a   test_it[planner-a]  gap 1 < 2 m  ego",
+    ]
+    assert text_of_table(rows_for(cells.values()), 26).splitlines() == [
+        "id  who",
+        "a   ego",
+        "    gap 1 < 2 m;",
+        "      test_it[planner-a]",
+    ]
+
+
+def test_rows_are_found_by_the_parameters_of_their_test(here, capsys):
+    save(here, finding("a", test="test_it.py::test_x[planner-a]"), finding("b", test="test_it.py::test_x[planner-b]"))
+    (row,) = listed(capsys, "--where=test=planner-b")
+    assert (row["id"], row["test"]) == ("b", "test_x[planner-b]")
+
+
+def test_the_list_that_a_ci_job_names_has_the_findings(here, capsys):
+    finds = [sighting(f"f{number}") for number in range(6)]
+    save(here, *(each.finding for each in finds))
+    said = annotation_lines(finds)[-1].partition("`")[2].removesuffix("`")
+    record = SessionRecord(findings=[finding_entry(each) for each in finds])
+    assert f"see `{said}`\n" in markdown(record)
+    assert main([*shlex.split(said.removeprefix("python -m pytest_pafot")), "--no-tests"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"\n{each.id} " in printed for each in finds)
 
 
 def test_texts_of_strangers_change_no_table(here, capsys, monkeypatch):

@@ -165,6 +165,31 @@ def test_worker_receives_terminal_width_of_the_session(monkeypatch):
     assert shared_by_controller(node).width == 60
 
 
+RED = "\x1b[31m"
+
+
+def red_lines(result):
+    """Return the lines of the messages of failures, and of these the red ones, both without colours."""
+    message = [line for line in result.outlines if re.match(r"(\x1b\[[\d;]*m)*E  ", line)]
+    return [[re.sub(r"\x1b\[[\d;]*m", "", line) for line in message if RED in line or not is_red] for is_red in (0, 1)]
+
+
+@pytest.mark.parametrize("options", [(), pytest.param(("-n1",), marks=pytest.mark.processes)])
+def test_only_headline_verdict_and_deadline_of_a_message_are_red(explained, monkeypatch, options):
+    monkeypatch.setenv("COLUMNS", "80")
+    plain = [line for line in search(explained, *options, "--color=no").outlines if line.startswith("E  ")]
+    explained.forget()
+    lines, red = red_lines(search(explained, *options, "--color=yes"))
+    assert lines == plain
+    starts = ("E   AssertionError: collision after", "E       The ego is responsible.")
+    assert [any(line.startswith(start) for line in red) for start in starts] == [True, True]
+    assert any("should have braked" in line or "avoids the collision" in line for line in red)
+    assert "E       at the impact: " in "".join(lines)
+    assert not any("at the impact" in line or "from [s]" in line for line in red)
+    rest = lines[1] if lines[1].startswith("E     ") and lines[1][6] != " " else None
+    assert rest is None or rest in red  # the rest of a headline that is wrapped has its colour, too
+
+
 @pytest.mark.processes
 def test_workers_fit_their_lines_to_the_terminal(explained, monkeypatch):
     pytest.importorskip("xdist")

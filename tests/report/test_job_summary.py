@@ -79,9 +79,12 @@ def test_worst_finding_comes_first_in_each_group():
         finding("e", severity=hits(9.8), responsible="ego"),
         finding("f", "common", severity=hits(12.1), severity_before=hits(8.0)),
     ]
-    text = markdown(SessionRecord(findings=findings))
+    text = markdown(SessionRecord(findings=findings[:4] + findings[5:]))
     listed = re.findall(r"corpus/(\w)\.pafot", text)
-    assert "".join(listed) == "ebdacf"
+    assert "".join(listed) == "bdacf"
+    text = markdown(SessionRecord(findings=findings[1:]))
+    listed = re.findall(r"corpus/(\w)\.pafot", text)
+    assert "".join(listed) == "ebdcf"
     assert "collision after 5.4 s; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 
@@ -109,11 +112,52 @@ def test_unsaved_finding_comes_with_its_search_command():
 
 
 def test_long_lists_are_cut():
-    record = SessionRecord(findings=[finding(str(number)) for number in range(MAX_LISTED + 5)])
-    lines = markdown(record).splitlines()
+    fixed = [finding(f"f{number}", "fixed", headline="") for number in range(MAX_LISTED + 5)]
+    lines = markdown(SessionRecord(findings=fixed)).splitlines()
     assert sum(line.startswith("- `") for line in lines) == MAX_LISTED
-    assert lines[-1] == "- ... and 5 more"
-    assert lines[0] == f"### pafot: {MAX_LISTED + 5} new"
+    assert lines[-1] == "- ... and 5 more: see `python -m pytest_pafot corpus list`"
+    assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} fixed"
+
+
+def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted():
+    new = [finding(str(number)) for number in range(3)]
+    known = [finding(f"k{number}", "still failing") for number in range(4)]
+    common = [finding("c", "common")]
+    lines = markdown(SessionRecord(findings=[*new, *known, *common]), page="report.html").splitlines()
+    assert [line for line in lines if line.startswith(("**", "- .", "- 1"))] == [
+        "**New**",
+        "**Known, still failing**",
+        "- ... and 2 more: see `report.html` among the files of this job",
+        "**Known, and also failing in the reference**",
+        "- 1: see `report.html` among the files of this job",
+    ]
+    assert sum(line.startswith("- `") for line in lines) == 5
+
+
+def test_a_failure_comes_with_its_sentences_or_else_with_the_decision():
+    sentences = ["NPC 0 braked at up to 8.0 m/s^2.", "Braking at 6 m/s^2 from 4.2 s on avoids the collision."]
+    moment = {"time": 4.2, "npc": 0, "seen": "9.9 m ahead", "action": "acceleration 0.3 m/s^2"}
+    both = finding("a", sentences=sentences, moment=moment)
+    alone = finding("b", moment=moment)
+    lines = markdown(SessionRecord(findings=[both, alone])).splitlines()
+    assert lines[6:13] == [
+        "- `test_it.py::x`: collision after 5.4 s",
+        "  <br>NPC 0 braked at up to 8.0 m/s^2.",
+        "  <br>Braking at 6 m/s^2 from 4.2 s on avoids the collision.",
+        "  <br>`python -m pytest corpus/a.pafot.yaml`",
+        "- `test_it.py::x`: collision after 5.4 s",
+        "  <br>4.2 s: it saw NPC 0 9.9 m ahead, and answered acceleration 0.3 m/s^2",
+        "  <br>`python -m pytest corpus/b.pafot.yaml`",
+    ]
+
+
+def test_job_summary_says_how_the_random_scenarios_failed():
+    one = search(random_runs=20, random_failing=1, random_otherwise=15, random_checks=14)
+    other = search(random_runs=19, random_failing=2)
+    saved = search(random_runs=7, random_failing=7, given=7)
+    assert markdown(SessionRecord(searches=[one, other, saved])).splitlines()[3:] == [
+        "Of 39 random scenarios 3 failed by the ego's fault, 14 failed a check, 1 failed in other ways."
+    ]
 
 
 def test_job_summary_reports_search_failures_and_problems():

@@ -113,6 +113,90 @@ def test_failures_are_listed_new_first_then_worst_first():
     assert terminal.worst_lines(SessionSummary(searches=[SEARCH])) == []
 
 
+def tried(name, failing, runs=20, otherwise=0, **changes):
+    """Return a search of the parameters ``name`` of a test, with counts of its random scenarios."""
+    counts = {"random_failing": failing, "random_otherwise": otherwise, "random_runs": runs}
+    return replace(SEARCH, node_id=f"t.py::test_it[{name}-search]", **{"finds": ()} | counts | changes)
+
+
+def test_parameters_of_a_test_that_fail_most_are_first():
+    hit = Severity(kind="collision", value=4.5, unit="m/s")
+    finds = (sighting("a", severity=hit), sighting("b", severity=replace(hit, value=12.06)))
+    searches = [
+        tried("fair", 0),
+        tried("good", 1, 19, finds=finds),
+        tried("x::[y]", 2, 20, otherwise=9),
+        tried("saved", 3, 3, given=3),
+        tried("cut", 0, 0),
+        replace(tried("a", 5), node_id="t.py::test_alone[a-search]"),
+        replace(tried("a", 5), node_id="t.py::test_it[search]"),
+    ]
+    assert terminal.parameter_lines(searches) == [
+        "t.py::test_it, the parameters that fail most first:",
+        "  x::[y]  fails in 11 of 20 random scenarios",
+        "  good    fails in 1 of 19 random scenarios, hits at 12.1 m/s",
+        "  in none: fair",
+    ]
+    assert terminal.parameter_lines([tried("a", 0), tried("b", 0)]) == []
+    assert max(map(len, terminal.parameter_lines(searches, 40)[1:])) <= 40
+
+
+def test_a_listed_failure_names_the_parameters_of_its_test():
+    test = {"test": "t.py::test_it[planner-a]"}
+    session = SessionSummary(searches=[replace(SEARCH, finds=(sighting("a", finding=test), sighting("b")))])
+    assert terminal.worst_lines(session)[1:] == ["  new: a [planner-a] has no measure", "  new: b has no measure"]
+
+
+def test_annotations_tell_the_worst_five_and_where_the_others_are():
+    hits = [Severity(kind="collision", value=float(speed), unit="m/s") for speed in (3, 8, 1, 9, 5, 7, 2)]
+    finds = [
+        sighting(f"at-{each.value:.0f}", node_id="a.py::t[x]", severity=each, headline="50 % hit", sentences=("Who.",))
+        for each in hits
+    ]
+    lines = terminal.annotation_lines(finds)
+    assert lines[0] == "::error file=a.py,title=at-9::50 %25 hit%0AWho."
+    assert [line.split("::")[1].partition("title=")[2] for line in lines[:5]] == [f"at-{n}" for n in (9, 8, 7, 5, 3)]
+    assert lines[5:] == ["::notice title=pafot::2 more findings: see `python -m pytest_pafot corpus list`"]
+    assert "see r%25.html among" in terminal.annotation_lines(finds, "r%.html")[-1]
+    assert len(terminal.annotation_lines(finds[:5])) == 5
+    assert terminal.annotation_lines([]) == []
+
+
+@table(
+    ("failing", "otherwise", "checks", "end"),
+    [
+        (1, 15, 15, "; 15 more failed a check"),
+        (0, 15, 15, "; 15 failed a check"),
+        (1, 15, 12, "; 12 more failed a check, 3 failed in other ways"),
+        (1, 15, 0, "; 15 failed in other ways"),
+        (1, 0, 0, ""),
+    ],
+)
+def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks, end):
+    counts = {"random_failing": failing, "random_otherwise": otherwise, "random_checks": checks, "random_runs": 20}
+    lines = terminal.search_lines(replace(SEARCH, **counts), width=200)
+    (line,) = [line for line in lines if "random scenarios" in line]
+    assert line.partition(" %)")[2] == end
+
+
+def test_a_search_that_finds_nothing_has_five_lines_and_verbose_ones_name_all():
+    drawn = "3 to 6 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3"
+    quiet = replace(
+        SEARCH, failing=0, finds=(), known={}, warnings=(), notes=(), unlike={}, random_runs=19, drawn=drawn,
+        invalid=0, npc=0, rejected=0, skipped=0, known_runs=0, no_interaction=0,
+    )  # fmt: skip
+    lines = terminal.search_lines(quiet)
+    assert len(lines) == 5
+    assert max(map(len, lines)) <= 80
+    assert "  3 to 6 NPCs in hostile traffic" in lines
+    assert "lanes 0 to 3" in " ".join(" ".join(terminal.search_lines(quiet, verbose=True)).split())
+    many = [replace(quiet, node_id=f"t.py::test_{number}[search]") for number in range(500)]
+    told = terminal.session_lines(SessionSummary(searches=many))
+    assert len(told) == 501
+    few = many[: terminal.MAX_WHOLE]
+    assert len(terminal.session_lines(SessionSummary(searches=few))) == 5 * len(few)
+
+
 def test_the_summary_of_a_session_reads_so(snapshot):
     flaky = named("rear-6-222222", difference="running it again gave a different run", repeats=0)
     lost = named("left-8-333333", path="", detail="read-only file system")
@@ -350,6 +434,17 @@ def test_lines_are_wrapped_to_the_terminal_width(width):
     assert " ".join(" ".join(lines).split()) == " ".join(
         " ".join(terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=999)).split()
     )
+
+
+def test_lists_are_wrapped_between_their_phrases():
+    line = "  20 runs in 0.5 s, 0 failing, 3 npc at fault; a phrase that is longer than half a line stays a text"
+    assert wrapped_to(line, 36, phrases=True) == [
+        "  20 runs in 0.5 s, 0 failing,",
+        "    3 npc at fault; a phrase that is",
+        "    longer than half a line stays a",
+        "    text",
+    ]
+    assert wrapped_to(line, 36)[0] == "  20 runs in 0.5 s, 0 failing, 3 npc"
 
 
 def test_wrapped_line_retains_its_mark_and_indentation():

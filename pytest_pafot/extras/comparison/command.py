@@ -129,6 +129,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         with written_into(folder, AGAIN):
             titles = figures.draw_all(measured, folder / "figures")
             report = markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles)
+            for name, text in markdown.published(measured).items():
+                write_whole(folder / name, text)
             write_whole(folder / "report.md", report)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note("finished runs are saved, and the same command continues with the rest")

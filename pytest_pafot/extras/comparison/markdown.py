@@ -25,8 +25,8 @@ from pytest_pafot.extras.comparison.run_measures import (
 )
 from pytest_pafot.extras.resumable import file_name, seconds_of
 from pytest_pafot.support.proportions import holm
-from pytest_pafot.support.text import markdown_table
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.text import csv_text, markdown_table
+from pytest_pafot.support.versions import installed_versions, versions_text
 
 # The numbers that the paper reports (Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 4.2).
 
@@ -111,6 +111,8 @@ HOW_TO_READ = """
 - AV-Fuzzer simulates only scenarios that crossover or mutation changed, so its generations have fewer scenarios than
   those of the others. For this reason the algorithms are also compared at equal simulated seconds.
 - `results.csv` has a row for every scenario; `runs/` has the same rows run by run.
+- To publish: `runs.csv` has the measures of every run, `statistics.csv` the table above, both with exact numbers, and
+  `versions.txt` the versions, as pip reads them.
 - Equal arguments and versions give equal rows with any number of workers: {rows} rows here.
 """
 
@@ -324,6 +326,32 @@ the log-rank test Kaplan-Meier medians.
 
 {markdown_table(header, rows)}
 """
+
+
+def published(results: Results) -> dict[str, str]:
+    """Return the texts of the files to publish, by their names: numbers as CSV, and the versions that gave them.
+
+    An infinite number is ``inf``, such as the time to a failure that never came, and one that is not known is empty.
+    """
+    whole = results.whole if results.plan.generations else None
+    found = comparisons(whole, results.equal, results.plan.names)
+    columns = (
+        "measure", "at_equal", "first", "second", "value_first", "value_second", "a12", "a12_low", "a12_high", "p",
+        "p_holm", "test",
+    )  # fmt: skip
+    rows = [
+        [
+            *(each.measure, each.at, each.first, each.second, *each.values),
+            *((None,) * 3 if each.effect is None else (each.effect.a12, each.effect.low, each.effect.high)),
+            *(each.p, p, each.test),
+        ]
+        for each, p in zip(found, holm([each.p for each in found]), strict=True)
+    ]
+    return {
+        "runs.csv": results.whole.to_csv(index=False, lineterminator="\n"),
+        "statistics.csv": csv_text(columns, rows),
+        "versions.txt": versions_text(("gymnasium", "pandas", "scipy")),
+    }
 
 
 def _peak(times: pd.Series[float], longest: float) -> str:

@@ -14,7 +14,7 @@ from pytest_pafot import Outcome, World
 from pytest_pafot.extending import AdsFactory, WorldData, ads_factory, caution, chosen_world, code_of, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.proportions import CONFIDENCE, interval, interval_text, mcnemar
+from pytest_pafot.support.proportions import CONFIDENCE, holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import csv_text, plural
@@ -123,6 +123,12 @@ class Rate:
         return lines
 
 
+def pairs_of(rates: Sequence[Rate]) -> list[tuple[Pair, float]]:
+    """Compare the first policy with each of the others; the p-values are adjusted for their number by Holm's method."""
+    pairs = [Pair.of(rates[0], other) for other in rates[1:]]
+    return [*zip(pairs, holm([pair.p for pair in pairs]), strict=True)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
     """A comparison of two policies on the seeds on which neither had an error.
@@ -158,6 +164,10 @@ class Pair:
     def p(self) -> float:
         """The p-value of McNemar's exact test, two-sided."""
         return mcnemar(len(self.first_only), len(self.second_only))
+
+    def told(self, adjusted: float, comparisons: int) -> str:
+        """Return the sentence; of several comparisons also with the p-value that is adjusted for their number."""
+        return f"{self.sentence}; p {p_text(adjusted)} of {comparisons} (Holm)" if comparisons > 1 else self.sentence
 
     @property
     def sentence(self) -> str:
@@ -198,31 +208,30 @@ def rows_of(text: str) -> list[EpisodeRow]:
     ]
 
 
-# The plan of a crash rate: one or two policies, an environment, and the seeds of the episodes.
+# The plan of a crash rate: one or several policies, an environment, and the seeds of the episodes.
 
 QUESTION = "rate.json"
 CHUNK = 25
 """The number of episodes in a task; if the command is interrupted, finished tasks are saved."""
 FIRST = 10
 """The number of first episodes: a policy that raises in each of them is refused, because it does not drive at all."""
-SIDES = ("ads", "against")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RatePlan:
-    """A plan for the crash rates of one or two policies. Every episode depends only on this plan and its seed.
+    """A plan for the crash rates of one or several policies. Every episode depends only on this plan and its seed.
 
     Attributes:
         ads: name of the policy, in the form of the command ``compare``; with ``@planner`` at its end for a planner in
             SI units.
-        against: name of a second policy that drives on the same seeds, or None.
+        against: names of further policies that drive on the same seeds.
         world_name, config: the arguments ``--world`` and ``--config``.
         episodes: number of episodes; their seeds are ``seed``, ``seed + 1`` and so on.
         seed: seed of the first episode.
     """
 
     ads: str
-    against: str | None = None
+    against: tuple[str, ...] = ()
     world_name: str
     config: str | None = None
     episodes: int = 1000
@@ -247,9 +256,9 @@ class RatePlan:
 
     @property
     def policies(self) -> dict[str, str]:
-        """The names of the policies by side, ``ads`` or ``against``."""
-        given = (self.ads, self.against)
-        return {side: name for side, name in zip(SIDES, given, strict=True) if name is not None}
+        """The names of the policies by side: ``ads``, ``against``, ``against2`` and so on."""
+        others = {f"against{number if number > 1 else ''}": name for number, name in enumerate(self.against, 1)}
+        return {"ads": self.ads, **others}
 
     @property
     def job(self) -> ResumableJob:
@@ -261,7 +270,7 @@ class RatePlan:
             for first in firsts
             for count in (min(CHUNK, self.seed + self.episodes - first),)
         }
-        question = {"ads": self.ads, "against": self.against, "world": WorldData.of(self.world).data}
+        question = {"ads": self.ads, "against": [*self.against], "world": WorldData.of(self.world).data}
         names = [name.removesuffix(PLANNER) for name in self.policies.values()]
         told = {
             "plan": question,
@@ -294,8 +303,9 @@ def checked(plan: RatePlan) -> RatePlan:
         raise RequestError(f"--episodes: expected a whole number, at least 1, received {plan.episodes}")
     if plan.seed < 0:
         raise RequestError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
-    if plan.against == plan.ads:
-        raise RequestError(f"--against: expected a different policy than --ads, received {plan.ads!r} again")
+    twice = next((name for number, name in enumerate(plan.against) if name in (plan.ads, *plan.against[:number])), None)
+    if twice is not None:
+        raise RequestError(f"--against: expected a different policy than --ads, received {twice!r} again")
     plan.world.environment.with_traffic()
     return plan
 

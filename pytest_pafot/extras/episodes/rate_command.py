@@ -18,12 +18,12 @@ from pytest_pafot import Outcome
 from pytest_pafot.extending import Policy, add_world_arguments, drawn_episode
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
-    Pair,
     Rate,
     RatePlan,
     checked,
     factory_of,
     number,
+    pairs_of,
     rows_of,
     shown,
 )
@@ -32,7 +32,7 @@ from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
 from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.versions import installed_versions, versions_text
 
 HOW_TO_READ = """
 ## How to read this
@@ -56,7 +56,7 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     config = "" if plan.config is None else f" with `{plan.config}`"
     rows = []
-    for rate in rates:
+    for rate in sorted(rates, key=lambda each: -each.share if each.episodes else 1.0):  # the worst first
         low, high = interval(len(rate.crashed), rate.episodes)
         share = percent(rate.share) if rate.episodes else ""
         bounds = f"{percent(low)} to {percent(high)}" if rate.crashed else f"at most {percent(high)}"
@@ -69,9 +69,9 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
         f"{packages}.",
         markdown_table(["", "episodes", "crashes", "per episode", "95 %", "per hour", "hours"], rows),
     ]
-    if len(rates) == 2:
-        pair = Pair.of(*rates)
-        sentence = f"{capitalised(pair.sentence)}."
+    pairs = pairs_of(rates)
+    for pair, adjusted in pairs:
+        sentence = f"{capitalised(pair.told(adjusted, len(pairs)))}."
         alone = ((pair.first, pair.first_only), (pair.second, pair.second_only))
         only = [f"Seeds of crashes only with {name}: {shown(seeds)}." for name, seeds in alone if seeds]
         parts.append(" ".join([sentence, *only]))
@@ -91,7 +91,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "a module of example_ads, module:factory, or module:factory:argument; with @planner after it if it gets "
     of_whom += "pafot.Observation and answers with acceleration and steering"
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
-    parser.add_argument("--against", metavar="ADS", help="a second policy, on the same seeds")
+    parser.add_argument(
+        "--against",
+        action="append",
+        default=[],
+        metavar="ADS",
+        help="another policy, on the same seeds; may be given several times",
+    )
     add_world_arguments(parser, "one with an environment", is_needed=True)
     parser.add_argument(
         "--episodes", type=int, default=1000, metavar="N", help="episodes to drive (default: %(default)s)"
@@ -124,7 +130,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         with ExitStack() as stack:
             if arguments.json:
                 stack.enter_context(printing_elsewhere())  # also what modules and a factory of the world print
-            same = {name: getattr(arguments, name) for name in ("ads", "against", "episodes", "seed")}
+            same = {name: getattr(arguments, name) for name in ("ads", "episodes", "seed")}
+            same["against"] = tuple(arguments.against)
             plan = checked(RatePlan(world_name=arguments.world, config=arguments.config, **same))
             workers = worker_count(arguments.workers)
             if arguments.episode is not None and arguments.episode < 0:
@@ -151,6 +158,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             pictures = _pictures(plan, rates, arguments.out)
             with written_into(arguments.out, AGAIN):
                 write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
+                write_whole(arguments.out / "versions.txt", versions_text(["gymnasium"]))
             (sys.stderr if arguments.json else sys.stdout).write(f"{arguments.out / 'report.md'}\n")
         if objection:
             sys.stderr.write(f"rate: {objection}\n")
@@ -202,7 +210,6 @@ def _objection(rate: Rate, limit: float) -> str:
 
 def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection: str) -> dict[str, Any]:
     """Return the rates as plain data, for programs."""
-    pair = Pair.of(*rates) if len(rates) == 2 else None
     names = ("first_only", "second_only", "both", "neither")
     return {
         "world": plan.world_name,
@@ -220,7 +227,16 @@ def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection:
             }
             for rate in rates
         ],
-        "pair": None if pair is None else {**{name: len(getattr(pair, name)) for name in names}, "p": pair.p},
+        "pairs": [
+            {
+                "first": pair.first,
+                "second": pair.second,
+                **{name: len(getattr(pair, name)) for name in names},
+                "p": pair.p,
+                "p_holm": adjusted,
+            }
+            for pair, adjusted in pairs_of(rates)
+        ],
         "fail_above": limit,
         "objection": objection,
     }
@@ -250,8 +266,11 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         if not rate.episodes and "@" not in rate.ads and plan.world.planner_hz is None:
             named = shlex.join(["--ads", f"{rate.ads}@planner"])
             lines.append(f"  for a planner in SI units, as for pafot.Highway, use {named}")
-    if len(rates) == 2:
-        lines.append(Pair.of(*rates).sentence)
+    pairs = pairs_of(rates)
+    lines += [pair.told(adjusted, len(pairs)) for pair, adjusted in pairs]
+    if len(pairs) > 1:
+        worst = sorted((rate for rate in rates if rate.episodes), key=lambda rate: -rate.share)
+        lines.append(f"the worst first: {', '.join(f'{rate.ads} {percent(rate.share)}' for rate in worst)}")
     crashed = next((rate for rate in rates if rate.crashed), None)
     if crashed is not None:
         config = [] if arguments.config is None else ["--config", arguments.config]

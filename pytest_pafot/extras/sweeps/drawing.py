@@ -26,6 +26,15 @@ COLOURS: dict[Kind, str] = {
 }
 """The colours of a picture, which differ in lightness, too."""
 
+LEGEND: dict[Kind, str] = MEANINGS | {
+    "preventable": "failed, though a reference driver avoids it",
+    "unavoidable": "failed, and no reference driver avoids it",
+    "not as asked": "not as asked: it says nothing about the policy",
+}
+"""The meanings of the colours, in words that need no manual."""
+HATCH = "///"
+"""The pattern of points that were not as asked: they are white, as is what is no point."""
+
 FRAMES_PER_SECOND = 10
 """The largest number of frames of a run on a page [1/s]."""
 MOST_PLAYED = 400
@@ -41,25 +50,34 @@ def png(sweep: Sweep) -> bytes:
     try:
         from matplotlib.colors import ListedColormap  # noqa: PLC0415  (an extra)
         from matplotlib.figure import Figure  # noqa: PLC0415
-        from matplotlib.patches import Patch  # noqa: PLC0415
+        from matplotlib.patches import Patch, Rectangle  # noqa: PLC0415
     except ImportError:
         raise RequestError(f"png: expected matplotlib to be installed; {install('compare')}") from None
     rows = sweep.axes[0] if len(sweep.axes) == 2 else None
     columns = sweep.axes[-1]
     grid = np.array([KINDS.index(point.kind) for point in sweep.points]).reshape(-1, len(columns.values))
-    title = [part for line in (sweep.name, sweep.headline, *sweep.on_islands()) for part in wrapped_to(line, 100)]
-    height = 1.9 + 0.15 * len(title) + min(0.32 * len(grid), 12)
-    figure = Figure(figsize=(7.5, height), layout="constrained", dpi=120)
+    title = [
+        part
+        for line in (": ".join(filter(None, [sweep.name, sweep.about])), sweep.headline, *sweep.on_islands())
+        for part in wrapped_to(line, 75, phrases=True)
+    ]
+    height = 2.2 + 0.15 * len(title) + min(0.32 * len(grid), 12)
+    figure = Figure(figsize=(6, height), layout="constrained", dpi=240)
     axes = figure.add_subplot()
     colours = ListedColormap([COLOURS[kind] for kind in KINDS])
     axes.pcolormesh(grid, cmap=colours, vmin=-0.5, vmax=len(KINDS) - 0.5, edgecolors="#d8dbdd", linewidth=0.6)
+    for row, column in np.argwhere(grid == KINDS.index("not as asked")):
+        axes.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch=HATCH, ec="#5d6770", linewidth=0))
     axes.set_xticks(*_ticks(columns.values), rotation=45)
-    axes.set_xlabel(columns.title)
+    axes.set_xlabel(columns.words)
     axes.set_yticks(*(_ticks(rows.values) if rows else ([], [])))
-    axes.set_ylabel(rows.title if rows else "")
+    axes.set_ylabel(rows.words if rows else "")
     axes.set_title("\n".join(title), fontsize="small", parse_math=False)
-    patches = [Patch(fc=COLOURS[kind], ec="#5d6770", label=MEANINGS[kind]) for kind in sweep.legend]
-    figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize="small")
+    hatches = {kind: HATCH if kind == "not as asked" else None for kind in sweep.legend}
+    patches = [
+        Patch(fc=COLOURS[kind], ec="#5d6770", hatch=hatch, label=LEGEND[kind]) for kind, hatch in hatches.items()
+    ]
+    figure.legend(handles=patches, loc="outside lower center", fontsize="small")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -78,9 +96,9 @@ def page(sweep: Sweep) -> str:
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     notes = "".join(f"<li>{escape(note)}</li>" for note in sweep.notes)
     legend = "".join(
-        f'<li><span class="swatch {_name(kind)}">{MARKS[kind]}</span>{meaning}</li>'
-        for kind, meaning in sweep.legend.items()
+        f'<li><span class="swatch {_name(kind)}">{MARKS[kind]}</span>{LEGEND[kind]}</li>' for kind in sweep.legend
     )
+    told = " ".join(filter(None, [sweep.about, sweep.headline]))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -88,7 +106,7 @@ def page(sweep: Sweep) -> str:
         f"<meta http-equiv=\"Content-Security-Policy\" content=\"{policy}; base-uri 'none'; form-action 'none'\">\n"
         f"<title>{escape(sweep.name)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f'<header class="top"><div class="masthead"><p class="kicker">pytest-pafot</p><h1>{escape(sweep.name)}</h1>'
-        f'<p>{escape(sweep.headline)}</p></div></header>\n<main class="map">\n<section>{_table(sweep)}'
+        f'<p>{escape(told)}</p></div></header>\n<main class="map">\n<section>{_table(sweep)}'
         f'<ul class="legend">{legend}</ul><ul class="notes">{notes}</ul></section>\n'
         '<section id="run" hidden><h2 id="where"></h2><p id="words"></p><p id="still" hidden>There is no run here.'
         '</p><div id="player"><svg id="scene" role="img" aria-label="The run from above"></svg><p class="controls">'
@@ -112,7 +130,7 @@ def frame(sweep: Sweep) -> str:
 def _table(sweep: Sweep) -> str:
     *rows, columns = sweep.axes
     heads = rows[0].values if rows else (None,)
-    corner = f"{escape(rows[0].title)} up, " if rows else ""
+    corner = f"{escape(rows[0].words)} up, " if rows else ""
     head = "".join(f'<th scope="col">{short(value)}</th>' for value in columns.values)
     body = []
     for row, value in reversed([*enumerate(heads)]):
@@ -128,7 +146,7 @@ def _table(sweep: Sweep) -> str:
             )
         label = "" if value is None else short(value)
         body.append(f'<tr><th scope="row">{label}</th>{"".join(cells)}</tr>')
-    caption = f"{corner}{escape(columns.title)} across"
+    caption = f"{corner}{escape(columns.words)} across"
     return (
         f'<div class="scroll"><table class="points"><caption>{caption}</caption><thead><tr><td></td>{head}</tr></thead>'
         f"<tbody>{''.join(body)}</tbody></table></div>"

@@ -28,7 +28,7 @@ from pytest_pafot.extending import (
     require,
 )
 from pytest_pafot.extras.sweeps.entries import Entry, entry_of, fits
-from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number
+from pytest_pafot.extras.sweeps.numbers import Axis, unit_of, values_of, with_number, words_of
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.files import open_regular, write_whole
 from pytest_pafot.support.references import described, factory_named
@@ -127,6 +127,7 @@ class Sweep:
         points: all points; the last axis changes fastest.
         changes: the points whose answer differs from that of the map given as ``against``.
         remarks: values outside of the ranges of an entry, in sentences.
+        about: what happens in an entry, in a sentence; empty for a finding.
     """
 
     name: str
@@ -134,6 +135,7 @@ class Sweep:
     points: tuple[Point, ...]
     changes: tuple[Change, ...] = ()
     remarks: tuple[str, ...] = ()
+    about: str = ""
 
     def count(self, kind: Kind) -> int:
         """Return the number of points of a kind."""
@@ -387,7 +389,7 @@ def sweep(
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
     if against is not None and not isinstance(against, str | Path | Sweep):
         raise RequestError(f"against: expected a map or the file of one, received {against!r:.80}")
-    axes = tuple(Axis(each, values_of(each, given), make.unit(each)) for each, given in over.items())
+    axes = tuple(Axis(each, values_of(each, given), make.unit(each), make.about(each)) for each, given in over.items())
     twice = [each for each in over if each in values]
     if twice:
         raise RequestError(f"{twice[0]}: expected an axis or a value, received both")
@@ -414,7 +416,7 @@ def sweep(
     found = tuple(driver.points)
     pairs = [(point, before[_key(point.at)]) for point in found] if before else []
     changes = tuple(Change(at=point.at, before=kind, now=point.kind) for point, kind in pairs if point.kind != kind)
-    return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks)
+    return Sweep(name=name, axes=axes, points=found, changes=changes, remarks=remarks, about=make.described)
 
 
 def named_factory(ads: AdsFactory | str) -> Any:
@@ -459,6 +461,17 @@ class _Made:
         if isinstance(self.source, Entry) and name in self.source.parameters:
             return self.source.parameters[name].unit
         return unit_of(name)
+
+    @property
+    def described(self) -> str:
+        """What happens in an entry, in a sentence; empty for a finding."""
+        return self.source.about if isinstance(self.source, Entry) else ""
+
+    def about(self, name: str) -> str:
+        """Return in words what a number is."""
+        if isinstance(self.source, Entry) and name in self.source.parameters:
+            return self.source.parameters[name].about
+        return words_of(name)
 
     def check(self, axes: tuple[Axis, ...]) -> tuple[str, ...]:
         """Return a sentence for each value outside of its range.

@@ -13,7 +13,7 @@ import numpy as np
 
 from pytest_pafot import Scenario
 from pytest_pafot.support.errors import RequestError, plain_number
-from pytest_pafot.support.text import meant
+from pytest_pafot.support.text import capitalised, meant
 
 UNITS = {
     "speed": "m/s", "ego_speed": "m/s", "lateral_speed": "m/s", "acceleration": "m/s^2", "gap": "m", "ahead": "m",
@@ -38,16 +38,41 @@ class Axis:
         name: the number that changes.
         values: its values, in order.
         unit: its unit.
+        about: what it is, in words; empty if its name has to do.
     """
 
     name: str
     values: tuple[float, ...]
     unit: str
+    about: str = ""
 
     @property
     def title(self) -> str:
         """The name and the unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def words(self) -> str:
+        """What it is and the unit, for a picture; without words the :attr:`title`."""
+        words = capitalised(self.about.removeprefix("the "))
+        return (f"{words} [{self.unit}]" if self.unit else words) if words else self.title
+
+
+def words_of(name: str) -> str:
+    """Return in words what a number of a scenario is, such as ``speed of NPC 0 in instruction 2``."""
+    first, *path = name.split(".")
+    if first != "npcs":
+        return {"ego.speed": "first speed of the ego", "gene_seconds": "duration of an instruction"}.get(name, "")
+    npc, *path, last = path
+    step = f", step {path[path.index('steps') + 1]}" if "steps" in path else ""
+    gene = f" in instruction {path[0]}" if path and path[0] != "steps" else ""
+    known = {
+        "after": "wait",
+        "ahead": "distance ahead",
+        "headway": "distance in time",
+        "lateral_speed": "speed across the road",
+    }
+    return f"{known.get(last, last)} of NPC {npc}{gene}{step}"
 
 
 def values_of(name: str, given: object) -> tuple[float, ...]:

@@ -114,6 +114,22 @@ def axes_have_names_with_units(made, report):
         assert f"<!-- {name} -->" in texts
 
 
+def the_files_to_publish_have_the_numbers_of_the_report(made, report):
+    with (made / "statistics.csv").open() as file:
+        tests = list(csv.DictReader(file))
+    rows = tables_of(report)["Statistics"][2:]
+    assert [(row["measure"], row["second"]) for row in tests] == [(row[0], row[3]) for row in rows]
+    assert [f"{float(row['p']):.2g}" for row in tests if float(row["p"]) >= 1e-4] == [
+        row[7] for row in rows if "<" not in row[7]
+    ]
+    with (made / "runs.csv").open() as file:
+        runs = list(csv.DictReader(file))
+    totals = {row[0]: row[1] for row in tables_of(report)["How many collisions"][2:]}
+    sums = {name: sum(int(row["scenarios"]) for row in runs if row["algorithm"] == name) for name in totals}
+    assert {name: str(count) for name, count in sums.items()} == totals
+    assert f"numpy=={np.__version__}\n" in (made / "versions.txt").read_text()
+
+
 def the_same_again_changes_nothing_but_takes_no_time(made, report):
     before = {
         path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")
@@ -134,6 +150,7 @@ CHECKS = (
     the_clock_on_the_wall_is_told_beside_the_simulated_one,
     every_figure_is_there_as_png_and_svg_and_shown,
     axes_have_names_with_units,
+    the_files_to_publish_have_the_numbers_of_the_report,
     the_same_again_changes_nothing_but_takes_no_time,
 )
 

@@ -232,9 +232,35 @@ def test_json_has_the_figures_of_the_text(capsys):
     assert first["crashes"] == len(first["crashed"]) == 10 * first["share"]
     assert first["interval"] == pytest.approx(binomtest(first["crashes"], 10).proportion_ci())
     assert (second["crashes"], second["interval"][0], second["failed"]) == (0, 0, [])
-    assert (data["pair"]["first_only"], data["pair"]["both"]) == (first["crashes"], 0)
+    (pair,) = data["pairs"]
+    assert (pair["first_only"], pair["both"], pair["p_holm"]) == (first["crashes"], 0, pair["p"])
     assert f"rate: {data['objection']}\n" in told.err
     assert rate(*arguments) == 0
+
+
+def test_several_policies_are_compared_with_the_first_and_the_worst_is_first(tmp_path, capsys, monkeypatch):
+    crashed = {"constant_speed": 9, "constant_speed@planner": 2, "idm_mobil": 0}
+
+    def driven(world, name, factory, seed, **options):
+        outcome = "collision" if seed < crashed[name] else "safe"
+        return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
+
+    monkeypatch.setattr(rate_command, "worker_count", lambda _: 1)  # the episodes are made up in this process
+    monkeypatch.setattr(rates, "driven", driven)
+    monkeypatch.setattr(rate_command, "drawn_episode", lambda episode, title: b"")
+    names = ("--ads", "idm_mobil", "--against", "constant_speed@planner", "--against", "constant_speed")
+    assert rate(*names, "--episodes", "10", "--out", str(tmp_path)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    told = [line for line in lines if line.startswith(("on the same", "the worst"))]
+    # McNemar's exact p is 2 / 2^2 of two seeds, and 2 / 2^9 of nine; Holm doubles the smaller one.
+    assert told[0].endswith("p = 0.5 (McNemar, exact, two-sided); p = 0.5 of 2 (Holm)")
+    assert told[1].endswith("p = 0.0039 (McNemar, exact, two-sided); p = 0.0078 of 2 (Holm)")
+    assert told[2] == "the worst first: constant_speed 90.0 %, constant_speed@planner 20.0 %, idm_mobil 0 %"
+    rows = [line.split(" | ")[0] for line in (tmp_path / "report.md").read_text().splitlines() if line.startswith("| ")]
+    assert rows[-3:] == ["| constant_speed", "| constant_speed@planner", "| idm_mobil"]
+    assert "numpy==" in (tmp_path / "versions.txt").read_text()
+    assert rate(*names, "--against", "constant_speed") == 2
+    assert "expected a different policy than --ads, received 'constant_speed' again" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

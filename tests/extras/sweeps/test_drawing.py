@@ -146,7 +146,8 @@ def test_page_of_one_axis_has_one_row():
     sweep = pafot.sweep("r157/cut-in", keeps_speed, over={"gap": "0:60:3"})
     tags = [tag for tag, attrs in Reader(page(sweep)).tags if tag == "tr"]
     assert len(tags) == 2
-    assert "<caption>gap [m] across</caption>" in page(sweep)
+    assert "<caption>Gap at which it begins to change lanes [m] across</caption>" in page(sweep)
+    assert "A slower vehicle changes into the ego" in page(sweep)
 
 
 def cells_of(picture):
@@ -172,6 +173,14 @@ def test_picture_has_a_cell_for_each_point():
     assert picture.startswith(b"\x89PNG\r\n\x1a\n")
     assert cells_of(picture) == (3, 5)
     assert png(mapped("X.X.X", ".X.X.", "X.X.X")) == picture
+
+
+def test_points_that_are_not_as_asked_are_hatched():
+    image = pytest.importorskip("PIL.Image").open(io.BytesIO(png(mapped("???", "???"))))
+    middle = np.asarray(image.convert("L"))[image.height // 3, :]
+    inside = middle[image.width // 4 : 3 * image.width // 4] < 200
+    lines = np.count_nonzero(np.diff(inside.astype(int)) == 1)
+    assert lines > 10  # oblique lines on white; without them there are at most the three edges of cells
 
 
 def test_picture_has_a_line_on_an_island():

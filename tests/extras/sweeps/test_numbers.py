@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.extras.sweeps.numbers import LEVELS, Axis, names_in, over_of, unit_of, values_of, with_number
+from pytest_pafot.extras.sweeps.numbers import (
+    LEVELS,
+    Axis,
+    names_in,
+    over_of,
+    unit_of,
+    values_of,
+    with_number,
+    words_of,
+)
 from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, ScenarioError, Step
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import RequestError
@@ -135,3 +144,15 @@ def test_arguments_name_different_axes():
 def test_title_of_an_axis_has_its_unit_if_any():
     assert Axis("gap", (0.0, 1.0), "m").title == "gap [m]"
     assert Axis("side", (-1.0, 1.0), "").title == "side"
+
+
+@table(
+    ("name", "words"),
+    [
+        ("ego.speed", "First speed of the ego [m/s]"),
+        ("npcs.0.2.speed", "Speed of NPC 0 in instruction 2 [m/s]"),
+        ("npcs.1.steps.0.headway", "Distance in time of NPC 1, step 0 [s]"),
+    ],
+)
+def test_an_axis_of_a_finding_is_in_words(name, words):
+    assert Axis(name, (0.0, 1.0), unit_of(name), words_of(name)).words == words
