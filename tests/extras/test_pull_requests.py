@@ -48,7 +48,7 @@ class TestAPullRequest:
         code, printed = self.run(repository, summary)
         (file,) = saved(repository)
         record = record_of(repository)
-        (find,) = record.findings
+        (find,), (ran,) = record.findings, record.searches
         assert (code, record.exit) == (1, 1)
         base = git(repository, "rev-parse", "main")
         against = f"rev:{base[:7]}"
@@ -65,9 +65,11 @@ class TestAPullRequest:
         assert told.replace(counts[0], "\n") == (
             "### pafot: 1 new\n\n"
             "1 search, 16 runs; repeat with `--pafot-runs=16 --pafot-seed=5`.\n"
-            f"A run counts as a failure only if `{against}` passes it.\n\n"
+            f"A run counts as a failure only if `{against}` passes it.\n"
+            f"Of 16 random scenarios {ran.random_failing} failed by the ego's fault.\n\n"
             "**New**\n\n"
             f"- `test_safety.py::test_never_at_fault`: {find.headline}; {Breadth(**find.breadth)}\n"
+            f"{''.join(f'  <br>{sentence}{chr(10)}' for sentence in find.sentences)}"
             f"  <br>`python -m pytest {file}`\n"
         )
         assert find.headline.startswith("collision after ")
