@@ -56,6 +56,7 @@ def test_documented_policies_are_installed_and_importable_anywhere(installed, tm
         name for name in named if name.split(":")[0] not in ("policy", "planner", "test_policy")
     )  # files of documents
     assert "example_ads.defects:make:two-defects" in names
+    names.append("idm_mobil")  # one that needs no module of a path, which no page names by itself
     code = (
         "import sys, pytest_pafot\n"
         "from pytest_pafot.commands.policy_reference import ads_factory\n"

@@ -16,6 +16,7 @@ import contextlib
 import hashlib
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -62,6 +63,8 @@ DRIVERS: Mapping[str, Mapping[str, str]] = MappingProxyType(
 """The drivers of free NPCs unless the user names others: SUMO's attributes of a vehicle type by the driver's name."""
 OURS = frozenset({"id", "length", "width", "maxSpeed", "speedFactor", "speedDev"})
 """The attributes of a vehicle type that the scenario decides."""
+NAMED = re.compile(r"[A-Za-z]\w*", re.ASCII)
+"""The name of an attribute. Names are written into a file that SUMO obeys, and may come from a stranger's scenario."""
 
 
 def sumo(
@@ -98,21 +101,33 @@ def sumo(
     Raises:
         WorldError: if an argument cannot be used, the net does not fit, or libsumo is not installed.
     """
-    given = dict(DRIVERS if drivers is None else drivers)
-    for name, attributes in given.items():
-        if not isinstance(attributes, Mapping) or (ours := OURS.intersection(attributes)):
-            expected = f"SUMO's attributes of a vehicle type by name, without {', '.join(sorted(OURS))}"
-            received = f"{attributes!r:.200}" if not isinstance(attributes, Mapping) else ", ".join(sorted(ours))
-            fix = "a scenario says how long and wide a vehicle is, and how fast it wants to drive"
-            raise WorldError(field=f"drivers[{name!r}]", expected=expected, received=received, fix=fix)
     arguments: dict[str, Any] = {"hz": hz, "lane_change": lane_change}
-    arguments["drivers"] = {name: {key: str(value) for key, value in each.items()} for name, each in given.items()}
+    arguments["drivers"] = _checked(DRIVERS if drivers is None else drivers)
     if net is None:
         arguments |= {"lanes": lanes, "speed_limit": speed_limit}
     else:
         arguments |= {"net": str(net), "route": None if route is None else list(route)}
         arguments |= {"start_lane": start_lane, "start_speed": start_speed, "start_at": start_at}
     return SimulatorWorld(partial(Sumo, **arguments), **world)
+
+
+def _checked(drivers: Any) -> dict[str, dict[str, str]]:
+    """Return the attributes of each driver as texts.
+
+    Raises:
+        WorldError: if they are no attributes by name, or some that the scenario decides.
+    """
+    if not isinstance(drivers, Mapping):
+        received = f"{drivers!r:.200}"
+        raise WorldError(field="drivers", expected="SUMO's attributes of a vehicle type by driver", received=received)
+    for name, attributes in drivers.items():
+        is_named = isinstance(attributes, Mapping) and all(NAMED.fullmatch(str(key)) for key in attributes)
+        if not is_named or (ours := OURS.intersection(attributes)):
+            expected = f"SUMO's attributes of a vehicle type by name, without {', '.join(sorted(OURS))}"
+            received = ", ".join(sorted(ours)) if is_named else f"{attributes!r:.200}"
+            fix = "a scenario says how long and wide a vehicle is, and how fast it wants to drive"
+            raise WorldError(field=f"drivers[{name!r}]", expected=expected, received=received, fix=fix)
+    return {name: {key: str(value) for key, value in each.items()} for name, each in drivers.items()}
 
 
 class Sumo(Simulator):
@@ -150,11 +165,11 @@ class Sumo(Simulator):
             expected = "a divisor of 1000, such as 10, 20, 25 or 50, because SUMO counts milliseconds"
             raise WorldError(field="hz", expected=expected, received=repr(hz))
         self.hz = hz
-        self.drivers = tuple(drivers)
-        self._attributes = drivers
+        self._attributes = _checked(drivers)
+        self.drivers = tuple(self._attributes)
         self._options = [*OPTIONS, f"--step-length={1 / hz:g}", f"--lanechange.duration={lane_change:g}"]
         self._net, self.edges = net, ["road"]
-        self._data: dict[str, Any] = {"hz": hz, "drivers": {name: dict(each) for name, each in drivers.items()}}
+        self._data: dict[str, Any] = {"hz": hz, "drivers": self._attributes}
         self._data |= {"lane_change": lane_change}
         self._is_asked = False
         self._states: list[tuple[float, ...]] = []

@@ -178,11 +178,14 @@ def deciding(run: Run, expect: Expect) -> int | None:
         return _begun(trace, attribution.tick or 0, at(attribution.time or 0.0))
     if attribution.fault in NEEDLESS:
         return at(attribution.time or 0.0)
-    facts = [fact.in_full for fact in attribution.facts if not fact.vehicle]
-    due = [fact.due_s for fact in facts if fact.due_s is not None]
-    if expect.avoided_by is not None:
-        due = [expect.avoided_by.time]
-    return at(max(due)) if due else None
+    due = due_of(run) if expect.avoided_by is None else expect.avoided_by.time
+    return None if due is None else at(due)
+
+
+def due_of(run: Run) -> float | None:
+    """Return the time by which the ego had to respond, by the rules [s]; None if they know none."""
+    facts = [fact.in_full for fact in run.attribution.facts if not fact.vehicle]
+    return max((fact.due_s for fact in facts if fact.due_s is not None), default=None)
 
 
 def _begun(trace: Trace, tick: int, number: int) -> int:

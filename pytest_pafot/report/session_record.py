@@ -24,9 +24,9 @@ from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
-from pytest_pafot.support.errors import command
+from pytest_pafot.report.terminal import further
 from pytest_pafot.support.markup import code, plain
-from pytest_pafot.support.text import plural, quiet_json
+from pytest_pafot.support.text import capitalised, plural, quiet_json
 from pytest_pafot.support.traced import Traced, counted
 
 VERSION = 1
@@ -341,12 +341,8 @@ def markdown(record: SessionRecord, page: str = "") -> str:
 
     ``page`` is the path of the report page; empty without one.
     """
-    rest = (
-        f"see {code(page)} among the files of this job"
-        if page
-        else f"see {code(command('pytest_pafot', 'corpus', 'list'))}"
-    )
-    return "" if record.is_empty else "\n".join(_lines(record, rest)) + "\n"
+    where, rest = further(page)
+    return "" if record.is_empty else "\n".join(_lines(record, f"see {code(where)}{rest}")) + "\n"
 
 
 def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
@@ -406,7 +402,7 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
         told = "".join(f", {each}" for each in more)
         yield f"Of {plural(counted, 'random scenario')} {failing} failed by the ego's fault{told}."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
-        yield f"{compared[0].upper()}{compared[1:]}."
+        yield f"{capitalised(compared)}."
 
 
 def _rank(entry: Mapping[str, Any]) -> tuple[Any, ...]:

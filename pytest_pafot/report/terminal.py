@@ -243,7 +243,7 @@ def failure_line(search: SearchSummary) -> str:
 
 
 def _worst_first(finds: Iterable[Sighting]) -> list[Sighting]:
-    """Sort the new findings of one search, the worst first, as in all lists."""
+    """Sort new findings, the worst first, as in all lists."""
     return sorted(
         finds,
         key=lambda each: (
@@ -519,6 +519,14 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
 
 
+def further(page: str) -> tuple[str, str]:
+    """Return where findings are that a job of a CI does not name: on the page, or in the list that a command prints.
+
+    They are a path or a command, and what follows it in a sentence. ``page`` is empty without a page.
+    """
+    return (page, " among the files of this job") if page else (command("pytest_pafot", "corpus", "list"), "")
+
+
 def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]:
     """Return commands by which GitHub Actions shows the worst five findings at their test files.
 
@@ -526,10 +534,7 @@ def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]
     and in names, what such a command reads as its own marks is escaped. If there are more findings, a notice counts
     them and says where they are: on the report page, whose path is ``page``, or in the list of the corpus.
     """
-    ranked = sorted(
-        sightings,
-        key=lambda each: (*Severity.worst_first(each.responsible, each.severity, each.breadth), each.node_id),
-    )
+    ranked = _worst_first(sightings)
     lines = []
     for sighting in ranked[:MAX_ANNOTATED]:
         parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions]
@@ -540,8 +545,9 @@ def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]
         )
         lines.append(f"::error file={file},title={title}::{text}")
     left = len(ranked) - MAX_ANNOTATED
-    where = f"{page} among the files of this job" if page else f"`{command('pytest_pafot', 'corpus', 'list')}`"
-    text = ascii_text(f"{plural(left, 'more finding')}: see {where}").replace("%", "%25")
+    where, rest = further(page)
+    where = where if page else f"`{where}`"
+    text = ascii_text(f"{plural(left, 'more finding')}: see {where}{rest}").replace("%", "%25")
     return [*lines, f"::notice title=pafot::{text}"] if left > 0 else lines
 
 

@@ -14,11 +14,12 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import jerk
-from pytest_pafot.findings.decisions import is_si
+from pytest_pafot.findings.decisions import due_of, is_si
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
@@ -50,7 +51,7 @@ from pytest_pafot.report.page_data import (
     gap_to,
 )
 from pytest_pafot.report.terminal import prevention_text, shrunk_lines, speed_sentences
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
@@ -323,7 +324,7 @@ def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
 
 def _prose(lines: Sequence[str]) -> str:
     """Join lines to sentences, each of which begins with a capital letter and ends with a full stop."""
-    return " ".join(f"{line[:1].upper()}{line[1:]}{'' if line.endswith(('.', '...')) else '.'}" for line in lines)
+    return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', '...')) else '.'}" for line in lines)
 
 
 def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]:
@@ -353,8 +354,7 @@ def _deadline(run: Run | None, avoided: Avoidance | None) -> float | None:
         return avoided.time
     if run is None or run.collision is None or run.responsibility not in ("ego", "both"):
         return None
-    due = [fact.in_full.due_s for fact in run.attribution.facts if not fact.vehicle]
-    return max((time for time in due if time is not None), default=None)
+    return due_of(run)
 
 
 def _chains(scenario: Scenario, longest_run: float) -> Chains:
@@ -390,7 +390,7 @@ def _decided(action: Any, names: Sequence[str]) -> str:
     if is_si(plain):
         acceleration, steering = (round(each, 2) + 0.0 for each in plain)
         return f"{acceleration:.1f} m/s^2" + (f", {steering:.2f} rad" if steering else "")
-    return f"{plain}"
+    return text_of_action(plain)
 
 
 def _assertion(expect: Expect) -> str:

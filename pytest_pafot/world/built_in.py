@@ -16,7 +16,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import FieldError, WorldError
-from pytest_pafot.world.base_world import BaseWorld, FirstDecision, decision_asked
+from pytest_pafot.world.base_world import BaseWorld, FirstDecision, RoadStart, decision_asked
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
@@ -127,6 +127,16 @@ class BuiltInWorld(BaseWorld):
     @abstractmethod
     def road(self) -> Road:
         """The road."""
+
+    @property
+    def start(self) -> tuple[int, float] | None:
+        """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
+        return self.road.prescribed
+
+    @property
+    def road_start(self) -> RoadStart | None:
+        """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
+        return None if self.start is None else RoadStart(*self.start, physics_hz=self.rules.physics_hz)
 
     @property
     def straight_road(self) -> StraightRoad | None:

@@ -13,7 +13,6 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.base_world import RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
@@ -149,16 +148,6 @@ class World(BuiltInWorld):
     def lanes(self) -> int:
         """The number of lanes; on a road that is not straight, the number of lanes along the ego's way."""
         return self.road.lane_count
-
-    @property
-    def start(self) -> tuple[int, float] | None:
-        """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
-        return self.road.prescribed
-
-    @property
-    def road_start(self) -> RoadStart | None:
-        """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
-        return None if self.start is None else RoadStart(*self.start, physics_hz=self.physics_hz)
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:

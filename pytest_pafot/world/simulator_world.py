@@ -18,7 +18,6 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.base_world import RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
@@ -102,7 +101,7 @@ class SimulatorWorld(BuiltInWorld):
 
     @cached_property
     def _stated(self) -> _Stated:
-        """What the simulator states, checked, in SI units and the axes of a run."""
+        """The checked statements of the simulator, in SI units and the axes of a run."""
         simulators = self._simulators
         made = simulators.take()
         try:
@@ -136,16 +135,6 @@ class SimulatorWorld(BuiltInWorld):
     def speed_limit(self) -> float:
         """The speed limit [m/s]."""
         return self.road.speed_limit
-
-    @property
-    def start(self) -> tuple[int, float] | None:
-        """The lane and speed [m/s] with which the ego must start; None on a straight road, which allows any."""
-        return self.road.prescribed
-
-    @property
-    def road_start(self) -> RoadStart | None:
-        """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
-        return None if self.start is None else RoadStart(*self.start, physics_hz=self.physics_hz)
 
     @property
     def road(self) -> Road:
@@ -387,7 +376,7 @@ class _OnRoad(NamedTuple):
 
 @dataclass(slots=True)
 class _Stated:
-    """What a simulator states, checked: its units and axes as it states them, all else in those of a run (SI)."""
+    """The checked statements of a simulator: its units and axes as it states them, all else in those of a run (SI)."""
 
     maker: type[Simulator]
     metres: float

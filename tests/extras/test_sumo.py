@@ -284,6 +284,8 @@ def test_a_file_names_the_net_by_its_content(net):
         ({"hz": 15}, re.escape("hz: expected a divisor of 1000, such as 10, 20, 25 or 50")),
         ({"drivers": {"long": {"length": 9}}}, r"drivers\['long'\]: expected SUMO's attributes.*received length"),
         ({"drivers": {"long": 9}}, r"drivers\['long'\]: expected SUMO's attributes.*received 9"),
+        ({"drivers": {"long": {"tau ": 1}}}, r"drivers\['long'\]: expected SUMO's attributes.*received {'tau ': 1}"),
+        ({"drivers": 5}, "drivers: expected SUMO's attributes.*received 5"),
         ({"drivers": {"idm": {}}}, "other names than idm, mobil, policy"),
     ],
 )
@@ -313,6 +315,20 @@ def test_a_world_is_made_from_its_file(register):
     assert described(again) == described(world)
     drives = scenario(behind("calm", 24.0))
     assert np.array_equal(again.rollout(drives, keeps_its_speed).states, world.rollout(drives, keeps_its_speed).states)
+
+
+def test_the_names_of_attributes_in_a_strangers_file_give_sumo_no_orders(register, tmp_path):
+    register(GROUP, sumo="pytest_pafot.extras.sumo:Sumo")
+    stolen = tmp_path / "written.xml"
+    order = f"""tau="1"/><edgeData id="x" freq="1" file="{stolen}"/><vType id="y" minGap"""
+    data = described(pafot.sumo(drivers={"calm": {}}, duration=12.0))
+    data["data"]["simulator"]["drivers"] = {"calm": {order: "1"}}
+    with pytest.raises(WorldError, match=r"drivers\['calm'\]: expected SUMO's attributes"):
+        from_dict(data).rollout(scenario(behind("calm")), keeps_its_speed)
+    assert not stolen.exists()
+    data["data"]["simulator"]["drivers"] = {"calm": {"length": "9"}}
+    with pytest.raises(WorldError, match="received length"):
+        _ = from_dict(data).road
 
 
 def brakes_late():

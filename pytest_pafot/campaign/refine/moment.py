@@ -162,7 +162,7 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
     for number, actions in enumerate(zip(trace.actions, () if run is None else run.trace.actions, strict=False)):
         if differ(*actions):
             time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
-            own, other = _text_of(*actions), _text_of(*actions[::-1])
+            own, other = text_of(*actions), text_of(*actions[::-1])
             return Moment(time=time, npc=None, action=own, reference=other)
     return None
 
@@ -231,13 +231,13 @@ def _moment_of(
             break
         answer = aside.of(number)
         if not words:
-            hidden = _text_of(answer, action) if differ(action, answer) else ""
+            hidden = text_of(answer, action) if differ(action, answer) else ""
             otherwise = "" if is_planner else None
         elif _is_other(action, answer):
-            otherwise = f"{words} {_text_of(answer, action)}"
+            otherwise = f"{words} {text_of(answer, action)}"
             break
     time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
-    return Moment(time=time, npc=npc, seen=where, action=_text_of(action), hidden=hidden, otherwise=otherwise)
+    return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
 
 
 def _braked_for(
@@ -297,7 +297,7 @@ def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float,
     return [(words, by) for _, words, by in sorted(found, key=lambda each: each[0])]
 
 
-def _text_of(action: Any, other: Any = None) -> str:
+def text_of(action: Any, other: Any = None) -> str:
     """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
     if action is None:
         return "no decision"

@@ -464,7 +464,7 @@ class _Made:
 
     @property
     def described(self) -> str:
-        """What happens in an entry, in a sentence; empty for a finding."""
+        """A sentence that says what happens in an entry; empty for a finding."""
         return self.source.about if isinstance(self.source, Entry) else ""
 
     def about(self, name: str) -> str:

@@ -53,7 +53,7 @@ class Axis:
 
     @property
     def words(self) -> str:
-        """What it is and the unit, for a picture; without words the :attr:`title`."""
+        """The meaning and the unit, for a picture; without words the :attr:`title`."""
         words = capitalised(self.about.removeprefix("the "))
         return (f"{words} [{self.unit}]" if self.unit else words) if words else self.title
 

@@ -59,7 +59,7 @@ class Vehicle(NamedTuple):
 
 
 class Control(NamedTuple):
-    """What a vehicle does in a tick, in the units and axes of the simulator.
+    """The control of a vehicle in a tick, in the units and axes of the simulator.
 
     Attributes:
         acceleration: the acceleration, in the simulator's speeds per second.
