@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, _text_of
+from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -95,7 +95,7 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     ],
 )
 def test_each_kind_of_action_has_its_words(action, other, text):
-    assert _text_of(action, other) == text
+    assert text_of(action, other) == text
 
 
 def test_answers_are_told_in_one_line():
@@ -486,7 +486,7 @@ def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too(
     run = crash(lambda: lambda seen: (-2.0 if seen.time >= 3.0 else 0.0, 0.0))
     number = deciding(run, expecting(run, avoided_by=Avoidance(time=4.0, braking=6.0)))
     assert number / run.trace.ads_hz == 4.0
-    assert _text_of(run.trace.actions[number]) == "acceleration -2.0 m/s^2"
+    assert text_of(run.trace.actions[number]) == "acceleration -2.0 m/s^2"
 
 
 def to_lanes(*plan):
