@@ -178,7 +178,6 @@ RUN_BY = {
     "campaign/search_session.py": "test_finding_that_was_not_shrunk_names_the_command",
     "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
     "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
-    "report/session_record.py": "test_the_list_that_a_ci_job_names_has_the_findings",
     "report/terminal.py": "test_the_list_that_a_ci_job_names_has_the_findings",
     "extras/episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
 }

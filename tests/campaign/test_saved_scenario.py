@@ -100,7 +100,7 @@ def test_unfitting_scenario_names_its_line(save):
 
 def test_unknown_kind_of_world_names_its_line(save):
     saved = save(replace(finding_in(WORLD), world={"kind": "moon"}))
-    with pytest.raises(CorpusError, match=r"yaml:\d+: world.kind: expected one of gym, highway, received 'moon'"):
+    with pytest.raises(CorpusError, match=r"yaml:\d+: world.kind: expected one of gym, highway, sumo, received 'moon'"):
         saved.world  # noqa: B018
 
 

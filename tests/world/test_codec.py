@@ -140,9 +140,9 @@ def test_tuples_and_arrays_become_lists_with_equal_meaning():
     [
         (None, "world: expected a mapping, received None"),
         ([], "world: expected a mapping, received []"),
-        ({}, "world.kind: expected one of gym, highway, received None"),
-        ({"kind": "carla"}, "world.kind: expected one of gym, highway, received 'carla'"),
-        ({"kind": ["gym"]}, "world.kind: expected one of gym, highway, received ['gym']"),
+        ({}, "world.kind: expected one of gym, highway, sumo, received None"),
+        ({"kind": "carla"}, "world.kind: expected one of gym, highway, sumo, received 'carla'"),
+        ({"kind": ["gym"]}, "world.kind: expected one of gym, highway, sumo, received ['gym']"),
         ({"kind": "highway", "lane": 3}, "world (kind highway): expected the fields ads_hz, clearance, duration, "),
         ({"kind": "highway", 3: 3}, "world (kind highway): expected the fields"),
         ({"kind": "highway", "lanes": 9}, "lanes: expected a whole number from 3 to 6, received 9"),
