@@ -199,18 +199,34 @@ def test_sessions_of_5_16_and_40_runs_are_one_long_one(searched, tmp_path):
     assert [row for session, _ in sessions for row in session["rows"]] == alone["rows"]
 
 
+class Early(list):
+    """Files that are saved before their block is counted, and an event for other processes: that one is awaited."""
+
+    def __init__(self):
+        super().__init__()
+        self.is_awaited = lambda path: True
+        self.is_any = multiprocessing.get_context("fork").Event()
+
+    def clear(self):
+        super().clear()
+        self.is_any.clear()
+
+
 @pytest.fixture
 def saved_early(monkeypatch):
-    """Return a list of the files that are saved before their block is counted, while block 1 takes long."""
-    saved, add_pending, drive = [], Store.add_pending, tallies.BlockDriver.__call__
+    """Return the files that are saved before their block is counted. Block 1 waits for the first that is awaited."""
+    saved, add_pending, drive = Early(), Store.add_pending, tallies.BlockDriver.__call__
 
     def add(self, *given):
         before = {*self.pending}
         add_pending(self, *given)
         saved.extend(self.pending[each][0] for each in self.pending.keys() - before)
+        if any(map(saved.is_awaited, saved)):
+            saved.is_any.set()
 
     def late(self, task, *given):
-        time.sleep(1.5 if task.number == 1 else 0)
+        if task.number == 1:
+            saved.is_any.wait(30)  # however slow the machine is
         drive(self, task, *given)
 
     monkeypatch.setattr(Store, "add_pending", add)
@@ -242,6 +258,7 @@ def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early
     )
     task = blocks.BlockTask
     monkeypatch.setattr(blocks, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    saved_early.is_awaited = lambda path: path.name.startswith("crash")
     found, _ = searched("early", ads=dies, drives=True, workers=2)
     crashes = {each.name for each in saved_early if each.name.startswith("crash")}
     assert crashes
