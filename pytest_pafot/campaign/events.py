@@ -116,38 +116,36 @@ class SearchSummary:
 
     Attributes:
         node_id, result: of its item, as for a finding.
-        message: why the item failed, in one line; empty if it did not.
-        reason: why the search ended; empty if it did not begin, or ended early.
-        algorithm, profile: names of the algorithm and of the profile of defaults.
-        base_seed, seed: seed that repeats the search, with `--pafot-seed`, and the seed derived from it.
-        generations: number of generations, including one that the limit of runs cut.
-        asked, budget: requested generations and runs; null for what is no limit.
-        runs, shrink_runs, neighbour_runs: simulated scenarios; further runs that simplified findings; runs of their
-            neighbours.
-        decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions that the policy made in the
-            `runs` of this session, in runs that confirmed findings, in `shrink_runs` and in `neighbour_runs`, not in
-            replays.
-        reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios that
-            were not run again.
-        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, named as in
-            the summary, but `npc` is npc at fault, `unpreventable` not preventable, and `common` failing with both.
-            `avoidable` are those of `npc` that braking late, but hard, would have avoided.
-        reached: share of instructions whose cell, lane or zone was reached; null if unknown.
+        message: why the item failed, in one line.
+        reason: why it ended; empty if it did not begin, or ended early.
+        algorithm, profile: their names.
+        base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
+        generations: their number, with one that was cut.
+        asked, budget: requested generations and runs; null for no limit.
+        runs, shrink_runs, neighbour_runs: simulated scenarios; further runs to simplify findings; of their neighbours.
+        decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions of the policy in this session's
+            `runs`, to confirm findings, in `shrink_runs` and in `neighbour_runs`, not in replays.
+        reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios not run
+            again.
+        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in the
+            summary; `npc` is npc at fault, `avoidable` those of them that braking late, but hard, would have avoided,
+            `unpreventable` not preventable, `common` failing with both.
+        reached: share of instructions that were reached; null if unknown.
         finds: ids of its new findings.
         unsaved: runs by id of findings beyond `--pafot-max-saved`.
-        known: failing runs by id of the saved scenario with the same failure.
-        unlike: up to three of these runs by id of the saved scenario, with what differs from the file.
-        failures: ids of findings by the signature of failures that its runs in this session showed.
+        known: failing runs by id of the saved scenario with their failure.
+        unlike: up to three of these by that id, with what differs from the file.
+        failures: ids of findings by signature.
         random_failing, random_otherwise, random_checks, random_runs: random scenarios at the beginning: failing in a
-            collision by the ego's fault, failing otherwise, of the latter those that broke a check, and all.
-        given: number of saved scenarios with which the search began; if not 0, the four counts before are of these.
+            collision by the ego's fault, otherwise, of the latter by a check, and all.
+        given: number of saved scenarios that it began with; if not 0, the four counts before are of these.
         drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
-        against: the reference that failures were compared with; empty without one.
-        paired: `runs`, the number of random scenarios that both drove to decide whether the findings count, at most
-            `most`; `only_new` and `only_reference`, in how many only one of them failed. Null if nothing was to decide.
+        against: the reference; empty without one.
+        paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
+            in how many only one failed. Null if there was nothing to decide.
         no_worse: headlines by id of new findings that do not count, because the reference fails as often.
-        warnings, notes: warnings about its health, and other remarks except those on processes.
-        requirements, title, owner: ids of the requirements of its test, what they ask for, and who answers.
+        warnings, notes: on its health, and other remarks except those on processes.
+        requirements, title, owner: of its test: ids, what they ask for, who answers.
     """
 
     node_id: str

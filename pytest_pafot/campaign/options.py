@@ -126,33 +126,32 @@ class Settings:
 
     runs: int | None = option(
         "integer",
-        "Number of runs after which each search ends.",
-        "A search can end within a generation.",
+        "Number of runs after which each search ends, also within a generation.",
         least=1,
     )
     generations: int | None = option(
         "integer",
         "Number of generations after which each search ends; 0 only replays saved scenarios.",
-        "The argument of a search is at least 1.",
+        "At least 1 in the mark.",
     )
     population: int | None = option(
         "integer",
         "Number of scenarios in each generation, at most 10000.",
-        "By default 16 for `distinct` and 4 for other built-in ones; with `batch` of an ADS, `distinct` has 64 from "
-        "the second generation on, except with `--pafot-isolate`, a `decision_limit` or an executor.",
+        "By default 16 for `distinct`, 4 for other built-in ones; for an ADS with `batch`, 64 from the second "
+        "generation of `distinct` on, except with `--pafot-isolate`, a `decision_limit` or an executor.",
         least=2,
         most=10_000,
     )
     seed: int = option(
         "integer",
-        "Base seed, from which each search derives its own seed.",
+        "Base seed, from which each search derives its own.",
         "With `--pafot-resume` the default is 0.",
     )
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Search algorithm, such as distinct, pafot or random; or module:Class for your own algorithm.",
-        "`pafot` is the paper's. `distinct` is genetic, too, and searches for other failures after it has found one. "
-        "The others are baselines; the last three need `pytest-pafot[search]`.",
+        "Search algorithm, such as distinct, pafot or random; or module:Class for your own.",
+        "`distinct` is genetic, and after a finding searches for other failures; `pafot` is the paper's; the others "
+        "are baselines, the last three in `pytest-pafot[search]`.",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
@@ -160,8 +159,8 @@ class Settings:
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
-        "`rev:main` is the test's policy in that revision. The mark also takes a factory or the name of its fixture. "
-        "The reference runs only where the ADS fails. The session fails only if the change [made the policy "
+        "`rev:main` is the test's policy in that revision. In the mark also a factory, or the name of its fixture. It "
+        "runs only where the ADS fails. The session fails only if the change [made the policy "
         "worse](../guide/what-broke.md#made-worse-or-failing-elsewhere).",
         or_class=True,
     )
@@ -175,35 +174,35 @@ class Settings:
     copy: str | None = option(
         "text",
         "Files and folders that --pafot-against=rev:REVISION needs and git ignores, such as weights.",
-        "Paths are relative to the current folder, separated by spaces, quoted as in a shell.",
+        "Relative to the current folder, separated by spaces, quoted as in a shell.",
     )
     max_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of each search [s].",
-        "It includes shrinking and neighbours, for which a search with findings reserves at most a third. It ends a "
-        "run before its next decision. A search that it cuts is not reproducible.",
+        "With shrinking and neighbours, for which a search with findings reserves at most a third. A run ends before "
+        "its next decision. A search that is cut is not reproducible.",
     )
     total_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of all searches together [s].",
-        "It counts from the start of the session. Each search gets an equal share of what is left, as its "
-        "`--pafot-max-time`.",
+        "From the start of the session on. Each search gets an equal share of what is left, but at least 2 s. With "
+        "`-n N` each of the N workers shares out the same time, and expects to run one Nth of the searches.",
         is_argument=False,
     )
     resume: str | None = option(
         "text",
         "Folder of the states of searches, in which each search continues where it stopped.",
-        "Each session adds its budget; several find the same as one long one. Works with `distinct`, `random`, "
-        "`random-manoeuvre`, or your own algorithm if it supports it.",
+        "Each session adds its budget; several find the same as one long one. For `distinct`, `random`, "
+        "`random-manoeuvre`, or your own algorithm that supports it.",
     )
     begin_with: str | None = option(
         "text",
         "Folder of saved scenarios that each search drives first, or `others` for those in which policies of others "
         "failed.",
-        "Folders below are included. The scenarios count as runs, and the search varies those closest to a failure. "
-        "The ego starts as near to the file's start as the search allows; limit of speed and traffic are the "
-        "search's; what does not fit the world is left out. Only with `distinct` and `map-elites`. "
-        "[`others`](../explanation/others.md#the-corpus) comes with the package.",
+        "Also of folders below. They count as runs, and those closest to a failure are varied. The ego starts as near "
+        "to the file's start as the search allows; speed limit and traffic are the search's; what does not fit the "
+        "world is left out. Only with `distinct` and `map-elites`. [`others`](../explanation/others.md#the-corpus) "
+        "comes with the package.",
     )
     stop_after: int | None = option(
         "integer",
@@ -218,9 +217,9 @@ class Settings:
     neighbours: int = option(
         "integer",
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
-        "They differ a little in speeds, in one instruction, or in the start ([how "
-        "broad](../explanation/findings.md#how-broad-it-is)), and run after all findings are shrunk, of each finding "
-        "all or none. 0 leaves out [answers and moment](../explanation/findings.md#the-moment), too.",
+        "They differ a little [in speeds, one instruction or the start](../explanation/findings.md#how-broad-it-is), "
+        "and run after all shrinking, all or none of a finding. 0 leaves out [answers and "
+        "moment](../explanation/findings.md#the-moment), too.",
         default=40,
         most=MOST_NEIGHBOURS,
     )
@@ -228,13 +227,14 @@ class Settings:
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
         "By default 10 for a failure that was broad when found, up to 30 the narrower it was. The first that fails as "
-        "the file says makes the replay [still failing, nearby](../explanation/findings.md#what-else-a-replay-drives).",
+        "the file says makes the replay [still failing, "
+        "nearby](../explanation/findings.md#what-else-a-replay-drives).",
         most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(
         "integer",
         "Largest number of saved scenarios of each test.",
-        "More are counted and named; of them only those that end their process are saved.",
+        "More are counted and named, and saved only if they end their process.",
         default=20,
         least=1,
     )
@@ -252,7 +252,7 @@ class Settings:
     workers: int = option(
         "workers",
         "Number of processes that run the scenarios that a search draws, or auto for one for each core.",
-        "Several are faster if runs take long. The findings are the same. Always 1 under pytest-xdist.",
+        "Faster if runs take long; the findings are the same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
         most=MOST_WORKERS,
@@ -260,24 +260,22 @@ class Settings:
     isolate: bool = option(
         "switch",
         "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
-        "The session goes on after such an end. The findings are the same; with `batch`, only if the population is "
-        "given. `ci` isolates only on Linux, and no ADS with `batch`; `isolate=False` or `PAFOT_ISOLATE=0` switch it "
-        "off.",
+        "The findings are the same; with `batch`, only if the population is given. `ci` isolates only on Linux, and "
+        "no ADS with `batch`; `isolate=False` or `PAFOT_ISOLATE=0` switch it off.",
         default=False,
     )
     unseeded: bool = option(
         "switch",
         "Leave the global random generators as they are, instead of seeding them for each run.",
         "Python's `random`, numpy and torch are otherwise [seeded from the scenario](../guide/random-policies.md). "
-        "Only for a policy that seeds them itself.",
+        "For a policy that seeds them itself.",
         default=False,
     )
     memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
-        "It counts in addition to what the process starts with. Beyond it allocations fail, which is a finding. By "
-        "default three quarters of the memory of machine or container, shared among the workers, at least 2048. Only "
-        "on Linux.",
+        "In addition to what it starts with. Beyond it allocations fail, which is a finding. By default three "
+        "quarters of the memory of machine or container, shared among the workers, at least 2048. Only on Linux.",
     )
     dask: str | None = option(
         "address",
@@ -289,7 +287,7 @@ class Settings:
     report: str | None = option(
         "page",
         "Write the findings to FILE.html as one web page, or to the folder DIR/ with an animation of each.",
-        "Of more than 100 findings, the worst 100 are whole, and others are rows of a table.",
+        "Of more than 100, the worst 100 are whole, and others rows of a table.",
     )
     json: str | None = option(
         "file",
@@ -308,14 +306,14 @@ class Settings:
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
-        "The session shows which will be reported on that day. It is `day` in `--pafot-json`.",
+        "Shows which will be reported on that day. It is `day` in `--pafot-json`.",
         everywhere=False,
         is_argument=False,
     )
     commit: str | None = option(
         "commit",
         "Name of the tested commit for --pafot-json, at most 100 characters without spaces.",
-        "The session does not compare it with the repository.",
+        "It is not compared with the repository.",
         everywhere=False,
         is_argument=False,
     )
@@ -327,7 +325,7 @@ class Settings:
     debug: bool = option(
         "switch",
         "In each replay, open the debugger in the policy's last decision that could have avoided the failure.",
-        "It is the [moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
+        "That is the [moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
         "`pytest FILE` in one process.",
         default=False,
     )
@@ -340,13 +338,13 @@ class Settings:
     strict_health: bool = option(
         "switch",
         "Fail searches with a health warning, such as scenarios without any interaction.",
-        "Also a session whose saved scenarios have lost their test, as the variable `CI` does.",
+        "Also sessions whose saved scenarios have lost their test, as `CI` does.",
         default=False,
     )
     allow_orphans: bool = option(
         "switch",
         "Let a session pass whose saved scenarios have lost their test.",
-        "Also with `CI` or `--pafot-strict-health`. The summary still names them.",
+        "Also with `CI` or `--pafot-strict-health`.",
         default=False,
         is_argument=False,
     )

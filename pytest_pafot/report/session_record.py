@@ -72,15 +72,14 @@ def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
 
 FINDING: Mapping[str, Key] = MappingProxyType({
     "node_id": Key(
-        "node id of the item that replays it; of a new finding, from the next session on.",
+        "node id of the item that replays it, if new from the next session on.",
         "", lambda seen: seen.node_id,
     ),
     "id": Key("name of its file without the suffix.", "", lambda seen: seen.id),
     "test": Key("node id of its test.", "", lambda seen: seen.finding.test),
     "status": Key(
-        "`new`; `no worse`: new, but it does not count in a comparison with a reference; the label of its replay; or "
-        "`error` if it could not be read or run, and then only ids, `test`, `result`, `file`, `replay` and `detail` "
-        "are known.",
+        "`new`; `no worse`, if new but not counted in a comparison with a reference; the label of its replay; or "
+        "`error`, with which only ids, `test`, `result`, `file`, `replay` and `detail` are known.",
         str(Label.ERROR), lambda seen: str(seen.result),
     ),
     "result": Key(
@@ -91,7 +90,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     ),
     "replay": Key("the command that replays it.", "", lambda seen: seen.command),
     "scenario": Key(
-        "as in its file, for `pafot.Scenario.from_canonical`; null if `status` is `error`.",
+        "as in its file, for `pafot.Scenario.from_canonical`; null with `error`.",
         None, lambda seen: seen.finding.scenario.plain(),
     ),
     "world": Key("as in its file; null likewise.", None, lambda seen: dict(seen.finding.world)),
@@ -104,7 +103,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "what differs from the file, why there is no file, or the error.", "", lambda seen: seen.detail,
     ),
     "signature": Key(
-        "all that makes two failures the same, for the failure in its file.",
+        "what makes two failures the same, of that in its file.",
         "", lambda seen: seen.finding.signature.text,
     ),
     "kind": Key(
@@ -128,70 +127,68 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "", lambda seen: seen.finding.scenario.traffic.described,
     ),
     "runs": Key(
-        "number of runs that failed in this way; 0 for a saved scenario (see `known` of the search).", 0,
+        "number of runs that failed so; 0 for a saved scenario (see `known` of the search).", 0,
     ),
     "seed": Key(
         "as in `found` of its file.", None, lambda seen: seen.finding.found.seed,
     ),
     "algorithm": Key("as in `found` of its file.", "", lambda seen: seen.finding.found.algorithm),
     "against": Key(
-        "the reference that passed when it was found; empty without one.",
+        "the reference that passed then; empty without one.",
         "", lambda seen: seen.finding.expect.against,
     ),
     "rate": Key(
         "of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of a "
-        "replay also `now`, with `failing`, `runs` and `change`: `fixed`, `better`, `as before` or `worse`. Otherwise "
-        "null.",
+        "replay also `now`, with `failing`, `runs` and `change`: `fixed`, `better`, `as before` or `worse`.",
         None, _rate_of,
     ),
     "flaky": Key(
-        "what differed when it was run again; null if nothing did.",
+        "what differed when it was run again, or null.",
         None, lambda seen: seen.finding.flaky,
     ),
     "unshrunk": Key(
-        "that no time was left to confirm a new finding, or to shrink it fully; otherwise empty.",
+        "that no time was left to confirm it, or to shrink it fully.",
         "", lambda seen: seen.unshrunk,
     ),
     "breadth": Key(
-        "neighbours of a new finding that fail in the same way: `failing` of `of`; null if not examined.",
+        "of a new finding: `failing` of `of` neighbours fail so, or null.",
         None, lambda seen: _data(seen.breadth),
     ),
     "answers": Key(
-        "decisions of a new finding that depend on the vehicle `npc`: `depending` of the `decisions` from `since` "
-        "[s], when the danger began, to the failure; `unseen`, true if no observation had the vehicle; `masking`, "
-        "another NPC with which hidden the policy brakes harder, at `masked` [m/s^2]. Null if not examined.",
+        "of a new finding: how many decisions depend on `npc`, `depending` of the `decisions` from `since` [s], when "
+        "the danger began, to the failure; `unseen`, true if no observation had it; `masking`, another NPC with which "
+        "hidden the policy brakes harder, at `masked` [m/s^2].",
         None, lambda seen: _data(seen.answers),
     ),
     "moment": Key(
         "the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy saw "
-        "the NPC; `action`, its answer; `hidden`, its answer with the NPC hidden (empty for the same, null if "
-        "unknown); `otherwise`, the smallest change of the NPC that changes the answer; `reference`, the answer of "
-        "the reference; `conditions`, those that it evaluated, the last one first. Null if none is known.",
+        "the NPC; `action`, its answer; `hidden`, the answer with the NPC hidden (empty for the same, null if "
+        "unknown); `otherwise`, the smallest change of the NPC that changes it; `reference`, the reference's answer; "
+        "`conditions`, those that it evaluated, the last first. Or null.",
         None, lambda seen: _data(seen.moment),
     ),
     "neighbours": Key(
-        "number of neighbours of a replayed scenario that pass.", 0, lambda seen: seen.neighbours,
+        "number of neighbours of a replay that pass.", 0, lambda seen: seen.neighbours,
     ),
     "searched": Key(
-        "number of runs of its test's search that found no such failure, for the labels `fixed` and `fixed before`; "
-        "otherwise 0.",
+        "number of runs of its test's search without such a failure, if `fixed` or `fixed before`.",
         0, lambda seen: seen.searched,
     ),
     "elsewhere": Key(
-        "id of the finding with the same failure, for the label `still failing elsewhere`; otherwise empty.",
+        "id of the finding with the same failure, if `still failing elsewhere`.",
         "", lambda seen: seen.elsewhere,
     ),
     "severity": Key(
-        "how bad the failure is: `kind`, `collision` or `check`; `value`, the closing speed [m/s] or by how much the "
-        "check is broken [`unit`]; `margin` and `name` of a check. Null if it passes or has no measure.",
+        "`kind`, `collision` or `check`; `value`, the closing speed [m/s] or by how much the check is broken [`unit`]; "
+        "`margin` and `name` of a check. Null if it passes or has no measure.",
         None, lambda seen: _data(seen.severity),
     ),
     "severity_before": Key(
-        "the same for the reference, if it fails as well; otherwise null.",
+        "the same for the reference, if it fails as well, or null.",
         None, lambda seen: _data(seen.severity_before),
     ),
     "xfail": Key(
-        "`reason`, `until` and `flaky` of an accepted failure; otherwise null.",
+        "`reason`, `until` and `flaky` of an accepted failure, or null.",
         None, lambda seen: _acceptance_of(seen.finding),
     ),
     "requirements": Key("as for a search.", []),
@@ -234,10 +231,10 @@ class OrphanRecord:
     """A folder of saved scenarios that no test replays.
 
     Attributes:
-        folder, files: path relative to the rootdir, and the number of saved scenarios in it.
-        expected: the test that the folder belongs to, and what was found instead.
-        way_out: what to do with the files: move or remove them.
-        is_gone: true if the module or function is gone in a folder given to pytest; a session under CI then fails.
+        folder, files: path relative to the rootdir, and its number of saved scenarios.
+        expected: its test, and what was found instead.
+        way_out: what to do with the files.
+        is_gone: true if the module or function is gone in a folder given to pytest, which fails a session under CI.
     """
 
     folder: str
@@ -252,11 +249,11 @@ class SessionRecord:
     """The record of a whole session.
 
     Attributes:
-        exit: pytest's exit code; null while the session runs, or if its process was killed.
-        commit, day: values of `--pafot-commit` and `--pafot-today`; null if not given.
+        exit: pytest's exit code; null while the session runs, or if it was killed.
+        commit, day: values of `--pafot-commit` and `--pafot-today`, or null.
         versions: versions of the packages on which a run depends.
         searches: in the order of node ids.
-        findings: replayed saved scenarios and new findings, likewise.
+        findings: replayed and new ones, likewise.
         tests: other tests that name a requirement or an owner, likewise.
         compared: lines on what was compared with a reference, or why nothing was.
         orphans: folders of saved scenarios that no test runs any more.

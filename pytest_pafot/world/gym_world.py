@@ -55,19 +55,18 @@ class World(BuiltInWorld):
     NPCs replace the environment's random traffic.
 
     Attributes:
-        env_id: the environment's registered id, such as ``"highway-v0"``.
-        config: the environment's configuration, as for ``gymnasium.make(env_id, config=config)``.
+        env_id: its registered id, such as ``"highway-v0"``.
+        config: as for ``gymnasium.make(env_id, config=config)``.
         duration: the longest duration of a run [s]; by default the environment's own ``duration``, on a road that is
             not straight at most 60 s.
         clearance, headway, limits, hang_limit: as in :class:`pytest_pafot.Highway`.
-        wrappers: callables that take an environment and return it wrapped, such as gymnasium's wrappers, the first one
-            innermost. With None, an environment that is registered with wrappers is refused.
-        planner_hz: decisions per second of an ADS that is a callable from :class:`pytest_pafot.Observation` to
-            ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`; a divisor of the environment's
-            ``simulation_frequency``. None if the ADS uses the environment's own observation and action.
+        wrappers: callables that take an environment and return it wrapped, the first one innermost. Required if the
+            environment is registered with wrappers.
+        planner_hz: decisions per second of a planner as in :class:`pytest_pafot.Highway`; a divisor of the
+            environment's ``simulation_frequency``. None for the environment's own observation and action.
         lasts, npc_drivers, ego: as in :class:`pytest_pafot.Highway`.
-        ends: ``"environment"`` if a run also ends where an episode of the environment does: by its own
-            ``_is_terminated`` and ``_is_truncated``, by wrappers and by a limit of steps; ``"duration"`` if it goes on.
+        ends: ``"environment"`` if a run also ends where the environment ends an episode, by ``_is_terminated``,
+            ``_is_truncated``, wrappers or a limit of steps; ``"duration"`` if it goes on.
 
     Raises:
         WorldError: if an argument cannot be used. The environment itself is made and checked at the first use, or by

@@ -40,21 +40,21 @@ class Highway(BuiltInWorld):
     :class:`pytest_pafot.Drive`. It may also be a highway-env vehicle class, which drives itself.
 
     Attributes:
-        lanes: the number of lanes, 3 to 6; lane 0 is the leftmost.
-        speed_limit: the speed limit [m/s]; the default is the paper's 60 mph.
+        lanes: their number, 3 to 6.
+        speed_limit: [m/s]; the default is the paper's 60 mph.
         physics_hz: simulation ticks per second.
         ads_hz: decisions of the ADS per second; a divisor of ``physics_hz``.
         duration: the longest duration of a run [s].
-        clearance: the least gap between the ego and the cells ahead of it and behind it [m]; NPCs may come nearer.
-        headway: the headway with which NPCs start ahead of the ego or behind it [s].
-        limits: the limits of every NPC.
-        ego: [what vehicle the ego is](scenarios.md#the-egos-vehicle): ``pafot.TRUCK``, another ``pafot.VehicleType``,
-            or the name of a ready one.
+        clearance: the least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.
+        headway: with which NPCs start ahead of the ego or behind it [s].
+        limits: of every NPC.
+        ego: [its vehicle](scenarios.md#the-egos-vehicle): ``pafot.TRUCK``, another ``pafot.VehicleType``, or the name
+            of a ready one.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        lasts: the duration of each run [s], whatever its scenario and ``duration`` say, as :meth:`lasting` sets it;
-            None if they decide. It is not part of a saved world.
-        npc_drivers: the factories of the drivers of free NPCs by name, as :meth:`with_drivers` sets them. They are not
+        lasts: the duration of each run [s], whatever scenario and ``duration`` say, as :meth:`lasting` sets it. Not
             part of a saved world.
+        npc_drivers: factories of the drivers of free NPCs by name, as :meth:`with_drivers` sets them. Not part of a
+            saved world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.

@@ -51,8 +51,8 @@ class NpcLimits:
         acceleration: strongest acceleration [m/s^2].
         braking: strongest deceleration, as a positive number [m/s^2].
         jerk: largest change of acceleration per second [m/s^3]; exceeded only when an NPC stops.
-        lateral_acceleration: largest product of speed and turning rate [m/s^2], both for the heading and for the
-            course, which is the direction of motion.
+        lateral_acceleration: largest product of speed and turning rate [m/s^2], of the heading and of the course, the
+            direction of motion.
         overspeed: top speed as a multiple of the speed limit.
         heading: largest angle between an NPC and its lane [rad].
     """
