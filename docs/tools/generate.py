@@ -147,60 +147,65 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 """Defaults that no dataclass contains."""
 
 FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format, `2`. Files of a different version are refused.",
-    "test": "Node id of the test. The folder decides which test replays the file.",
-    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. For "
-    "a world that is code (`own`, or with `wrappers`) the replay uses the test's. A "
+    "pafot": "Version of the format, `2`.",
+    "test": "Node id of the test; the folder decides which test replays the file.",
+    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. Of a "
+    "world that is code (`own`, or with `wrappers`) the replay uses the test's. A "
     "[registered](../guide/own-world.md) world has its own kind and its `data`.",
-    "scenario.seed": "Seed of all random choices in the run.",
-    "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], at which the ego and NPCs that do not cross start.",
-    "scenario.gene_seconds": "Duration of one gene [s]; `10.0` if it is not given.",
+    "scenario.seed": "Of all random choices in the run.",
+    "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], also of NPCs that do not cross, at the start.",
+    "scenario.gene_seconds": "Duration of a gene [s]; by default `10.0`.",
     "scenario.traffic": "[The style](../explanation/traffic.md), or a mapping with changed parts, `{style: everyday, "
-    "least_gap: 4.0}`; without it, the paper's.",
-    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of the NPCs: names, or mappings `{name, length, width, "
-    "...}`. NPCs after the last one are cars.",
-    "scenario.npcs": "One list of [instructions](scenarios.md) per NPC: Position-Instructions `{cell, speed}`, "
-    "Lane-Instructions `{lane, speed}`, or one of: Crossing-Instruction `{zone, slot, speed, act}`, manoeuvre "
-    "`{beside, ahead, speed, steps}`, free NPC `{beside, ahead, speed, driver}`, [recorded "
-    "track](scenarios.md#recorded-tracks) `{track, later, pace, shift, steps}`. Speeds are in m/s; a track is a block "
-    "of lines.",
+    "least_gap: 4.0}`; by default the paper's.",
+    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of the NPCs: names, or `{name, length, width, ...}`. NPCs "
+    "after the last are cars.",
+    "scenario.npcs": "A list of [instructions](scenarios.md) for each NPC: `{cell, speed}`, `{lane, speed}`, or one of "
+    "`{zone, slot, speed, act}`, `{beside, ahead, speed, steps}`, `{beside, ahead, speed, driver}`, "
+    "`{track, later, pace, shift, steps}`. Speeds are in m/s; a [track](scenarios.md#recorded-tracks) is a block of "
+    "lines.",
     "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
+    "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung, `SlowDecision`.",
     "expect.assertion": "The failing assertion without its message, with `N` for each number; the name of a failed "
     "check; of another exception, its statement or first line, likewise.",
-    "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each "
-    "reference driver: `avoids`, `hit`, `at-fault` or `fails`.",
-    "expect.check": "Of a failed check: its `value`, bounds `at_most` and `at_least`, and `unit`.",
+    "expect.message": "First line of the message, if `assertion` does not say it.",
+    "expect.time": "Of the event [s]: of the failed check, otherwise `event_time`.",
+    "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each: "
+    "`avoids`, `hit`, `at-fault` or `fails`.",
+    "expect.check": "Of a failed check: `value`, `at_most`, `at_least`, `unit`.",
     "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure, "
     "which must come up again for a pass to be a fix: `npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from "
-    "the ego's to the right), `ego_speed` and `npc_speed` [m/s] (of a leader, its lowest speed from then on). Where "
-    "ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and `lane`.",
+    "the ego's to the right), `ego_speed` and `npc_speed` [m/s] (of a leader, its lowest from then on). Where ways "
+    "meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and `lane`.",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
-    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: the imperfections "
-    "without which the test passes.",
-    "original": "The scenario as first found, if shrinking has replaced it by a simpler one.",
+    "expect.mistake": "Of `entered-lane`: what the ego did wrong, by the place of the other vehicle.",
+    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: those without which "
+    "the test passes.",
+    "original": "The scenario as first found, if shrinking has replaced it.",
     "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
     "tried.",
     "shrunk.speeds": "By `npc` and first `gene` of each instruction, the speeds from `low` to `high` [m/s] at which "
     "the scenario still fails; not all between were tried.",
     "neighbours": "How many [neighbours](../explanation/findings.md#how-broad-it-is) failed in the same way: "
-    "`failing`, `of`. A replay that passes runs the more, the fewer failed.",
+    "`failing`, `of`.",
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
     "each with another seed, or of a flaky one with the same.",
     "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while), written by hand. "
-    "With `{reason: ..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
-    "expect.closing_speed": "Closing speed of the collision [m/s]; only a label.",
-    "expect.ego_mean_speed": "Mean speed of the ego until the event [m/s], with which neighbours are re-timed to a "
-    "faster or slower ego.",
-    "expect.against": "The reference that passed the scenario, such as `module:factory` or `rev:main (1a2b3c4)`.",
-    "expect.npc, expect.cell": "NPC and its cell at the collision, otherwise at the smallest time to contact; of a "
-    "check, the NPC that it names.",
+    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while). With `{reason: "
+    "..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
+    "expect.closing_speed": "Of the collision [m/s]; only a label.",
+    "expect.ego_mean_speed": "Of the ego until the event [m/s], by which neighbours are re-timed.",
+    "expect.against": "The reference that passed, such as `module:factory` or `rev:main (1a2b3c4)`.",
+    "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "
+    "it names.",
+    "expect.npc_manoeuvre, expect.ego_manoeuvre": "Shortly before the collision.",
     "expect.departure": "Where an NPC left its recording: `npc`, `time` [s], `gap` and `recorded_gap` [m] (negative: "
     "behind).",
-    "expect.traceback": "Traceback of an ADS that raised, without addresses, process ids and temporary folders.",
-    "found.seed": "Seed of the search, derived from the base seed and the node id; no value for `--pafot-seed`.",
-    "found.weights": "`sha256:` and a hash of the policy, if its factory provides one. A replay reports a difference.",
+    "expect.traceback": "Of an ADS that raised, without addresses, process ids and temporary folders.",
+    "found.seed": "Of the search, derived from base seed and node id; no value for `--pafot-seed`.",
+    "found.generation": "Counted from 0.",
+    "found.versions": "Of the packages that the run depends on, and of the rules of verdicts.",
+    "found.weights": "`sha256:` and a hash of the policy, if its factory provides one; a replay reports a difference.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 

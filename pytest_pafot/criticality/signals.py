@@ -116,12 +116,11 @@ class Measure:
     """A measure of the ego or of each NPC at each tick of a run; a call with a trace returns a fitness.
 
     Attributes:
-        name: name, such as ``headway`` or ``ego.jerk``; for a measure of each NPC a name such as ``npcs.ttc``.
-        unit: unit, such as ``m/s^3``; empty for a number.
+        name: such as ``headway`` or ``ego.jerk``; of a measure of each NPC such as ``npcs.ttc``.
+        unit: such as ``m/s^3``; empty for a number.
         worse: values that are worse for the ego: ``low``, ``high``, ``both`` (far from 0) or ``neither``.
-        source: definition of the measure, and the publication that it is from.
-        function: function of a trace that returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of
-            each NPC.
+        source: definition and publication.
+        function: of a trace, returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of each NPC.
     """
 
     name: str
@@ -219,10 +218,10 @@ class EgoLaneChange:
 
     Attributes:
         tick: first tick in the new lane.
-        time: time of that tick [s].
-        from_lane, to_lane: indices of the old and the new lane, on a straight road from 0 at the left.
-        gap_ahead, gap_behind: gaps along the road to the nearest NPC ahead and behind whose centre is in the new lane
-            [m]; 0 side by side, inf if there is none.
+        time: its time [s].
+        from_lane, to_lane: their indices.
+        gap_ahead, gap_behind: along the road to the nearest NPC with its centre in the new lane [m]; 0 side by side,
+            inf if there is none.
     """
 
     tick: int

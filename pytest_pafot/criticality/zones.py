@@ -29,10 +29,10 @@ class Passage:
     """The times at which the ego and an NPC were in the zone where their ways meet.
 
     Attributes:
-        npc: index of the NPC in the scenario.
+        npc: its index.
         zone: zone where the two ways meet.
-        ego_enters, npc_enters: time of the first tick at which the vehicle was in the zone [s]; inf if it never was.
-        ego_leaves, npc_leaves: time of the first tick at which the vehicle had left the zone [s]; inf if it did not.
+        ego_enters, npc_enters: time of its first tick in the zone [s]; inf if it never was there.
+        ego_leaves, npc_leaves: time of its first tick after it [s]; inf if it did not leave.
     """
 
     npc: int

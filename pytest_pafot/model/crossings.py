@@ -67,10 +67,10 @@ class Zone:
     Attributes:
         way: entry and exit of the NPC's way, such as ``"o1>o3"``.
         kind: how the two ways meet: ``"crossing"``, ``"oncoming"`` or ``"merging"``.
-        origin: the direction that the NPC comes from: ``"left"``, ``"right"``, ``"ahead"`` or ``"behind"``.
-        ego, npc: the stretches of the ego's way and of the NPC's way in the zone [m].
-        priority: the vehicle that has priority: ``"ego"``, ``"npc"`` or ``"none"``.
-        line: points of the NPC's way from its entry to its exit, x and y [m]. Only pictures use them; empty if unknown.
+        origin: where the NPC comes from: ``"left"``, ``"right"``, ``"ahead"`` or ``"behind"``.
+        ego, npc: the stretches of both ways in the zone [m].
+        priority: who has it: ``"ego"``, ``"npc"`` or ``"none"``.
+        line: points of the NPC's way, x and y [m], for pictures; empty if unknown.
     """
 
     way: str
@@ -93,14 +93,14 @@ class CrossingVehicle(NamedTuple):
     Distances are measured from the centre of a vehicle along its own way. They are negative inside the zone.
 
     Attributes:
-        id: the NPC's index in ``run.npcs``, the same throughout the run.
-        zone: the place where the two ways first meet, and the vehicle that has priority there.
-        distance: distance from the vehicle to the beginning of the zone [m].
-        ego_distance: distance from the ego to the beginning of the zone [m].
-        ahead, right: position of the vehicle's centre relative to the ego's centre, in the ego's frame [m].
-        heading: heading of the vehicle relative to the ego's, positive to the right [rad].
-        speed: speed of the vehicle [m/s].
-        length, width: size of the vehicle [m].
+        id: the NPC's index in ``run.npcs``.
+        zone: where the two ways first meet, and who has priority.
+        distance: from the vehicle to the beginning of the zone [m].
+        ego_distance: from the ego to it [m].
+        ahead, right: its centre relative to the ego's, in the ego's frame [m].
+        heading: relative to the ego's, positive to the right [rad].
+        speed: its speed [m/s].
+        length, width: its size [m].
     """
 
     id: int

@@ -33,13 +33,12 @@ class Traffic(Pasteable):
 
     Attributes:
         style: ``"paper"``: NPCs run into the rear of an ego that is slower than their instruction. ``"hostile"``: they
-            do everything that the ego can still respond to. ``"assertive"`` and ``"everyday"`` set milder limits.
-        least_speed_share: lowest speed of an NPC that neither a vehicle nor the road ahead slows down, as a share of
-            the speed limit or of the ego's speed, whichever is lower. A search samples target speeds of at least this
-            share of the speed limit.
-        least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of the ego [m].
-        time_gap: smallest gap at which an NPC moves in ahead of the ego, as a time at the ego's speed [s].
-        braking: hardest braking of an NPC if no vehicle ahead requires more [m/s^2].
+            do all that the ego can still respond to. The others set milder limits.
+        least_speed_share: lowest speed of an NPC that nothing ahead slows down, as a share of speed limit or ego's
+            speed, whichever is lower. Target speeds of a search are at least this share of the limit.
+        least_gap: smallest gap to the ego, bumper to bumper, at which an NPC moves in ahead of it [m].
+        time_gap: the same, as a time at the ego's speed [s].
+        braking: hardest braking of an NPC if nothing ahead requires more [m/s^2].
         lateral_speed: highest speed of an NPC across the road [m/s].
 
     A field that is not given has the value of the style.

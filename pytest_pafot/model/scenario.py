@@ -66,19 +66,17 @@ class Scenario(_Hashed):
     """The input of a simulated run: one chain of instructions per NPC, the start, and the seed of the repair.
 
     Attributes:
-        npcs: one non-empty chain for each of one to eight NPCs. After its last gene, an NPC with a shorter chain than
-            the longest keeps lane and speed (paper, section 2); one with the longest goes on with that gene.
-        seed: seed of all random choices in the run, 0 to 2**63 - 1.
-        ego_lane: the ego's first lane, counted from 0 at the left.
-        ego_speed: first speed of the ego, and of all NPCs whose instruction does not say where they start, unless a
-            bend makes them slower [m/s].
-        gene_seconds: duration of one gene [s].
-        traffic: driving style of the NPCs; the paper's by default.
-        vehicles: vehicles of the NPCs, in their order: a ``VehicleType``, or the name of a ready one. All NPCs after
-            the last one are cars.
-        ego_track: the track of the vehicle in whose place the policy drives, if NPCs drive as recorded: they follow
-            their tracks as long as the ego is near it, and the run ends with it. Without it, they follow them only as
-            long as nobody is near. None if no NPC has a track.
+        npcs: one non-empty chain for each of one to eight NPCs. After its last gene, an NPC keeps lane and speed
+            (paper, section 2), or, if its chain is the longest, goes on with that gene.
+        seed: of all random choices in the run, 0 to 2**63 - 1.
+        ego_lane: its first lane, from 0 at the left.
+        ego_speed: first speed of ego and NPCs, unless an instruction says otherwise or a bend requires less [m/s].
+        gene_seconds: duration of a gene [s].
+        traffic: driving style of the NPCs.
+        vehicles: of the NPCs, in their order: a ``VehicleType``, or the name of a ready one. All after the last are
+            cars.
+        ego_track: the track of the vehicle in whose place the policy drives, if NPCs drive as recorded: they do so
+            while the ego is near it, and the run ends with it. Without it, they do so only while nobody is near.
 
     Raises:
         ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs

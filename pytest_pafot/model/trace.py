@@ -82,14 +82,13 @@ class Collision:
 
     Attributes:
         tick: physics tick of the first overlap.
-        time: time of that tick [s].
-        npc: index of the NPC in the scenario; None for a fixed object.
+        time: its time [s].
+        npc: its index; None for a fixed object.
         side: side of the ego that was hit.
-        cell: cell of the NPC's centre at the impact, or before it if the centre was already in the ego's own cell. None
-            if an NPC that crosses was not on the ego's way, and for a fixed object.
-        ego_speed, npc_speed: speeds at the impact [m/s]; a fixed object's is 0.
-        closing_speed: magnitude of the difference of the two velocities [m/s], which include the slip of a turning
-            vehicle.
+        cell: of the NPC's centre at the impact, or before if it was in the ego's own cell then. None for a fixed
+            object, and for an NPC that crosses off the ego's way.
+        ego_speed, npc_speed: at the impact [m/s]; a fixed object's is 0.
+        closing_speed: magnitude of the difference of the velocities [m/s], with the slip of a turning vehicle.
     """
 
     tick: int

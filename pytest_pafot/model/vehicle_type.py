@@ -55,12 +55,12 @@ class VehicleType(Pasteable):
     that of the world, and so is a limit that is higher than the world's.
 
     Attributes:
-        name: what people call it, such as ``"truck"``.
-        length, width: size of its box [m], from 1 to 20 and from 0.5 to 3; it is at least as long as it is wide.
+        name: such as ``"truck"``.
+        length, width: of its box [m], 1 to 20 and 0.5 to 3, at least as long as wide.
         acceleration: strongest acceleration [m/s^2], at least 0.5.
         braking: strongest deceleration, as a positive number [m/s^2], at least 5.
         lateral_acceleration: largest product of speed and turning rate [m/s^2], at least 1.
-        top_speed: highest speed [m/s], at least 5. A vehicle that should start faster starts at this speed.
+        top_speed: [m/s], at least 5, also at the start.
 
     Raises:
         FieldError: if a value is out of its bounds, or the name is that of a ready vehicle with other numbers.

@@ -162,7 +162,7 @@ class Run(Shown):
         take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
         avoided_by: last decision from which braking avoids the collision in simulation, which a search finds out for
             its findings. The sentences then require no braking that would come later.
-        driver: name of the reference driver that drives the ego, or None if the ADS does.
+        driver: name of the reference driver that drives the ego; None if the ADS does.
         facts: what the process that made the run has computed of its trace, or None if it has computed nothing.
     """
 
@@ -190,22 +190,22 @@ class Run(Shown):
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as the NPCs drove it, after repairs; a run of this scenario repeats this run."""
+        """The scenario as driven, after repairs, which repeats this run."""
         return self.trace.executed
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of the run, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
+        """How the run ended, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
         return self.trace.outcome
 
     @property
     def collision(self) -> Collision | None:
-        """The ego's collision with its time, NPC or fixed object, place and speeds; None without a collision."""
+        """The ego's collision, or None."""
         return self.trace.collision
 
     @property
     def ads_error(self) -> AdsError | None:
-        """The error because of which the ADS returned no valid action, or None."""
+        """The error of an ADS that returned no valid action, or None."""
         return self.trace.error
 
     @property
@@ -215,17 +215,17 @@ class Run(Shown):
 
     @property
     def duration(self) -> float:
-        """The simulated time until the run ended [s]."""
+        """The simulated time [s]."""
         return self.trace.duration
 
     @property
     def max_decision_time(self) -> float:
-        """The wall-clock time of the ADS's longest decision [s]; not reproducible."""
+        """The longest wall-clock time of a decision [s]; not reproducible."""
         return self.trace.max_decision_seconds
 
     @property
     def too_slow(self) -> bool:
-        """True if a decision took longer than ``decision_limit``; False without a limit."""
+        """True if a decision took longer than ``decision_limit``."""
         return self.decision_limit is not None and self.max_decision_time > self.decision_limit
 
     # How dangerous it was for the ego: over all ticks and NPCs.
@@ -259,24 +259,24 @@ class Run(Shown):
 
     @cached_property
     def hardest_brake(self) -> float:
-        """The ego's largest deceleration [m/s^2], positive; higher is worse, 0 if it never slowed down."""
+        """The ego's largest deceleration [m/s^2], positive; 0 if it never slowed down."""
         return criticality.hardest_brake(self.trace)
 
     # What happened at each tick.
 
     @property
     def ego(self) -> EgoSignals:
-        """The signals of the ego, such as ``run.ego.speed``."""
+        """The ego's signals, such as ``run.ego.speed``."""
         return self._signals.ego
 
     @property
     def npcs(self) -> tuple[NpcSignals, ...]:
-        """The signals of each NPC, such as ``run.npcs[0].gap``."""
+        """Each NPC's signals, such as ``run.npcs[0].gap``."""
         return self._signals.npcs
 
     @property
     def headway(self) -> Signal:
-        """The gap to the leader divided by the ego's speed, at each tick [s]; lower is worse, inf without a leader."""
+        """The gap to the leader divided by the ego's speed [s], a signal."""
         return self.signal(BY_NAME["headway"])
 
     @cached_property
@@ -286,12 +286,12 @@ class Run(Shown):
 
     @cached_property
     def lane_changes(self) -> tuple[EgoLaneChange, ...]:
-        """The ego's lane changes, in the order of their times."""
+        """The ego's lane changes in their order."""
         return ego_lane_changes(self.trace)
 
     @cached_property
     def passages(self) -> tuple[Passage, ...]:
-        """The times at which the ego and each NPC that crosses were in the zone of their ways.
+        """When the ego and each NPC that crosses were in their zone.
 
         ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time by which the ego
         and crossing traffic missed each other.
@@ -300,7 +300,7 @@ class Run(Shown):
 
     @cached_property
     def plans(self) -> Mapping[int, FloatArray]:
-        """The plans that the ADS returned (``pafot.Planned``), by the tick of the decision; empty if it returned none.
+        """The plans that the ADS returned (``pafot.Planned``), by the tick of the decision.
 
         Each is a float64 array of shape [places, 3] with the columns t, the time since the decision [s], x and y, which
         are in the coordinates of ``trace.states`` [m].
@@ -309,7 +309,7 @@ class Run(Shown):
         return {tick: np.array(plan) for tick, plan in decided if plan is not None}
 
     def off_plan(self, after: float) -> float:
-        """Return how far the ego was from where its plan of ``after`` seconds before put it, at most in the run [m].
+        """Return how far the ego was at most from where its plan of ``after`` seconds before put it [m].
 
         Higher is worse. The planned place at a time is on the straight line between the two places of the plan around
         it; before the first place, on the line from the ego's place at the decision. A plan is left out if it ends
@@ -344,7 +344,7 @@ class Run(Shown):
         return off
 
     def signal(self, measure: Measure, npc: int | None = None) -> Signal:
-        """Return a measure of your own as a signal; ``npc`` is the index of the NPC if it is a measure of each NPC.
+        """Return a measure of your own as a signal; ``npc`` is the index of the NPC for a measure of each.
 
         Raises:
             ValueError: if the measure returns an array of a different shape, or if ``npc`` is missing.
@@ -352,7 +352,7 @@ class Run(Shown):
         return self._signals.of(measure, npc)
 
     def to_pandas(self) -> DataFrame:
-        """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``; needs pandas.
+        """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``.
 
         The index is the time [s].
 
@@ -372,7 +372,7 @@ class Run(Shown):
 
     @cached_property
     def attribution(self) -> Attribution:
-        """The attribution of the collision: which vehicle caused it, the time of what decides, and the reason."""
+        """Who caused the collision, the time of what decides, and why."""
         found = self._attributed
         return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
 
@@ -382,13 +382,13 @@ class Run(Shown):
 
     @property
     def responsibility(self) -> str | None:
-        """The responsibility for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
+        """Who is responsible for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
     @property
     def second_opinion(self) -> str | None:
-        """The responsible side by the NPC's position at the impact, ``"ego"`` or ``"npc"``; None without a collision.
+        """The responsible side by the NPC's position at the impact, ``"ego"`` or ``"npc"``, or None.
 
         This simpler rule is from the code that the authors of the PAFOT paper released.
         """
@@ -397,7 +397,7 @@ class Run(Shown):
 
     @property
     def preventable_by(self) -> tuple[str, ...]:
-        """The names of the reference drivers that would have prevented the collision.
+        """The reference drivers that would have prevented the collision.
 
         They avoid the collision; if the ego is responsible for it, they may also be hit without being at fault.
 
@@ -420,7 +420,7 @@ class Run(Shown):
         return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
 
     def by_reference_drivers(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, Run]]:
-        """Yield the name of each reference driver, with the run of that driver in the ego's place.
+        """Yield the name of each reference driver and its run in the ego's place.
 
         ``names`` are some of the world's drivers; by default all.
 
@@ -441,17 +441,17 @@ class Run(Shown):
 
     @cached_property
     def worst_ttc(self) -> Moment | None:
-        """The tick and NPC with the least time to contact in the run; None if no time to contact was finite."""
+        """The tick and NPC with the least time to contact, if any was finite."""
         return self._at_minimum(criticality.ttc(self.trace))
 
     @cached_property
     def closest_approach(self) -> Moment | None:
-        """The tick and NPC with the least distance between the NPC's box and the ego's."""
+        """The tick and NPC with the least distance between the boxes."""
         return self._at_minimum(criticality.gap(self.trace))
 
     @property
     def closest_time(self) -> float:
-        """The time at which an NPC's box was closest to the ego's [s]."""
+        """The time of the least distance between the boxes [s]."""
         return self.duration if self.closest_approach is None else self.closest_approach.time
 
     @cached_property
@@ -470,7 +470,7 @@ class Run(Shown):
 
     @property
     def event_npc(self) -> int | None:
-        """The index of the NPC that collided, or else of the NPC with the least time to contact; None if none.
+        """The NPC that collided, or else that with the least time to contact, or None.
 
         It is None, too, if the ego hit a fixed object.
         """
@@ -479,12 +479,12 @@ class Run(Shown):
 
     @property
     def event_cell(self) -> Cell | None:
-        """The cell of the NPC :attr:`event_npc` at the event; None without one, or if it was off the ego's way."""
+        """The cell of ``event_npc`` at the event, if it was on the ego's way."""
         event = self.collision or self.worst_ttc
         return None if event is None else event.cell
 
     def zone_of(self, event: Collision | Moment) -> Zone | None:
-        """Return the zone of an event's NPC if that NPC crosses and has not merged yet, else None.
+        """Return the zone of an event's NPC if it crosses and has not merged yet, else None.
 
         After an NPC has merged and left the zone, it is on the ego's way like any other NPC.
         """
@@ -494,7 +494,7 @@ class Run(Shown):
         return zone if event.cell is None or on_way[event.tick, event.npc] <= zone.npc[1] else None
 
     def place_of(self, event: Collision | Moment) -> str:
-        """Return the place of an event's NPC in words, such as ``in cell 2 (front)``.
+        """Return where an event's NPC is, such as ``in cell 2 (front)``.
 
         For an NPC that crosses, it is such as ``from the left in the zone o1>o3``. It is empty if the NPC never left
         the ego's own cell.
@@ -508,17 +508,17 @@ class Run(Shown):
 
     @cached_property
     def asked(self) -> tuple[Asked, ...]:
-        """All that manoeuvres and crossing NPCs asked for, with what it was in this run; empty without them."""
+        """What manoeuvres and crossing NPCs asked for, with what it was."""
         return asked(self.trace)
 
     @property
     def as_asked(self) -> bool:
-        """True if everything that manoeuvres and crossing NPCs asked for came up; also without them."""
+        """True if all that manoeuvres and crossing NPCs asked for came up."""
         return all(each.is_met for each in self.asked)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The sentences of the verdict; empty without a collision.
+        """The sentences of the verdict.
 
         They say what happened, what should have happened, and which vehicle is responsible.
         """
@@ -528,7 +528,7 @@ class Run(Shown):
         return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self, *, instructions: bool = True) -> str:
-        """Explain the run in at most some twenty lines of ASCII: events, verdict and the NPCs' instructions.
+        """Explain the run in some twenty lines of ASCII at most: events, verdict, NPCs' instructions.
 
         Args:
             instructions: whether to name the scenario and its instructions.

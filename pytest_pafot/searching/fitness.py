@@ -44,13 +44,12 @@ class Weights:
     """The weights of the four risks of the default fitness. Only their ratios matter.
 
     Attributes:
-        ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until the ego and an NPC touch.
-        gap: weight of the risk 1 / (1 + gap / 1 m); the gap is the smallest distance between the boxes.
-        shortfall: weight of the larger of two risks: the largest shortfall of the safety distance, 0 to 1, and
-            1 / (1 + PET / 1 s), in which PET is the post-encroachment time of a crossing NPC.
-        time: weight of the risk 1 - ET / planned duration, in which ET is the time to the collision; 0 without one.
-        tau: the TTC at which its risk is one half [s]; 1.5 s is the usual threshold between normal and critical
-            (van der Horst 1990).
+        ttc: of 1 / (1 + TTC / tau); TTC is the smallest time until ego and an NPC touch.
+        gap: of 1 / (1 + gap / 1 m); the gap is the smallest between the boxes.
+        shortfall: of the larger of the largest shortfall of the safety distance, 0 to 1, and 1 / (1 + PET / 1 s), PET
+            being the post-encroachment time of a crossing NPC.
+        time: of 1 - ET / planned duration, ET being the time to the collision; 0 without one.
+        tau: the TTC of which the risk is one half [s]; usual between normal and critical (van der Horst 1990).
     """
 
     ttc: float = 1.0

@@ -42,14 +42,12 @@ def sb3(
     actions are integers and the model is not recurrent.
 
     Args:
-        file: the zip file that the model's ``save`` wrote.
-        vecnormalize: the file that ``VecNormalize.save`` wrote, if the model was trained with VecNormalize; the shape
-            of its statistics shows if they are for single or for stacked observations.
-        frame_stack: number of observations that the model was trained to see at once, as stacked by ``VecFrameStack``.
-        algorithm: name of the model's algorithm, such as ``"PPO"`` or ``"QRDQN"``, or its class; by default it is
-            derived from the zip file.
-        deterministic: True for the action that the model prefers; False for a random action, with which no run can be
-            repeated.
+        file: the zip file of the model's ``save``.
+        vecnormalize: the file of ``VecNormalize.save``, if it was trained with VecNormalize, for single or for stacked
+            observations.
+        frame_stack: number of observations that it sees at once, as stacked by ``VecFrameStack``.
+        algorithm: its name, such as ``"PPO"`` or ``"QRDQN"``, or its class; by default derived from the zip file.
+        deterministic: True for the action that the model prefers; False for one that it draws at random.
     """
     from pytest_pafot.extras.policies.baselines import Sb3Policy  # noqa: PLC0415  (imports numpy, and a test may never use it)
 
@@ -71,10 +69,9 @@ def torch(module_or_file: Any, *, to_action: Callable[[Any], Any] | None = None)
     :class:`pytest_pafot.Highway` the module receives the observation's ``array``, of shape [vehicles, 7].
 
     Args:
-        module_or_file: a ``torch.nn.Module``, of which each process uses a copy, or a file from ``torch.jit.save`` or
-            ``torch.save``.
+        module_or_file: a ``torch.nn.Module``, or a file from ``torch.jit.save`` or ``torch.save``.
         to_action: converts the output for one observation, an array, to an action. By default the action is the index
-            of the largest value; only with this default the ADS decides for many runs at once.
+            of the largest value, and only then the ADS decides for many runs at once.
     """
     from pytest_pafot.extras.policies.loading import argmax  # noqa: PLC0415  (imported only if used)
     from pytest_pafot.extras.policies.networks import TorchPolicy  # noqa: PLC0415
@@ -108,12 +105,11 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
     wrote to stderr. Programs are not available on Windows.
 
     Args:
-        command: the program and its arguments, as for ``subprocess``, relative to the folder that pytest runs in.
-        keep: True if the program continues with the next scenario, whose first line has ``reset`` true; False to start
-            it again for each scenario. A program that ended, hung or gave no readable answer is started again in either
-            case.
-        timeout: time to wait for an answer [s], after which the program is killed; by default only the world's
-            ``hang_limit`` ends the wait.
+        command: program and arguments, as for ``subprocess``, relative to the folder that pytest runs in.
+        keep: True if it continues with the next scenario; False to start it again for each. One that ended, hung or
+            gave no readable answer is started again in either case.
+        timeout: time to wait for an answer [s], after which it is killed; by default only the world's ``hang_limit``
+            ends the wait.
     """
     from pytest_pafot.extras.policies.loading import refused  # noqa: PLC0415  (imported only if used)
     from pytest_pafot.extras.policies.programs import ProgramLoader  # noqa: PLC0415

@@ -61,14 +61,12 @@ class CrossingInstruction(Instruction):
     with constant speed as the slot says. As long as there is time, the NPC adapts to the ego's arrival.
 
     Attributes:
-        zone: entry and exit of the NPC's way, such as ``"o1>o3"``; the zone is where that way first meets the ego's.
-        slot: time between the two vehicles at the zone [s], from -5 to 5 in steps of 0.1. Positive: from the ego's exit
-            until the NPC's entry. Negative: from the NPC's exit until the ego's entry. 0: both are there together.
-        speed: speed of the NPC up to the zone and in it, lower if a bend requires it [m/s], more than 0, in steps of
-            0.1.
-        act: what the NPC does at the zone. ``"pass"``: drive through it. ``"hold"``: wait at the line before it until
-            the ego has passed. ``"stop"``: stop in it. ``"late"``: wait at the line, and drive in at the time that the
-            slot says.
+        zone: entry and exit of the NPC's way, such as ``"o1>o3"``, which first meets the ego's there.
+        slot: time between the two vehicles at the zone [s], -5 to 5 in steps of 0.1. Positive: from the ego's exit to
+            the NPC's entry. Negative: from the NPC's exit to the ego's entry. 0: both are there together.
+        speed: up to the zone and in it, lower if a bend requires it [m/s], more than 0, in steps of 0.1.
+        act: ``"pass"``: drive through. ``"hold"``: wait at the line before it until the ego has passed. ``"stop"``:
+            stop in it. ``"late"``: wait at the line, and drive in as the slot says.
     """
 
     zone: str

@@ -53,10 +53,10 @@ class Free(WithStart):
     The NPC is its driver's ego: the driver decides as often as the ego's, and sees the road from the NPC's place.
 
     Attributes:
-        beside, ahead, speed: the start, as that of a :class:`Manoeuvre`; the speed is also the desired speed of ``idm``
+        beside, ahead, speed: the start, as that of a :class:`Manoeuvre`; the speed is also the desired one of ``idm``
             and ``mobil`` [m, m/s].
-        driver: ``idm``, highway-env's ``IDMVehicle`` in its lane; ``mobil``, the same with lane changes; ``policy``,
-            the policy under test; or a name in ``drivers=`` of the search.
+        driver: ``idm``, highway-env's ``IDMVehicle`` in its lane; ``mobil``, with lane changes; ``policy``, the policy
+            under test; or a name in ``drivers=`` of the search.
     """
 
     beside: int

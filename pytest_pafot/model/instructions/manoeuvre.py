@@ -79,15 +79,15 @@ class Step(Pasteable):
     while the one before it still goes on: the NPC then has the lane of the first and the speed of the second.
 
     Attributes:
-        gap: distance between the ego and the NPC, from bumper to bumper [m]; negative if the NPC is behind the ego.
-        headway: the same distance in the time that the rear vehicle takes for it [s]; negative if the NPC is behind.
-        after: time since the end of the step before, or since the beginning of the run [s].
-        lane: ``"keep"``, ``"left"`` or ``"right"`` of the lane of the step before. If there is no such lane, the NPC
-            keeps its own, and the step is not as asked.
-        lateral_speed: highest speed across the road [m/s]. A change to a lane of 4 m at 1.5 m/s takes about 4 s.
-        offset: offset from the centre of that lane, positive to the right [m].
-        speed: target speed [m/s]; None keeps the speed of the step before.
-        acceleration: acceleration or deceleration towards that speed, as a positive number [m/s^2].
+        gap: to the ego, from bumper to bumper [m]; negative if the NPC is behind.
+        headway: the same in the time that the rear vehicle takes for it [s].
+        after: since the end of the step before, or the beginning of the run [s].
+        lane: ``"keep"``, ``"left"`` or ``"right"`` of that of the step before. Without such a lane, the NPC keeps its
+            own, and the step is not as asked.
+        lateral_speed: highest speed across the road [m/s]; a change to a lane of 4 m then takes about 4 s.
+        offset: from the centre of that lane, positive to the right [m].
+        speed: target speed [m/s]; None for that of the step before.
+        acceleration: towards that speed, up or down, a positive number [m/s^2].
     """
 
     gap: float | None = None
@@ -174,11 +174,11 @@ class Manoeuvre(WithStart):
     became of it.
 
     Attributes:
-        beside: lane at the start: the number of lanes to the right of the ego's, 0 for the ego's lane.
-        ahead: distance at the start from the ego's front to the NPC's rear [m]. Negative: from the ego's rear to the
-            NPC's front. 0: level with the ego, in another lane.
-        speed: speed at the start [m/s].
-        steps: what it does then; without a step, and after the last one, it keeps lane and speed.
+        beside: lane at the start: lanes to the right of the ego's.
+        ahead: at the start, from the ego's front to the NPC's rear [m]. Negative: from the ego's rear to its front. 0:
+            level with the ego, in another lane.
+        speed: at the start [m/s].
+        steps: what it does then; afterwards it keeps lane and speed.
     """
 
     beside: int

@@ -169,11 +169,11 @@ class Recorded(Instruction):
     track, too. On a road that bends, its track bends with the lanes of the ego's way.
 
     Attributes:
-        track: where it drives, from the beginning of the run on.
-        later: how much later it does what the track says [s], -5 to 5. Before, it drives as in the first line.
-        pace: how many times as fast it drives along its track, 0.8 to 1.2.
-        shift: how much farther ahead it is than the track [m], -30 to 30.
-        steps: what it does instead of following the track, from when the first of them begins.
+        track: where it drives.
+        later: how much later it does so [s], -5 to 5; before, it drives as in the first line.
+        pace: how many times as fast, 0.8 to 1.2.
+        shift: how much farther ahead [m], -30 to 30.
+        steps: what it does instead, from when the first of them begins.
     """
 
     track: Track

@@ -26,22 +26,22 @@ class Perception:
     so a scenario gives the same run each time and in any process.
 
     Attributes:
-        ads: the wrapped factory. It makes planners in SI units, or policies for an environment with the observation
+        ads: the wrapped factory, of planners in SI units, or of policies for an environment with the observation
             Kinematics, OccupancyGrid, TimeToCollision or LidarObservation; it may have a parameter ``env``.
-        range: the largest distance between centres at which the ADS sees a vehicle [m]; None for no limit.
-        latency: the age of what the ADS sees of other vehicles [s], rounded up to whole physics ticks; before, it sees
-            the start. Its own state is current.
-        noise: standard deviations of the normal errors of the other vehicles' ``"position"``, along x and along y [m],
-            and ``"speed"`` [m/s], such as ``{"position": 0.5}``. Sampled for each vehicle at each decision.
-        dropout: the probability that the ADS does not see a vehicle at a decision, 0 to 1.
-        occlusion: if true, a vehicle is hidden if the lines from the ego's centre to its centre and to its corners all
-            run through other vehicles.
-        shuffled: if true, the others are in a random order, sampled at each decision; ``ids`` follow ``others``.
+        range: largest distance between centres at which it sees a vehicle [m].
+        latency: age of what it sees of others [s], rounded up to whole physics ticks; before, it sees the start. Its
+            own state is current.
+        noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
+            ``"speed"`` [m/s], such as ``{"position": 0.5}``. Sampled for each vehicle at each decision.
+        dropout: probability that it does not see a vehicle at a decision.
+        occlusion: if true, it does not see a vehicle if the lines from the ego's centre to its centre and corners all
+            run through others.
+        shuffled: if true, the others are in a random order, sampled at each decision, and ``ids``, too.
         ghosts: vehicles that do not exist: how many appear per second, ``"rate"`` [1/s], up to 100, and their mean
-            ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``. Their ids are larger than those of NPCs.
-        own_bias: standard deviations of the normal errors of the ADS's own ``"position"``, along x and along y [m],
-            ``"heading"`` [rad] and ``"speed"`` [m/s], such as ``{"position": 0.3}``. Sampled once a run. The
-            ADS sees the others moved and turned with it.
+            ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``.
+        own_bias: standard deviations of normal errors of its own ``"position"``, along x and along y [m], ``"heading"``
+            [rad] and ``"speed"`` [m/s], such as ``{"position": 0.3}``. Sampled once a run. It sees the others moved and
+            turned with it.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.

@@ -72,11 +72,10 @@ class Planned:
     recorded for ``run.off_plan`` and drawn.
 
     Attributes:
-        action: the action that is driven, exactly as it would be returned alone.
-        plan: 1 to 200 places ``(t, x, y)`` in the order of their times: t from the decision on, 0 or more [s], x and y
-            in the coordinates of ``ego.x`` and ``ego.y`` in a planner's observation [m]. A policy of an environment
-            plans in the environment's own coordinates, those of ``env.vehicle.position``. An array of shape [places, 3]
-            is converted. No number may exceed a million.
+        action: as it would be returned alone.
+        plan: 1 to 200 places ``(t, x, y)``, or an array of shape [places, 3]: rising times t from the decision on, 0 or
+            more [s], x and y as ``ego.x`` and ``ego.y`` in a planner's observation [m], or as ``env.vehicle.position``
+            in an environment. No number may exceed a million.
 
     Raises:
         BadAction: if the plan is anything else.

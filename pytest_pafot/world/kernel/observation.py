@@ -172,20 +172,19 @@ class Observation:
     Attributes:
         time: time since the start [s].
         ego: the vehicle that the ADS drives.
-        others: the NPCs; at a junction, only the NPCs on the ego's way.
+        others: the NPCs; at a junction, only those on the ego's way.
         lanes: number of lanes.
-        lane_width: width of every lane [m].
-        speed_limit: speed limit of the fastest lane [m/s].
+        lane_width: width of each [m].
+        speed_limit: that of the fastest lane [m/s].
         decision_period: time between decisions [s].
-        acceleration, steering: the ego's controls in the last tick [m/s^2, rad]; 0 at the start.
-        lateral_velocities: speeds to the right of the ego and then of the others, including the slip of turned wheels
-            [m/s].
-        ids: the id of each vehicle in ``others``, constant during the run: the NPC's index in ``run.npcs``, or a larger
-            number for a ghost, which only an imperfect sight shows.
-        lane_centres: y of the centre line of each lane, from the left [m].
+        acceleration, steering: the ego's in the last tick [m/s^2, rad]; 0 at the start.
+        lateral_velocities: speeds to the right of ego and others, with the slip of turned wheels [m/s].
+        ids: of ``others``, constant in a run: the index in ``run.npcs``, or a larger number for a ghost of an imperfect
+            sight.
+        lane_centres: y of each lane's centre line, from the left [m].
         road_length: the x at which the lanes end [m]; they begin at x = 0.
-        crossing: the NPCs on ways that cross the ego's way; see :class:`pytest_pafot.CrossingVehicle`. ``ids`` and
-            ``array`` do not include them.
+        crossing: NPCs on ways that cross the ego's (:class:`pytest_pafot.CrossingVehicle`), which ``ids`` and ``array``
+            leave out.
     """
 
     __slots__ = (
