@@ -66,9 +66,9 @@ CONTACT = 0.1
 
 
 def no_fault(run: Run) -> None:
-    """Assert that the ego is not responsible for a collision, neither alone nor with the NPC; without a margin.
+    """Assert, without a margin, that the ego is not responsible for a collision, neither alone nor with the NPC.
 
-    ``run.attribution`` decides the responsibility, by the rules of docs/explanation/verdicts.md.
+    The rules of docs/explanation/verdicts.md decide.
     """
     is_free = run.responsibility not in ("ego", "both")
     require(is_free, "run.responsibility not in ('ego', 'both')", run.explain)
@@ -77,8 +77,8 @@ def no_fault(run: Run) -> None:
 def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     """Check that the ego keeps the safe distance of Responsibility-Sensitive Safety to NPCs ahead and side by side.
 
-    The value is the gap minus the safe distance [m] of the worst NPC, at least 0: across the road for an NPC side by
-    side, along it for an NPC ahead, unless it is safe across. Crossing NPCs count once they are on the ego's way.
+    The value is the gap minus the safe distance [m] of the worst NPC, at least 0: across the road side by side, along
+    it for an NPC ahead that is not safe across. Crossing NPCs count once they are on the ego's way.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default two seconds are enough behind a leader
     of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters (read).
@@ -100,11 +100,10 @@ def comfort(
     lateral_acceleration: float | None = 3.0,
     lateral_jerk: float | None = 5.0,
 ) -> None:
-    """Check that the ride is comfortable: the ego's acceleration and jerk, along and across its way, are limited.
+    """Check that the ride is comfortable, also in bends and in braking for others.
 
     Four means are limited: the jerk over 1 s [m/s^3], the deceleration over 2 s [m/s^2], and over 0.5 s the lateral
-    acceleration [m/s^2] and its change per second [m/s^3], also in bends and in braking for others. None disables a
-    limit.
+    acceleration [m/s^2] and its change per second [m/s^3]. None disables a limit.
 
     Source: along, ISO 15622:2018 above 20 m/s (second hand: its jerk is only for braking); across, UN R79, 5.6.2.1.3
     (second hand: only its jerk is a mean).
@@ -133,8 +132,8 @@ def comfort(
 def gives_way(run: Run, *, seconds: float = 1.0) -> None:
     """Check that the ego drives into a zone ahead of an NPC with priority only if it leaves a gap of ``seconds`` [s].
 
-    The value is the NPC's ``time_advantage`` when the ego enters the zone: the time from the ego's exit to the NPC's
-    arrival at constant speeds. An NPC that stands then, or entered before the ego, is no failure.
+    The value is the NPC's ``time_advantage`` when the ego enters the zone, from the ego's exit to the NPC's arrival. An
+    NPC that stands then, or entered before the ego, is no failure.
 
     Source: Laureshyn and others 2010 (second hand); 1 s is a choice.
     """
@@ -149,7 +148,7 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
 def stays_on_road(run: Run) -> None:
     """Check that the ego's centre stays on the road: its distance to the nearer edge [m] is at least 0.
 
-    It fails for the runs with ``run.off_road``. On bent roads half the lane's width stands for the distance. No source.
+    On bent roads half the lane's width stands for the distance. No source.
     """
     trace = run.trace
     check(Signal(trace.road.to_edge(), hz=trace.physics_hz, unit="m"), name="road edge", at_least=0.0)
@@ -166,9 +165,9 @@ def keeps_up(
     """Check that the ego, with no vehicle ahead for ``seconds`` [s], drives at ``share`` times a speed or faster.
 
     The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], one number or one per tick,
-    by default the speed limit of its lane. A vehicle is ahead if the gap to the leader is less than the required speed
-    times ``headway`` [s], or if the ego and a crossing NPC both still have to pass their zone. Shorter runs, and ticks
-    with a ``speed`` of 0, are not checked.
+    by default the limit of its lane. A vehicle is ahead if the gap to the leader is less than the required speed times
+    ``headway`` [s], or if the ego and a crossing NPC both still have to pass their zone. Shorter runs, and a ``speed``
+    of 0, are not checked.
 
     Raises:
         ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
@@ -219,11 +218,11 @@ def lane_change_gaps(run: Run, *, ahead: float = 1.0, behind: float = 1.0) -> No
 
 
 def brakes_for_a_reason(run: Run) -> None:
-    """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason, even without a collision.
+    """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason.
 
-    The value is the deceleration that lasts for 0.4 s [m/s^2]; 0 if there is a reason from 1.6 s before the braking
-    began to 0.4 s after. Reasons are those of rule 7 of docs/explanation/verdicts.md, and a crossing NPC that would
-    miss the ego in their zone by less than four seconds.
+    The value is the deceleration that lasts for 0.4 s [m/s^2]; 0 if there is a reason from 1.6 s before the braking to
+    0.4 s after it began: one of rule 7 of docs/explanation/verdicts.md, or a crossing NPC that would miss the ego in
+    their zone by less than four seconds.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
@@ -253,8 +252,8 @@ def answers_cut_ins(run: Run) -> None:
     It requires this for a slower NPC if, when the NPC is 0.3 m over the line of the ego's lane, its sideways motion was
     visible for 0.72 s, and the time to collision is more than v / (2 * 6 m/s^2) + 0.35 s, with v the difference of
     speeds. The value is the gap between the boxes from then on [m], at least 0.1, until the ego is no longer faster,
-    one of the two leaves the lane, or the NPC's new speed would not meet the condition. An NPC that merges from its own
-    way does not cut in.
+    one of the two leaves the lane, or the NPC's new speed no longer meets the condition. To merge from its own way is
+    no cut-in.
 
     Source: UN R157, 5.2.5.2 (formula read). That last end, the NPC's box instead of its tyre, visibility from a lateral
     speed of 0.3 m/s on, and 0.1 m are choices.

@@ -88,20 +88,22 @@ _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generat
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 ROAD = ("lanes", "speed_limit", "clearance")
 """The options of ``compare`` about the road that the mark has, too; ``SPACE`` has those about the scenarios."""
+OF_SEARCH = ("traffic", "vehicles", "blame", "runs", "seed", "against", "begin_with")
+"""The options of ``search`` that are arguments of the mark."""
 _WORLD = re.compile(r"the world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL)
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
     "world": "`pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
-    "ads": "The fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
-    "arg": "The parameter of the test that receives the run.",
+    "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
+    "arg": "Parameter of the test that receives the run.",
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as '
     '`"headway"`, `pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float`, or its `module:function`.',
     "blame": '`"any"`: the test is called for every valid run in which the ADS does not fail. `"ego"`: not for '
-    'collisions that only an NPC is responsible for. `"preventable"`: as `"ego"`, and a failure counts only if a '
-    'reference driver would have prevented it. `"avoidable"`: as `"ego"`, and also for collisions that braking '
-    "late, but hard, would have avoided.",
+    'collisions by an NPC\'s fault alone. `"preventable"`: as `"ego"`, and a failure counts only if a reference driver '
+    'would have prevented it. `"avoidable"`: as `"ego"`, and for collisions that braking late, but hard, would have '
+    "avoided.",
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
     '`"paper"`, or `pafot.Traffic(...)`.',
     "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
@@ -110,19 +112,16 @@ MARKER_TEXTS: Mapping[str, str] = {
     "one NPC in six is another one.",
     "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
     '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
-    "around": "[The recording](../guide/recordings.md#search-around-a-recording) of which all scenarios are changes, "
-    "or a scenario of it.",
-    "requirement": "[The requirement](../guide/requirements.md) that the test checks: an id or a list.",
+    "around": "[The recording](../guide/recordings.md#search-around-a-recording) that all scenarios vary, or a "
+    "scenario of it.",
+    "requirement": "[What the test checks](../guide/requirements.md): an id or a list.",
     "title": "What the requirement asks for.",
     "owner": "Who answers for the test.",
-    "decision_limit": "Slowest decision of the ADS that is no finding [s]. Depends on wall-clock time.",
-    "acts": "Acts of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
+    "decision_limit": "Slowest decision that is no finding [s], by the wall clock.",
+    "acts": "Of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
     "gene_seconds": "Duration of one gene [s].",
     "ego_lane": "The ego's first lane, from 0 at the left.",
-    "lanes": "Number of lanes of a `pafot.Highway`, 3 to 6.",
-    "clearance": "Least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.",
     "npcs": "Number of NPCs, 1 to 8.",
-    "speed_limit": "Speed limit [m/s]; the paper's 60 mph.",
 }
 """Meanings of arguments that no docstring explains."""
 
@@ -131,7 +130,6 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "world": "the fixture `pafot_world`",
     "genes": "as many as fill the run",
     "npcs": "[sampled](#what-is-sampled)",
-    "lanes": "`4`",
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
@@ -209,8 +207,11 @@ FILE_TEXTS: Mapping[str, str] = {
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
-RUN_INTERNALS = ("decision_limit", "world", "take_over", "avoided_by", "facts")
-"""Arguments of a run that only who makes a run gives; the Python API has them."""
+RUN_INTERNALS = (
+    *("decision_limit", "world", "take_over", "avoided_by", "facts"),
+    *("event_npc", "event_cell", "closest_time", "zone_of()", "place_of()"),
+)
+"""Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""
 
 AT_THE_END = ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
@@ -270,7 +271,7 @@ def sections() -> dict[str, str]:
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
         "compare": _command_table(add_arguments, as_in_mark=(*ROAD, *SPACE)),
-        "search-command": _command_table(add_search_arguments),
+        "search-command": _command_table(add_search_arguments, as_in_mark=OF_SEARCH),
         "run-table": _columns_table(run_table.COLUMNS),
         "results": _columns_table(
             {name: text for name, text in algorithm_run.COLUMNS.items() if run_table.COLUMNS.get(name) != text}
@@ -425,7 +426,8 @@ def _option_row(option: Option) -> list[str]:
     flag = option.flag if option.kind == "switch" else f"{option.flag}={option.metavar}"
     argument = f"{option.name}=" if option.is_argument else ""
     elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
-    choices = f" One of {_code(', '.join(option.choices))}." if option.choices else ""
+    is_said = all(choice in option.help for choice in option.choices)
+    choices = "" if is_said else f" One of {_code(', '.join(option.choices))}."
     place = f'<a id="{option.flag.removeprefix("--")}"></a>'
     return [
         place + "<br>".join(f"`{name}`" for name in (flag, *elsewhere) if name),
@@ -452,8 +454,9 @@ def _option_default(option: Option) -> str:
 def _marker_table() -> str:
     texts = {**dict(_attributes(SearchSpace)), **dict(_attributes(Highway)), **MARKER_TEXTS}
     defaults = {**_defaults(Request), **_defaults(Highway), **_defaults(SearchSpace), **MARKER_DEFAULTS}
-    names = [name for name in SearchArguments.__annotations__ if name not in BY_NAME]
+    names = [name for name in SearchArguments.__annotations__ if name not in (*BY_NAME, *ROAD)]
     rows = [[_code(name), defaults[name].replace("'", '"'), _capital(texts[name])] for name in names]
+    rows.append([_code(", ".join(ROAD)), "as in `Highway`", "[Of the fixture's `pafot.Highway`](worlds.md)."])
     return _table(["Argument", "Default", "Meaning"], rows)
 
 
@@ -472,9 +475,10 @@ def _scope(node: ast.FunctionDef) -> str:
 def _properties_table(cls: type[Any], without: Sequence[str] = ()) -> str:
     own = {name: text for name, text in _attributes(cls) if name not in without}
     for name, member in vars(cls).items():
-        if not name.startswith("_") and name not in (*own, *without):
-            inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
-            own[name if inner is not member else f"{name}()"] = _first_paragraph(inner.__doc__)
+        inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
+        shown = name if inner is not member else f"{name}()"
+        if not name.startswith("_") and name not in own and shown not in without:
+            own[shown] = _first_paragraph(inner.__doc__)
     return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
 
 

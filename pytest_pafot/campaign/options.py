@@ -137,8 +137,8 @@ class Settings:
     population: int | None = option(
         "integer",
         "Number of scenarios in each generation, at most 10000.",
-        "By default 16 for `distinct`, 4 for other built-in ones; for an ADS with `batch`, 64 from the second "
-        "generation of `distinct` on, except with `--pafot-isolate`, a `decision_limit` or an executor.",
+        "By default 16 for `distinct`, [64 for an ADS with "
+        "`batch`](../guide/machines.md#policies-that-decide-for-many-at-once), 4 for other built-in ones.",
         least=2,
         most=10_000,
     )
@@ -159,9 +159,8 @@ class Settings:
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
-        "`rev:main` is the test's policy in that revision. In the mark also a factory, or the name of its fixture. It "
-        "runs only where the ADS fails. The session fails only if the change [made the policy "
-        "worse](../guide/what-broke.md#made-worse-or-failing-elsewhere).",
+        "[`rev:main` is the test's policy in that revision](../guide/what-broke.md). In the mark also a factory, or "
+        "the name of its fixture.",
         or_class=True,
     )
     pairs: int = option(
@@ -192,8 +191,7 @@ class Settings:
     resume: str | None = option(
         "text",
         "Folder of the states of searches, in which each search continues where it stopped.",
-        "Each session adds its budget; several find the same as one long one. For `distinct`, `random`, "
-        "`random-manoeuvre`, or your own algorithm that supports it.",
+        "[Each session adds its budget](../guide/machines.md#a-long-search-in-several-sessions).",
     )
     begin_with: str | None = option(
         "text",
@@ -217,18 +215,16 @@ class Settings:
     neighbours: int = option(
         "integer",
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
-        "They differ a little [in speeds, one instruction or the start](../explanation/findings.md#how-broad-it-is), "
-        "and run after all shrinking, all or none of a finding. 0 leaves out [answers and "
-        "moment](../explanation/findings.md#the-moment), too.",
+        "[They differ a little](../explanation/findings.md#how-broad-it-is) and run after all shrinking, all or none "
+        "of a finding. 0 leaves out [answers and moment](../explanation/findings.md#the-moment), too.",
         default=40,
         most=MOST_NEIGHBOURS,
     )
     replay_neighbours: int | None = option(
         "integer",
         "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
-        "By default 10 for a failure that was broad when found, up to 30 the narrower it was. The first that fails as "
-        "the file says makes the replay [still failing, "
-        "nearby](../explanation/findings.md#what-else-a-replay-drives).",
+        "By default 10 to 30, [the more the narrower the failure "
+        "was](../explanation/findings.md#what-else-a-replay-drives).",
         most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(
@@ -260,8 +256,8 @@ class Settings:
     isolate: bool = option(
         "switch",
         "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
-        "The findings are the same; with `batch`, only if the population is given. `ci` isolates only on Linux, and "
-        "no ADS with `batch`; `isolate=False` or `PAFOT_ISOLATE=0` switch it off.",
+        "With `batch` the findings are the same only if the population is given. `ci` isolates only on Linux, and no "
+        "ADS with `batch` ([more](../guide/planners.md#if-it-raises-hangs-or-ends-its-process)).",
         default=False,
     )
     unseeded: bool = option(
@@ -280,7 +276,7 @@ class Settings:
     dask: str | None = option(
         "address",
         "Run the scenarios that a search draws on the workers of the Dask scheduler at ADDRESS.",
-        "Needs `pytest-pafot[dask]`. The findings are the same; with `batch`, only if the population is given.",
+        "[Needs `pytest-pafot[dask]`](../guide/machines.md#on-as-many-machines-as-there-are).",
         everywhere=False,
         is_argument=False,
     )

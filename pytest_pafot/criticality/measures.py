@@ -98,7 +98,7 @@ def encounters_of(trace: Trace) -> Encounters:
 
 
 def ettc(trace: Trace) -> FloatArray:
-    """Return the paper's estimated time to collision (equations 1 to 3) [s]; lower is worse.
+    """Return the paper's estimated time to collision (equations 1 to 3) [s].
 
     It is the ego's distance to the point where the two lines of travel cross, divided by its speed. With p the
     positions, d the unit vectors of travel and x the cross product, that distance is (p2 - p1) x d2 / d1 x d2. This
@@ -124,12 +124,12 @@ def ettc(trace: Trace) -> FloatArray:
 
 
 def mettc(trace: Trace) -> float:
-    """Return the paper's METTC, the smallest :func:`ettc` of the run [s]; lower is worse, inf if none is finite."""
+    """Return the paper's METTC, the smallest :func:`ettc` of the run [s]; inf if none is finite."""
     return _lowest(ettc(trace))
 
 
 def ttc(trace: Trace) -> FloatArray:
-    """Return the time until the boxes touch if both keep velocity and heading [s]; lower is worse, inf if never.
+    """Return the time until the boxes touch if both keep velocity and heading [s], or inf.
 
     Source: time to collision of Hayward, "Near-miss determination through use of a scale of danger", 1972, for
     oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.boxes.contact_time`).
@@ -138,36 +138,36 @@ def ttc(trace: Trace) -> FloatArray:
 
 
 def min_ttc(trace: Trace) -> float:
-    """Return the smallest :func:`ttc` of the run [s]; lower is worse, infinite if none is finite."""
+    """Return the smallest :func:`ttc` of the run [s]; inf if none is finite."""
     swept = _swept(trace)
     return _lowest(ttc(trace)) if swept is None else swept[0]
 
 
 def centre_distance(trace: Trace) -> FloatArray:
-    """Return the distance between the centres of ego and NPC (equation 4) [m]; lower is worse."""
+    """Return the distance of the centres of ego and NPC (equation 4) [m]."""
     # The offsets along and across the ego's heading give the same distance and are already computed.
     along, across = encounters_of(trace).pairs.offsets[:2]
     return np.sqrt(along * along + across * across).T
 
 
 def min_centre_distance(trace: Trace) -> float:
-    """Return the paper's MD, the smallest :func:`centre_distance` of the run [m]; lower is worse."""
+    """Return the paper's MD, the smallest :func:`centre_distance` of the run [m]."""
     return _lowest(centre_distance(trace))
 
 
 def gap(trace: Trace) -> FloatArray:
-    """Return the distance between the boxes of ego and NPC [m]; lower is worse, 0 at overlap."""
+    """Return the distance of the boxes of ego and NPC [m]."""
     return box_gap(encounters_of(trace).pairs).T
 
 
 def min_gap(trace: Trace) -> float:
-    """Return the smallest :func:`gap` of the run [m]; lower is worse, 0 at a collision."""
+    """Return the smallest :func:`gap` of the run [m]."""
     swept = _swept(trace)
     return _lowest(gap(trace)) if swept is None else swept[1]
 
 
 def safety_distance(trace: Trace) -> FloatArray:
-    """Return the paper's SD (equation 5 with t = 3 s), the distance that the follower gains on the leader within t [m].
+    """Return the paper's SD (equation 5), the distance that the follower gains on the leader in 3 s [m].
 
     (v1 - v2) t + (a1 - a2) t^2 / 2 with vehicle 1 the follower (:attr:`Encounters.ego_follows`) and 2 the leader. The
     follower must leave at least this distance. It is negative if the leader pulls away, and NaN if the NPC is not on
@@ -197,7 +197,7 @@ def safety_shortfall(trace: Trace) -> FloatArray:
 
 
 def max_safety_shortfall(trace: Trace) -> float:
-    """Return the largest missing share of the safety distance SD in the run, 0 to 1; higher is worse.
+    """Return the largest missing share of the safety distance in the run, 0 to 1.
 
     The share is clip((SD - gap) / SD, 0, 1), which is 1 at contact. It is 0 if SD <= 0, or if the centres of ego and
     NPC are not in the same lane, for example while an NPC crosses.
@@ -220,12 +220,12 @@ def _swept(trace: Trace) -> tuple[float, float, float] | None:
 
 
 def hardest_brake(trace: Trace) -> float:
-    """Return the ego's largest deceleration in the run [m/s^2], 0 if it never slowed down; higher is worse."""
+    """Return the ego's largest deceleration in the run [m/s^2], 0 if it never slowed down."""
     return max(0.0, -_lowest(trace.ego[:, ACCELERATION]))
 
 
 def execution_time(trace: Trace) -> float:
-    """Return the paper's ET, t_f - t_0, the simulated time of the run [s].
+    """Return the paper's ET, the simulated time of the run [s].
 
     Lower is worse if the run ended in a failure.
     """

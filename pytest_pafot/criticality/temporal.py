@@ -95,18 +95,18 @@ class Margin(Signal):
 
 
 def above(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
-    """Return the margin by which a signal is above a bound at each tick; the bound is one number or one per tick."""
+    """Return the margin by which a signal is above a bound, a number or one per tick."""
     signal = signal if isinstance(signal, Signal) else Signal(signal)
     return _like(signal, np.subtract(signal, bound))
 
 
 def below(signal: npt.ArrayLike, bound: npt.ArrayLike) -> Margin:
-    """Return the margin by which a signal is below a bound at each tick; the bound is one number or one per tick."""
+    """Return the margin by which a signal is below a bound, a number or one per tick."""
     return ~above(signal, bound)
 
 
 def always(margin: Margin, within: Within | None = None) -> Margin:
-    """Return, for each tick, the smallest margin from that tick on: positive if the property always holds.
+    """Return the smallest margin from each tick on: positive if the property always holds.
 
     Args:
         margin: margin of the property.
@@ -120,7 +120,7 @@ def always(margin: Margin, within: Within | None = None) -> Margin:
 
 
 def eventually(margin: Margin, within: Within | None = None) -> Margin:
-    """Return, for each tick, the largest margin from that tick on: positive if the property holds at some time.
+    """Return the largest margin from each tick on: positive if the property holds at some time.
 
     Args:
         margin: margin of the property.
@@ -135,7 +135,7 @@ def eventually(margin: Margin, within: Within | None = None) -> Margin:
 
 
 def until(left: Margin, right: Margin, within: Within | None = None) -> Margin:
-    """Return the margin by which, from each tick on, the left property holds until the right property holds.
+    """Return the margin by which the left property holds, from each tick on, until the right one does.
 
     At the tick at which the right property holds, the left property need not hold.
 

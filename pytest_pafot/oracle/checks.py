@@ -144,16 +144,14 @@ def check(
     """Assert that a value is within its bounds, and report the margin to the search.
 
     Args:
-        value: a number, or an array with one value per tick, such as ``run.ego.jerk``, of which the worst value is
-            checked. NaN fails. A formula, such as the result of :func:`~pytest_pafot.criticality.temporal.always`,
-            needs no bound.
-        name: name of the check; failures of checks with the same name count as the same failure.
-        at_most, at_least: bounds [unit]; at least one is required, except for a formula.
-        unit: unit, such as ``"m/s^3"``; the unit of a signal by default.
-        at: time of the event [s]; by default the time of an array's worst tick, or of the tick that decides a formula.
-        npc: index of the NPC that the check is about; -1, as in ``run.leader``, means no NPC.
-        scale: divisor of the margin [unit], which makes checks in different units comparable; by default the bound, or
-            1 if the bound is 0.
+        value: a number, or an array with one value per tick, such as ``run.ego.jerk``, of which the worst counts. NaN
+            fails. A formula, such as of ``always``, needs no bound.
+        name: of the check; failures of one name are one finding.
+        at_most, at_least: bounds [unit]; one is required, except for a formula.
+        unit: such as ``"m/s^3"``; by default the signal's.
+        at: time of the event [s]; by default that of an array's worst tick, or of the tick that decides a formula.
+        npc: index of the NPC that it is about; -1, as in ``run.leader``, means none.
+        scale: divisor of the margin [unit], to compare checks; by default the bound, or 1 if it is 0.
 
     Raises:
         CheckFailed: if a bound is broken.

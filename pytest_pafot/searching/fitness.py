@@ -44,7 +44,7 @@ class Weights:
     """The weights of the four risks of the default fitness. Only their ratios matter.
 
     Attributes:
-        ttc: of 1 / (1 + TTC / tau); TTC is the smallest time until ego and an NPC touch.
+        ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until ego and an NPC touch.
         gap: of 1 / (1 + gap / 1 m); the gap is the smallest between the boxes.
         shortfall: of the larger of the largest shortfall of the safety distance, 0 to 1, and 1 / (1 + PET / 1 s), PET
             being the post-encroachment time of a crossing NPC.
