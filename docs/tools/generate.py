@@ -61,7 +61,7 @@ from pytest_pafot.model.vehicle_type import READY, VehicleType
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
-from pytest_pafot.report.session_record import FINDING, ItemRecord, OrphanRecord, SessionRecord
+from pytest_pafot.report.session_record import FINDING, SessionRecord
 from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
@@ -209,7 +209,7 @@ FILE_TEXTS: Mapping[str, str] = {
 
 RUN_INTERNALS = (
     *("decision_limit", "world", "take_over", "avoided_by", "facts"),
-    *("event_npc", "event_cell", "closest_time", "zone_of()", "place_of()"),
+    *("event_npc", "event_cell", "closest_time", "zone_of", "place_of"),
 )
 """Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""
 
@@ -222,8 +222,6 @@ def sections() -> dict[str, str]:
     return {
         "options": _options_table(),
         "session-record": _record_table(SessionRecord),
-        "item-record": _record_table(ItemRecord),
-        "orphan-record": _record_table(OrphanRecord),
         "search-record": _record_table(SearchSummary),
         "finding-record": _finding_table(),
         "marker": _marker_table(),
@@ -414,7 +412,8 @@ def _first_paragraph(docstring: str | None) -> str:
 
 def _value(function: Callable[..., Any]) -> str:
     """Return the description of what a function returns."""
-    return _capital(_first_paragraph(function.__doc__).removeprefix("Return "))
+    text = _first_paragraph(function.__doc__).removeprefix("Return ")
+    return _capital(re.sub(r"^[Tt]he (?!\w+'s)", "", text))
 
 
 def _options_table() -> str:
@@ -475,10 +474,9 @@ def _scope(node: ast.FunctionDef) -> str:
 def _properties_table(cls: type[Any], without: Sequence[str] = ()) -> str:
     own = {name: text for name, text in _attributes(cls) if name not in without}
     for name, member in vars(cls).items():
-        inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
-        shown = name if inner is not member else f"{name}()"
-        if not name.startswith("_") and name not in own and shown not in without:
-            own[shown] = _first_paragraph(inner.__doc__)
+        if not name.startswith("_") and name not in (*own, *without):
+            inner = getattr(member, "fget", None) or getattr(member, "func", None) or member
+            own[name if inner is not member else f"{name}()"] = _value(inner)
     return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
 
 

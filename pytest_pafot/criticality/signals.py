@@ -279,9 +279,9 @@ def _right(trace: Trace) -> FloatArray:
 
 
 _of_ego, _of_npcs = partial(_recorded, 0), partial(_recorded, slice(1, None))
-_TURNING = "speed times the turning rate of the heading since the tick before, positive to the right"
-_JERK = "change of the acceleration since the tick before, per second; 0 at the first tick"
-_LANE = "index of the lane of its centre, on a straight road from 0 at the left; -1 off the road"
+_TURNING = "speed times turning rate since the tick before, positive to the right"
+_JERK = "change of the acceleration since the tick before, per second"
+_LANE = "index of that of its centre, on a straight road from 0 at the left; -1 off the road"
 _ROAD = "along the road, between the centres"
 
 # Partial functions of named functions, because lambdas cannot be sent to other processes.
@@ -291,22 +291,22 @@ MEASURES = (
     Measure("ego.jerk", "m/s^3", "both", _JERK, partial(_ego, jerk)),
     Measure("ego.lateral_acceleration", "m/s^2", "both", _TURNING, partial(_ego, lateral_acceleration)),
     Measure("ego.lane", "", "neither", _LANE, partial(_of_ego, LANE)),
-    Measure("headway", "s", "low", "gap along the lane to the leader, divided by the ego's speed; inf without a "
-            "leader, or if the ego stands", headway),
+    Measure("headway", "s", "low", "gap to the leader, divided by the ego's speed; inf without a leader, or if the "
+            "ego stands", headway),
     Measure("npcs.speed", "m/s", "neither", "as recorded", partial(_of_npcs, SPEED)),
     Measure("npcs.acceleration", "m/s^2", "neither", "as recorded", partial(_of_npcs, ACCELERATION)),
     Measure("npcs.lane", "", "neither", _LANE, partial(_of_npcs, LANE)),
-    Measure("npcs.ahead", "m", "neither", f"distance ahead of the ego {_ROAD}; negative behind, NaN while it "
-            "crosses", _ahead),
-    Measure("npcs.right", "m", "neither", "distance to the right of the ego across the road, between the centres; "
-            "NaN while it crosses", _right),
-    Measure("npcs.gap", "m", "low", "distance between the NPC's box and the ego's; 0 at contact",
+    Measure("npcs.ahead", "m", "neither", f"ahead of the ego {_ROAD}; negative behind, NaN while it crosses",
+            _ahead),
+    Measure("npcs.right", "m", "neither", "right of the ego across the road, between the centres; NaN while it "
+            "crosses", _right),
+    Measure("npcs.gap", "m", "low", "between the NPC's box and the ego's",
             partial(_npcs, gap)),
-    Measure("npcs.ttc", "s", "low", "time to contact with the ego at constant velocity, of the boxes; inf if there is "
-            "none (Hayward 1972)", partial(_npcs, ttc)),
-    Measure("npcs.time_advantage", "s", "low", "time between the exit of ego or NPC from the zone where their ways "
-            "meet and the entry of the other, if both keep their speed; 0 if both would be there at once, inf if one "
-            "would never arrive, and without a zone (Laureshyn and others 2010)",
+    Measure("npcs.ttc", "s", "low", "time to contact of the boxes at constant velocity, or inf (Hayward 1972)",
+            partial(_npcs, ttc)),
+    Measure("npcs.time_advantage", "s", "low", "from the exit of ego or NPC from their zone to the entry of the "
+            "other, if both keep their speed; 0 if both would be there at once, inf if one would never arrive "
+            "(Laureshyn and others 2010)",
             partial(_npcs, time_advantage)),
 )  # fmt: skip
 """The measures of every run, named like the attributes ``run.headway``, ``run.ego.jerk`` and ``run.npcs[0].ttc``.

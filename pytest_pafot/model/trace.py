@@ -37,22 +37,22 @@ class Outcome(StrEnum):
     """The ways in which a run can end."""
 
     SAFE = "safe"
-    """The run lasted for its full duration or the environment ended it, and none of the other outcomes occurred."""
+    """The run lasted for its full duration, or the environment ended it."""
     OFF_ROAD = "off_road"
     """The ego's centre was off the road, which ends runs on roads that are not straight."""
     LEFT_ROUTE = "left_route"
-    """The ego entered a lane that does not belong to its route, which the grid follows; the run ended there."""
+    """The ego entered a lane that does not belong to its route."""
     END_OF_ROAD = "end_of_road"
-    """A vehicle reached the end of the road; the run ended there."""
+    """A vehicle reached the end of the road."""
     COLLISION = "collision"
-    """The ego's box touched an NPC's or a fixed object; the run ended there."""
+    """The ego's box touched an NPC's or a fixed object."""
     INVALID = "invalid"
     """Two NPCs touched, an NPC touched a fixed object, or the user's code failed that drives a free NPC or ends
-    episodes; the run says nothing about the ego and ended there."""
+    episodes; the run says nothing about the ego."""
     ADS_ERROR = "ads_error"
-    """The ADS raised an exception or returned no valid action; the run ended there."""
+    """The ADS raised an exception or returned no valid action."""
     HANG = "hang"
-    """One decision of the ADS took longer than the hang limit, which is in wall-clock time."""
+    """A decision took longer than the hang limit, by the wall clock."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +83,8 @@ class Collision:
     Attributes:
         tick: physics tick of the first overlap.
         time: its time [s].
-        npc: its index; None for a fixed object.
-        side: side of the ego that was hit.
+        npc: index of the NPC; None for a fixed object.
+        side: of the ego that was hit.
         cell: of the NPC's centre at the impact, or before if it was in the ego's own cell then. None for a fixed
             object, and for an NPC that crosses off the ego's way.
         ego_speed, npc_speed: at the impact [m/s]; a fixed object's is 0.
