@@ -47,7 +47,7 @@ class Highway(BuiltInWorld):
         duration: the longest duration of a run [s].
         clearance: the least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.
         headway: with which NPCs start ahead of the ego or behind it [s].
-        limits: of every NPC.
+        limits: of NPCs.
         ego: [its vehicle](scenarios.md#the-egos-vehicle): ``pafot.TRUCK``, another ``pafot.VehicleType``, or the name
             of a ready one.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
