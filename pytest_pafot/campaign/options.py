@@ -166,7 +166,7 @@ class Settings:
     pairs: int = option(
         "integer",
         "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
-        "They decide whether its findings count, and end as soon as that is clear.",
+        "They decide whether [its findings count](../guide/what-broke.md).",
         default=700,
         least=1,
     )
@@ -184,8 +184,9 @@ class Settings:
     total_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of all searches together [s].",
-        "From the start of the session on. Each search gets an equal share of what is left, but at least 2 s. With "
-        "`-n N` each of the N workers shares out the same time, and expects to run one Nth of the searches.",
+        "From the start of the session on. Each search gets an equal share of what is left, and in any case up to 2 s "
+        "for its first run. With `-n N` each of the N workers shares out the same time, and expects to run one Nth of "
+        "the searches.",
         is_argument=False,
     )
     resume: str | None = option(
@@ -263,15 +264,14 @@ class Settings:
     unseeded: bool = option(
         "switch",
         "Leave the global random generators as they are, instead of seeding them for each run.",
-        "Python's `random`, numpy and torch are otherwise [seeded from the scenario](../guide/random-policies.md). "
-        "For a policy that seeds them itself.",
+        "For a policy that seeds [them](../guide/random-policies.md) itself.",
         default=False,
     )
     memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
-        "In addition to what it starts with. Beyond it allocations fail, which is a finding. By default three "
-        "quarters of the memory of machine or container, shared among the workers, at least 2048. Only on Linux.",
+        "More than it starts with; beyond it allocations fail, which is a finding. By default three quarters of the "
+        "memory of machine or container, shared among the workers, at least 2048. Only on Linux.",
     )
     dask: str | None = option(
         "address",
@@ -302,14 +302,13 @@ class Settings:
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
-        "Shows which will be reported on that day. It is `day` in `--pafot-json`.",
+        "It is `day` in `--pafot-json`.",
         everywhere=False,
         is_argument=False,
     )
     commit: str | None = option(
         "commit",
         "Name of the tested commit for --pafot-json, at most 100 characters without spaces.",
-        "It is not compared with the repository.",
         everywhere=False,
         is_argument=False,
     )
