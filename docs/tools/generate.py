@@ -100,10 +100,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "arg": "Parameter of the test that receives the run.",
     "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as '
     '`"headway"`, `pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float`, or its `module:function`.',
-    "blame": '`"any"`: the test is called for every valid run in which the ADS does not fail. `"ego"`: not for '
-    'collisions by an NPC\'s fault alone. `"preventable"`: as `"ego"`, and a failure counts only if a reference driver '
-    'would have prevented it. `"avoidable"`: as `"ego"`, and for collisions that braking late, but hard, would have '
-    "avoided.",
+    "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"`, of each valid run; '
+    '`"ego"`, no collisions by an NPC\'s fault alone; `"avoidable"`, of these those that braking late, but hard, '
+    'would have avoided, too; `"preventable"`, as `"ego"`, but only what a reference driver would have prevented.',
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
     '`"paper"`, or `pafot.Traffic(...)`.',
     "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
