@@ -196,15 +196,14 @@ def overview_of_the_paper(folder: Path) -> Iterator[list[str]]:
 
 
 def overview_of_failures(folder: Path) -> Iterator[list[str]]:
-    """Yield rows of distinct failures in a run by algorithm and report, with the runs that had any."""
+    """Yield rows of distinct failures in a run by algorithm and report."""
     reports = {name: cells for name, cells in cells_of(folder).items() if name != "paper"}
     yield ["search", *reports]
     for search in dict.fromkeys(search for cells in reports.values() for search in cells):
         row = [search]
         for cells in reports.values():
             measures = cells.get(search, {}).items()
-            found = [value for name, value in measures if name.startswith(("mean of a run, ", "runs with any"))]
-            row.append("{} ({})".format(*found) if found else "")
+            row.append(next((value for name, value in measures if name.startswith("mean of a run, ")), ""))
         yield row
 
 

@@ -71,12 +71,12 @@ def pictures() -> dict[str, str]:
 
 
 def shown() -> dict[str, list[Situation]]:
-    """Return the situations on the page by heading: the first with each verdict and fault."""
-    on_page: dict[str, dict[tuple[str, str | None], Situation]] = {}
+    """Return the situations on the page by heading: the first with each verdict."""
+    on_page: dict[str, dict[str, Situation]] = {}
     for heading, group in SITUATIONS.items():
         first = on_page.setdefault(heading, {})
         for each in group:
-            first.setdefault((each.responsibility, each.fault), each)
+            first.setdefault(each.responsibility, each)
     return {heading: [*first.values()] for heading, first in on_page.items()}
 
 

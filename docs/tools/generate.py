@@ -356,7 +356,8 @@ def _catalogue_table() -> str:
         told = []
         for name, each in entry.parameters.items():
             told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()} ({each.span.replace(' to ', '…')})")
-        rows.append([_code(entry.name), entry.about, ", ".join(told), entry.source])
+        source = entry.source.removeprefix("UN R157, after ASAM ").removeprefix("Euro NCAP, vehicle assistance: ")
+        rows.append([_code(entry.name), entry.about, ", ".join(told), "" if source == "the project" else source])
     return _table(["Name", "What happens", "Numbers, defaults and ranges", "After"], rows)
 
 
@@ -567,7 +568,7 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
         )
         value = "" if action.nargs == 0 else value
         text = _WORLD.sub(
-            r"the world: an environment's id, or module:name ([all forms](../guide/own-world.md#in-every-command); \1",
+            r"the world ([all forms](../guide/own-world.md#in-every-command); \1",
             (action.help or "") % vars(action),
         )
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
