@@ -144,8 +144,8 @@ class Settings:
     )
     seed: int = option(
         "integer",
-        "Base seed, from which each search derives its own.",
-        "With `--pafot-resume` the default is 0.",
+        "Base seed, from which each search derives its own seed.",
+        "By default a new one, which the summary names; 0 with `--pafot-resume` and in `ci`.",
     )
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
@@ -314,7 +314,8 @@ class Settings:
     )
     profile: str = option(
         "text",
-        "Set of defaults: ci (400 runs, seed 0) or local (40 runs, random seed).",
+        "Set of defaults: ci (400 runs, seed 0, isolated) or local (40 runs, a new seed).",
+        "By default `ci` if the variable `CI` is set. It isolates only [on Linux](#pafot-isolate).",
         choices=tuple(PROFILES),
     )
     debug: bool = option(

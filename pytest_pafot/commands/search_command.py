@@ -98,8 +98,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "the seed of the search (default: a new one, which the output names, or 0 if the variable CI is set)"
     parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
-    of_blame = "which collisions are failures: any; those for which the ego is responsible; of these, those that a "
-    of_blame += "reference driver prevents; or also those that braking late, but hard, avoids (default: %(default)s)"
+    of_blame = "which collisions are failures: any; ego: all but those by the fault of an NPC alone; preventable: of "
+    of_blame += "these, those that a reference driver prevents; avoidable: those of ego, and those that braking late, "
+    of_blame += "but hard, avoids (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = f"count only failures that a reference passes: {REVISION}REVISION for ADS in another revision of the "
     of_against += f"repository, such as {REVISION}main, or module:factory[:argument]"

@@ -388,8 +388,9 @@ class Run(Shown):
 
     @property
     def second_opinion(self) -> str | None:
-        """The responsible side by the NPC's position at the impact, ``"ego"`` or ``"npc"``, or None.
+        """The side that the position rule blames, ``"ego"`` or ``"npc"``; None without a collision.
 
+        It is the ego, if it moved and the NPC was ahead of it at the impact, or if it hit no NPC; otherwise the NPC.
         This simpler rule is from the code that the authors of the PAFOT paper released.
         """
         verdict = position_rule(self.trace)

@@ -37,6 +37,7 @@ from pytest_pafot.report.page_data import (
     Report,
     RunView,
 )
+from pytest_pafot.report.terminal import parameter_shares
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.markup import content_hash, json_in_script
@@ -50,11 +51,6 @@ from pytest_pafot.support.versions import installed_versions
 def text(value: object) -> str:
     """Escape a text for HTML, so that nothing in it is markup. Unprintable characters become visible escapes."""
     return escape(visible_lines(str(value)), quote=True)
-
-
-def prose(value: object) -> str:
-    """Escape a text as :func:`text` does, and write the units in it as the curves write them."""
-    return text(value).replace("m/s^2", "m/s\u00b2").replace("m/s^3", "m/s\u00b3")
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
@@ -115,21 +111,20 @@ def finding_list(findings: Sequence[RunView]) -> str:
     """Return an HTML list of links to all findings, with counts; an empty text if there are none."""
     if not findings:
         return ""
-    groups: dict[str, list[str]] = {}
+    tests: dict[str, dict[str, list[str]]] = {}
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         meta = ", ".join(_tags(finding))
         # The text that the filter searches.
         searched = [finding.node_id, finding.headline, finding.assertion, meta, finding.path]
         words = " ".join([*searched, *([finding.traced] if finding.traced else [])]).lower()
         kind, badge = _kind(finding), finding.label.partition(" (")[0]
-        function, parameters = finding.test
-        parameters = ", ".join(filter(None, [function if finding.traced else "", parameters]))
-        groups.setdefault(finding.group, []).append(
+        name, dash, number = finding.id.rpartition("-") if "-" in finding.id else (finding.id, "", "")
+        heading, parameters = finding.group
+        tests.setdefault(heading, {}).setdefault(parameters, []).append(
             f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
-            f'data-outcome="{text(kind)}" data-words="{text(words)}" title="{prose(finding.headline)}">'
+            f'data-outcome="{text(kind)}" data-words="{text(words)}" title="{text(finding.headline)}">'
             f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-            f'<span class="id">{text(finding.id)}</span>'
-            + (f'<span class="parameters">{text(parameters)}</span>' if parameters else "")
+            f'<span class="id"><span class="kind">{text(name)}</span>{dash}{text(number)}</span>'
             + (f'<span class="badge">{text(badge)}</span>' if badge else "")
             + "</a></li>"
         )
@@ -140,11 +135,17 @@ def finding_list(findings: Sequence[RunView]) -> str:
         for name in names
     )
     listed = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
-    if len(groups) == 1 and not findings[0].traced:
-        return f"{listed}<ol>{''.join(groups[findings[0].group])}</ol>"
-    for number, (group, items) in enumerate(groups.items()):
-        name = f'<h3 id="group-{number}">{text(group)} <span class="count">{len(items)}</span></h3>'
-        listed += f'<div class="group">{name}<ol aria-labelledby="group-{number}">{"".join(items)}</ol></div>'
+    if len(tests) == 1 and not findings[0].traced and list(tests[findings[0].group[0]]) == [""]:
+        return f"{listed}<ol>{''.join(tests[findings[0].group[0]][''])}</ol>"
+    for place, (title, policies) in enumerate(tests.items()):
+        count = sum(map(len, policies.values()))
+        listed += f'<div class="group"><h3 id="group-{place}">{text(title)} <span class="count">{count}</span></h3>'
+        for order, (parameters, items) in enumerate(policies.items()):
+            label = f"group-{place}-{order}" if parameters else f"group-{place}"
+            policy = f'<h4 id="{label}">{text(parameters)} <span class="count">{len(items)}</span></h4>'
+            ordered = f'<ol aria-labelledby="{label}">{"".join(items)}</ol>'
+            listed += f'<div class="group">{policy}{ordered}</div>' if parameters else ordered
+        listed += "</div>"
     return listed
 
 
@@ -159,7 +160,7 @@ def further_section(findings: Sequence[RunView], whole: int) -> str:
     rows = (
         row(
             text(finding.id),
-            f"{prose(finding.headline)}<br>{prose(', '.join(_tags(finding)))}",
+            f"{text(finding.headline)}<br>{text(', '.join(_tags(finding)))}",
             text(finding.path or finding.node_id),
             f"<code>{text(f'{finding.command} {alone}')}</code>",
         )
@@ -189,6 +190,33 @@ def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
     )
 
 
+def parameter_section(searches: Iterable[SearchSummary]) -> str:
+    """Return for each parametrised test an HTML table of how often which parameters failed; empty without one."""
+    shown = ""
+    for test, shares in parameter_shares(searches).items():
+        rows = (
+            row(
+                text(each.parameters),
+                f"{each.failing} of {each.runs}",
+                "" if each.impact is None else f"{each.impact:.1f} m/s",
+            )
+            for each in shares
+        )
+        names = "parameters", "failing random scenarios", "hardest impact"
+        shown += f'<h3 class="id">{text(test)}</h3><div class="scroll">{table(columns(*names), rows)}</div>'
+    if not shown:
+        return ""
+    title = "Parameters that fail most"
+    return f'<section class="campaigns" id="parameters" aria-label="{title}"><h2>{title}</h2>{shown}</section>'
+
+
+def _session_section(report: Report) -> str:
+    """Return the HTML of the facts on the session and of its command; empty if there are none."""
+    shown = facts(report.facts) + (copyable(report.command) if report.command else "")
+    title = "<h2>Session</h2>"
+    return f'<section class="campaigns session" aria-label="Session">{title}{shown}</section>' if shown else ""
+
+
 def _filter(findings: Sequence[RunView]) -> str:
     """Return the input fields that filter the list of findings. They work only with the page's script."""
     options = ""
@@ -205,18 +233,19 @@ def _filter(findings: Sequence[RunView]) -> str:
 def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
-    tags = _tags(finding)
+    is_said = finding.sentences and finding.check is None  # who is responsible
+    tags = _tags(finding)[1 if is_said else 0 :]
     tags += [finding.traffic] if finding.traffic else []
     mark = f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     deadline = "" if finding.deadline is None else f'; <span class="deadline">brake by {finding.deadline:.1f} s</span>'
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p>',
-        f'<h2 id="headline-{index}">{mark} {prose(finding.headline)}{deadline}</h2>',
-        "".join(f'<p class="sentence">{prose(each)}</p>' for each in finding.sentences),
+        f'<h2 id="headline-{index}">{mark} {text(finding.headline)}{deadline}</h2>',
+        "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
         claim if finding.check is None else _check_figures(finding.check),
         copyable(finding.command) if finding.command else "",
-        f'<ul class="tags">{"".join(f"<li>{prose(tag)}</li>" for tag in tags)}</ul>',
+        f'<ul class="tags">{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
         f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
         "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
@@ -234,7 +263,7 @@ def _happened_section(paragraphs: Iterable[Paragraph]) -> str:
     for title, sentences, code in paragraphs:
         run_in = f"<b>{text(title)}.</b> " if title else ""
         lines = "".join(f"<li><code>{text(each)}</code></li>" for each in code)
-        shown += f"<p>{run_in}{prose(sentences)}</p>" + (f"<ul>{lines}</ul>" if lines else "")
+        shown += f"<p>{run_in}{text(sentences)}</p>" + (f"<ul>{lines}</ul>" if lines else "")
     return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
 
 
@@ -262,7 +291,7 @@ def _file_section(finding: RunView) -> str:
 
 def _check_figures(check: CheckView) -> str:
     """Return the HTML of a failed check: its value, bound and moment, and for how long the bound was broken."""
-    unit = f' <span class="unit">{prose(check.unit)}</span>' if check.unit else ""
+    unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
     seconds = ' <span class="unit">s</span>'
     bounds = (("at most", check.at_most), ("at least", check.at_least))
     figures = [(check.name, "no number" if check.value is None else f"{check.value:.4g}{unit}")]
@@ -350,6 +379,8 @@ DRAWN = (
 )  # fmt: skip
 """What the scripts read of a finding. The page has everything else as text."""
 
+INTERRUPTED = '<p class="warning">The session was interrupted. This report has what ran before that.</p>'
+
 FRAME_HEIGHT = 1060
 """Height of a report that is embedded in another page [px]."""
 WORDS_HEIGHT = 480
@@ -389,13 +420,15 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         style=style,
         script=script,
         kind=kind if len(report.findings) == 1 else f"{kind} listed",
-        facts=facts(report.facts) + (copyable(report.command) if report.command else ""),
+        interrupted=INTERRUPTED if report.is_interrupted else "",
         count=len(report.findings) if not report.further else f"{len(report.findings)} of {total}",
         errors=errors,
-        further=further_section(report.further, len(report.findings)) + requirement_section(report.requirements),
+        further=further_section(report.further, len(report.findings))
+        + requirement_section(report.requirements)
+        + parameter_section(report.searches),
         list=(finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>') + link,
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
-        searches=section if searches else "",
+        searches=(section if searches else "") + _session_section(report),
         data=data_json(report),
     )
 
@@ -489,12 +522,14 @@ class Draft:
         """
         ranked = sorted(findings, key=_rank)
         whole = [self._completed(finding) for finding in ranked[:WHOLE]]
+        # The worst test first, of each test the worst parameters, and of these the worst finding.
         groups = list(dict.fromkeys(finding.group for finding in whole))
+        tests = list(dict.fromkeys(test for test, _ in groups))
         return Report(
             title=f"{project}: {_numbers(ranked, errors)}",
-            facts=tuple(_facts(searches, replays, is_interrupted=is_interrupted)),
+            facts=tuple(_facts(searches, replays)),
             command=command,
-            findings=tuple(sorted(whole, key=lambda finding: groups.index(finding.group))),
+            findings=tuple(sorted(whole, key=lambda each: (tests.index(each.group[0]), groups.index(each.group)))),
             further=tuple(map(_as_row, ranked[WHOLE:])),
             searches=tuple(sorted(searches, key=lambda search: search.node_id)),
             requirements=tuple(requirements),
@@ -511,11 +546,7 @@ class Draft:
         return replace(whole, runs=finding.runs, label=finding.label, sighting=finding.sighting)
 
 
-def _facts(
-    searches: Iterable[SearchSummary], replays: Iterable[Sighting], *, is_interrupted: bool
-) -> Iterator[tuple[str, str]]:
-    if is_interrupted:
-        yield "session", "interrupted; this report has what ran before that"
+def _facts(searches: Iterable[SearchSummary], replays: Iterable[Sighting]) -> Iterator[tuple[str, str]]:
     if seeds := dict.fromkeys(search.base_seed for search in searches):
         yield "base seed" if len(seeds) == 1 else "base seeds", ", ".join(map(str, seeds))
     replays = sorted(replays, key=lambda each: each.node_id)

@@ -230,7 +230,7 @@ class RunView:
 
     Attributes:
         sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision.
-        deadline: time by which the ego had to brake [s]; None if unknown, or if it did not have to.
+        deadline: time by which the ego had to brake [s]; None if unknown, if it did not have to, or of a failed check.
         happened: what else is known of the run and of the finding, in prose.
         found: the scenario as the search found it, if shrinking has replaced it by a simpler one; otherwise None.
         shrunk: the scenario of the run, to compare it with ``found``; None without that.
@@ -302,9 +302,10 @@ class RunView:
         return function, parameters.removesuffix("]")
 
     @property
-    def group(self) -> str:
-        """The heading under which the page lists the finding: its requirements, or else the name of its test."""
-        return self.traced or self.test[0]
+    def group(self) -> tuple[str, str]:
+        """The headings under which the page lists it: requirements and name of its test, and the test's parameters."""
+        function, parameters = self.test
+        return ": ".join(filter(None, [self.traced, function])), parameters
 
     @property
     def is_crossed(self) -> bool:

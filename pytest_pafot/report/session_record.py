@@ -24,7 +24,7 @@ from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
-from pytest_pafot.report.terminal import further
+from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import capitalised, plural, quiet_json
 from pytest_pafot.support.traced import Traced, counted
@@ -361,6 +361,9 @@ def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
                 yield from _finding_lines(entry)
             others = f"{len(group) - most} more" if most else f"{len(group)}"
             yield from ([f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"] if len(group) > most else [])
+    for test, shares in parameter_shares(record.searches).items():
+        worst_ones = [f"{code(share.parameters)} {share.result}" for share in shares if share.failing]
+        yield from _listed(f"Parameters of {code(test)} that fail most", worst_ones, MAX_TOLD)
     requirements = [
         f"{code(named.ids)}{f' {plain(named.title)}' if named.title else ''}"
         f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
@@ -435,7 +438,7 @@ def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     yield f"  <br>{missing}{code(entry['replay'])}"
 
 
-def _listed(title: str, entries: Sequence[str]) -> Iterator[str]:
+def _listed(title: str, entries: Sequence[str], most: int = MAX_LISTED) -> Iterator[str]:
     if entries:
-        yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:MAX_LISTED]))
-        yield from ([f"- ... and {len(entries) - MAX_LISTED} more"] if len(entries) > MAX_LISTED else [])
+        yield from ("", f"**{title}**", "", *(f"- {entry}" for entry in entries[:most]))
+        yield from ([f"- ... and {len(entries) - most} more"] if len(entries) > most else [])

@@ -466,34 +466,65 @@ def _parameters(test: str) -> str:
     return f" [{found[2]}]" if found else ""
 
 
-def parameter_lines(searches: Sequence[SearchSummary], width: int = WIDTH) -> list[str]:
-    """Return a table for each parametrised test: in how many random scenarios it failed, the worst parameters first.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterShare:
+    """How often a test failed with one set of its parameters.
+
+    Attributes:
+        parameters: the parameters, as in the node id.
+        failing, runs: the number of random scenarios in which it failed, and of all of them.
+        impact: the highest closing speed at an impact of its new findings [m/s]; None without an impact.
+    """
+
+    parameters: str
+    failing: int
+    runs: int
+    impact: float | None
+
+    @property
+    def result(self) -> str:
+        """The result in words."""
+        hits = "" if self.impact is None else f", hits at {self.impact:.1f} m/s"
+        return f"fails in {self.failing} of {self.runs} random scenarios{hits}"
+
+
+def parameter_shares(searches: Iterable[SearchSummary]) -> dict[str, list[ParameterShare]]:
+    """Return for each parametrised test that failed how often it did with which parameters, the worst ones first.
 
     Searches without random scenarios, or that begin with saved ones, are left out: their shares are no estimates.
     """
-    tests: dict[str, list[tuple[float, str, SearchSummary]]] = {}
+    tests: dict[str, list[ParameterShare]] = {}
     for each in searches:
         found = PARAMETERS.search(each.node_id)
         if found and each.random_runs and not each.given and found[2].endswith(SEARCH):
-            share = (each.random_failing + each.random_otherwise) / each.random_runs
-            tests.setdefault(found[1], []).append((-share, found[2].removesuffix(SEARCH), each))
-    lines: list[str] = []
-    for test, rows in sorted(tests.items()):
-        rows.sort(key=lambda row: row[:2])
-        shown = [row for row in rows if row[0]][:MAX_FINDS]
-        if len(rows) < 2 or not shown:
-            continue
-        lines.append(f"{test}, the parameters that fail most first:")
-        room = max(len(name) for _, name, _ in shown)
-        for _, name, each in shown:
             measured = [seen.severity for seen in each.finds if seen.severity is not None]
             impacts = [severity.value or 0.0 for severity in measured if severity.kind == "collision"]
-            hits = f", hits at {max(impacts):.1f} m/s" if impacts else ""
-            failing = each.random_failing + each.random_otherwise
-            text = f"  {name:{room}}  fails in {failing} of {each.random_runs} random scenarios{hits}"
+            share = ParameterShare(
+                parameters=found[2].removesuffix(SEARCH),
+                failing=each.random_failing + each.random_otherwise,
+                runs=each.random_runs,
+                impact=max(impacts, default=None),
+            )
+            tests.setdefault(found[1], []).append(share)
+    return {
+        test: sorted(shares, key=lambda share: (-share.failing / share.runs, share.parameters))
+        for test, shares in sorted(tests.items())
+        if len(shares) > 1 and any(share.failing for share in shares)
+    }
+
+
+def parameter_lines(searches: Iterable[SearchSummary], width: int = WIDTH) -> list[str]:
+    """Return a table for each parametrised test: in how many random scenarios it failed, the worst parameters first."""
+    lines: list[str] = []
+    for test, shares in parameter_shares(searches).items():
+        shown = [share for share in shares if share.failing][:MAX_FINDS]
+        lines.append(f"{test}, the parameters that fail most first:")
+        room = max(len(share.parameters) for share in shown)
+        for share in shown:
+            text = f"  {share.parameters:{room}}  {share.result}"
             # Wrapping would remove the alignment of rows that fit.
             lines += [text] if len(text) <= width else wrapped_to(text, width)
-        rest = [name for share, name, _ in rows if not share]
+        rest = [share.parameters for share in shares if not share.failing]
         lines += wrapped_to(f"  in none: {_listed(rest)}", width) if rest else []
     return lines
 

@@ -260,12 +260,14 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     run = None if trace is None else expect.known_of(Run(trace))
     sentences = () if run is None else expect.sentences_on(run)
     first, *others = [""] if run is None else _explained(run, sentences)
-    lines = (others if check is None else [first, *others]) or [expect.message]
+    if check is not None and sentences:  # of a check that failed in a run with a collision: they are on the collision
+        sentences = (_prose([first]), *sentences)
+    lines = (others if check is None or sentences else [first, *others]) or [expect.message]
     found = None if finding.original is None or finding.shrunk is None else finding.original
     view = RunView(
         headline=headline or first or expect.message or expect.failure,
         sentences=sentences,
-        deadline=_deadline(run, expect.avoided_by),
+        deadline=_deadline(run, expect.avoided_by) if check is None else None,
         happened=_happened(lines, sighting),
         found=None if found is None else _chains(found, finding.longest_run),
         shrunk=None if found is None else _chains(finding.scenario, finding.longest_run),

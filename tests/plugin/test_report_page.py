@@ -168,7 +168,7 @@ def test_an_interrupted_session_writes_what_it_has(project, page):
     text, findings, (search,) = read_page(page)
     assert {finding.id for finding in findings} == {name.split("/")[-1][:-11] for name in project.files}
     assert "2 runs, 2 failing, ended interrupted" in search
-    assert "interrupted; this report has what ran before that" in text
+    assert "The session was interrupted. This report has what ran before that." in text
 
 
 KEPT = "The property held in every evaluated run."
@@ -326,7 +326,7 @@ def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, 
     told = [each[1:] for each in told]  # a sentence of the page begins with a capital letter
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
     assert set(saved.expect.reference_drivers) == set(REFERENCES)
-    assert f"{saved.expect.responsibility} responsible" in finding.tags[0]
+    assert f"The {saved.expect.responsibility} is responsible." in page.read_text(encoding="utf-8")
     assert len(finding.data["vehicles"]) == 2
     project.run("--pafot-report=report.html", generations=0)
     (again,) = [each for each in read_page(page)[1] if each.id == finding.id]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -373,6 +374,37 @@ def test_the_summary_of_a_job_is_appended_to(summary, failing):
     record = recorded(failing)
     assert summary.read_text() == f"before\n{markdown(record)}"
     assert f"<br>`python -m pytest {failing.files[0]}`\n" in markdown(record)
+
+
+def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summary, project, monkeypatch):
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    project.write(
+        "@pytest.mark.parametrize('n', range(6))\n@pafot.search(SHORT, stop_after=1)\ndef test_a(run, n):\n"
+        "    assert not run.collision, run.explain()\n\n"
+        "def broken():\n    def decide(observation):\n        if observation.time > 2:\n"
+        "            raise ValueError('50 % done\\n::warning::x, y')\n        return 0.0, 0.0\n    return decide\n\n"
+        "@pafot.search(SHORT, ads=broken, stop_after=1)\ndef test_b(run):\n    pass\n",
+        name="test_50%,x",
+    )
+    result = project.run("--pafot-report=out.html")
+    lines = [line for line in result.outlines if line.startswith("::")]
+    assert len(lines) == 6
+    for line in lines[:5]:
+        command, text = re.fullmatch(r"::error file=test_50%25%2Cx\.py,title=[a-z0-9-]+::(.*?)%0A(.*)", line).groups()
+        assert command.startswith("collision after ")
+        assert text.count("%0A") >= 1  # the sentences
+        assert text.replace("%0A", "").replace("%25", "").count("%") == 0
+        assert "responsible" in text
+    assert lines[5] == "::notice title=pafot::2 more findings: see out.html among the files of this job"
+    told = summary.read_text()
+    assert told.count("\n- `test_50%,x.py::test_") == 5
+    assert "- ... and 2 more: see `out.html` among the files of this job" in told
+
+    project.forget()
+    result = project.run("-k", "test_b")
+    (line,) = [line for line in result.outlines if line.startswith("::")]
+    assert "::ValueError: 50 %25 done" in line
+    assert not any(each.startswith("::warning") for each in [*result.outlines, *summary.read_text().splitlines()])
 
 
 def test_session_of_other_tests_adds_no_job_summary(summary, project):

@@ -16,7 +16,7 @@ from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import finding_view
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import as_seen, finding_of, seen_of
+from tests.report.builders import as_seen, cut_in_trace, finding_of, seen_of, view_of
 
 TICKS = 300
 """The ticks of a run of 20 s, with a frame at every second one."""
@@ -108,12 +108,25 @@ def test_values_of_unknown_ticks_have_no_curve():
 
 def test_article_starts_with_check_value_bound_and_moment():
     article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
-    assert article.index("jerk 35.1 &gt; 20 m/s\u00b3 at 4.1 s") < article.index('<dl class="figures">')
+    assert article.index("jerk 35.1 &gt; 20 m/s^3 at 4.1 s") < article.index('<dl class="figures">')
     assert article.index('<dl class="figures">') < article.index('class="tags"') < article.index('class="player"')
-    for figure in ('<dt>jerk</dt><dd>35.1 <span class="unit">m/s\u00b3', "<dt>at most</dt><dd>20 ", "<dd>4.07 "):
+    for figure in ('<dt>jerk</dt><dd>35.1 <span class="unit">m/s^3', "<dt>at most</dt><dd>20 ", "<dd>4.07 "):
         assert figure in article
     assert 'class="assertion"' not in article
     assert "No collision in 20.0 s." in article[article.index("What happened") :]
+
+
+def test_sentences_on_a_collision_come_behind_it_and_give_a_check_no_deadline():
+    trace = cut_in_trace()
+    with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
+        pafot.check(3.0, name="jerk", unit="m/s^3", at_most=2.5)
+    check, collided = failed.value.check, view_of(trace)
+    view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
+    assert collided.deadline is not None
+    assert view.deadline is None
+    assert view.sentences[0].startswith("Collision after ")
+    assert view.sentences[1:] == collided.sentences
+    assert view.sentences[0].rstrip(".") not in str(view.happened)
 
 
 def test_list_calls_it_failed_check_and_blames_none():

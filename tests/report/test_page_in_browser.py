@@ -525,7 +525,7 @@ def test_decisions_of_the_policy_stand_on_the_time_axis(browser, tmp_path):
     path.write_text(render_page(Report.of(finding)), encoding="utf-8")
     page = browser.open(path.as_uri())
     titles = page.evaluate(ALL.format(selector="article.current .decision title", what="each.textContent"))
-    assert titles == ["0.0 s: IDLE", "2.0 s: -3.0 m/s\u00b2"]
+    assert titles == ["0.0 s: IDLE", "2.0 s: -3.0 m/s^2"]
     page.press("Home")
     assert (
         page.evaluate("document.querySelector('article.current .readout tbody tr td:last-child').textContent") == "IDLE"

@@ -71,6 +71,18 @@ def test_finding_list_of_two_tests_matches_its_snapshot(snapshot):
     assert lines_of(finding_list([finding, other])) == snapshot
 
 
+def test_the_list_has_the_findings_of_each_policy_under_its_test():
+    names = ("t.py::test_a[late]", "t.py::test_a[early]", "t.py::test_b", "t.py::test_a[late]")
+    listed = finding_list([as_seen(hand_made_finding(), finding={"test": name}) for name in names])
+    headings = re.findall(r"<h([34])[^>]*>(.*?)</h|data-index=\"(\d)\"", listed)
+    assert [" ".join(filter(None, each)) for each in headings] == [
+        '3 test_a <span class="count">3</span>',
+        *('4 late <span class="count">2</span>', "0", "3"),
+        *('4 early <span class="count">1</span>', "1"),
+        *('3 test_b <span class="count">1</span>', "2"),
+    ]
+
+
 def test_an_article_on_a_search_reads_so(snapshot):
     assert lines_of(search_article(hand_made_search(), 0)) == snapshot
 
@@ -82,5 +94,5 @@ def test_page_with_only_an_error_matches_its_snapshot(snapshot):
         command="pytest --pafot-seed=7",
         errors=(("tests/test_c.py::test_c[search]", "E   ValueError: no plan"),),
     )
-    body = re.search('<div class="session">.*(?=<script type)', render_page(report), re.DOTALL)[0]
+    body = re.search('<article class="error".*(?=<script type)', render_page(report), re.DOTALL)[0]
     assert lines_of(body) == snapshot

@@ -71,10 +71,9 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(told):
     assert [finding.node_id for finding in report.findings] == [name for name, *_ in RANKED]
 
 
-def test_facts_include_interrupt_replay_labels_and_versions():
+def test_facts_include_replay_labels_and_versions():
     replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
-    facts = dict(report_of(Draft(target="x"), is_interrupted=True, replays=replays).facts)
-    assert facts["session"] == "interrupted; this report has what ran before that"
+    facts = dict(report_of(Draft(target="x"), replays=replays).facts)
     assert facts["replayed"] == "3 saved scenarios: 2 passes, 1 still failing"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts

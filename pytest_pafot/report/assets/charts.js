@@ -7,8 +7,8 @@ const CURVES = [
   { key: "ttc", title: "time to contact", unit: "s", top: 8, digits: 2 },
   { key: "advantage", title: "expected time between the two at their zone", unit: "s", top: 4, digits: 2, isCrossed: true },
   { key: "speed", title: "speed", unit: "m/s", top: null, digits: 1 },
-  { key: "acceleration", title: "acceleration", unit: "m/s\u00b2", least: 4, digits: 1 },
-  { key: "jerk", title: "jerk, peak of each frame", unit: "m/s\u00b3", least: 10, digits: 0 },
+  { key: "acceleration", title: "acceleration", unit: "m/s^2", least: 4, digits: 1 },
+  { key: "jerk", title: "jerk, peak of each frame", unit: "m/s^3", least: 10, digits: 0 },
 ];
 
 class Charts {
@@ -68,9 +68,8 @@ class Charts {
     for (const [start, end, words] of decisions) {
       const [x0, x1] = [this.x(start), this.x(Math.min(end, this.duration))];
       const wide = Math.max(0, x1 - x0 - 1);
-      const shown = inUnits(words);
-      this.parts.push(svg("rect", { x: px(x0 + 0.5), y: px(this.y), width: px(wide), height, rx: 3, class: "block decision" }, svg("title", {}, `${fixed(start, 1)} s: ${shown}`)));
-      this.blockText([shown, shown.split(",")[0]], x0, wide);
+      this.parts.push(svg("rect", { x: px(x0 + 0.5), y: px(this.y), width: px(wide), height, rx: 3, class: "block decision" }, svg("title", {}, `${fixed(start, 1)} s: ${words}`)));
+      this.blockText([words, words.split(",")[0]], x0, wide);
     }
     this.y += CHART.timeline;
   }
@@ -144,7 +143,7 @@ class Charts {
   check(check) {
     const [y0, y1] = [this.y + CHART.curve, this.y];
     const y = (value) => y0 - ((value - check.low) / (check.high - check.low)) * (y0 - y1);
-    this.heading(check.name, inUnits(check.unit), `, worst of each frame; red: beyond the bound`);
+    this.heading(check.name, check.unit, this.width < 600 ? ", red: broken" : ", worst of each frame; red: beyond the bound");
     for (const [from, to] of check.broken) {
       const wide = Math.max(2, this.x(to) - this.x(from));
       this.parts.push(svg("rect", { x: px((this.x(from) + this.x(to) - wide) / 2), width: px(wide), y: px(y1), height: px(y0 - y1), class: "broken" }));

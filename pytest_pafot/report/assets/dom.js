@@ -35,9 +35,6 @@ const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 const fixed = (value, digits) => (value === null || value === undefined ? "-" : value.toFixed(digits));
 const px = (value) => (Math.round(value * 100) / 100).toString();
 
-// Units as the curves write them.
-const inUnits = (text) => text.replaceAll("m/s^2", "m/s\u00b2").replaceAll("m/s^3", "m/s\u00b3");
-
 function linePath(points) {
   // Points of [x, y]; null lifts the pen.
   let isDown = false;

@@ -10,6 +10,18 @@ let player = null;
 
 document.documentElement.classList.add("js");
 
+for (const article of articles) {
+  // The line above the picture breaks only between its phrases.
+  const headline = article.querySelector("h2").childNodes[1];
+  const phrases = headline.textContent.split(/(?<=[:,;]) /);
+  headline.replaceWith(...phrases.flatMap((phrase, place) => {
+    const shown = document.createElement("span");
+    shown.className = "phrase";
+    shown.textContent = phrase.trim();
+    return [" ", shown].slice(place || phrase.startsWith(" ") ? 0 : 1);
+  }));
+}
+
 const announce = (text) => { status.textContent = text; };
 
 function readLink() {
@@ -50,7 +62,8 @@ function reveal(link) {
   const list = document.getElementById("list");
   const place = link.getBoundingClientRect();
   const frame = list.getBoundingClientRect();
-  if (place.top < frame.top) list.scrollTop -= frame.top - place.top;
+  const heading = link.closest("#list > .group")?.firstChild.offsetHeight ?? 0;
+  if (place.top < frame.top + heading) list.scrollTop -= frame.top + heading - place.top;  // the heading stays on top
   if (place.bottom > frame.bottom) list.scrollTop += place.bottom - frame.bottom;
 }
 

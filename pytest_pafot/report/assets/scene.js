@@ -65,7 +65,7 @@ function instructionAt(finding, npc, time) {
 
 function decisionAt(finding, time) {
   const decision = finding.decisions.findLast(([start]) => start <= time + 1e-6);
-  return decision ? inUnits(decision[2]) : "";
+  return decision ? decision[2] : "";
 }
 
 function cellCentre(finding, ego, cell, [index, share]) {
