@@ -33,7 +33,7 @@ from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.seeing import is_pure
 from pytest_pafot.world.guard.chance import OwnDraws
 from pytest_pafot.world.guard.failure import closing
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import HangGuard, code_of_driver
 from pytest_pafot.world.kernel.action import without_reversing
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import DRIVES, Start
@@ -83,7 +83,7 @@ class SeatedDriver(PlannerDriver):
 
     def __init__(self, record: FloatArray, own: FloatArray, npc: int, *planner: Any, **common: Any) -> None:
         super().__init__(*planner, **common)
-        self._record, self._own = record, own
+        self._record, self._own, self._npc = record, own, npc
         self._seats = seated(range(record.shape[1]), npc + 1)
         self._copied = 0
 
@@ -91,7 +91,8 @@ class SeatedDriver(PlannerDriver):
         """Observe from the NPC's place, call the planner under guard, and check and apply its action."""
         self._own[self._copied : tick + 1] = self._record[self._copied : tick + 1, self._seats]
         self._copied = tick + 1
-        return super().decide(tick)
+        with code_of_driver(self._npc):
+            return super().decide(tick)
 
 
 class TrafficDriver(ModelDriver):
@@ -235,7 +236,7 @@ class FreeNpc:
                 "write driver='idm' or 'mobil'",
             )
         try:
-            with self._draws:
+            with code_of_driver(self._npc), self._draws:
                 return policy.make()
         except AdsFactoryError as error:
             place = f"drivers[{self._name!r}]" if self._planner is None else self._place
@@ -270,7 +271,7 @@ class FreeNpc:
     def close(self) -> None:
         """Close the ADS."""
         if self._ads is not None:
-            with closing(self._ads.given, self._rules.hang_limit):
+            with code_of_driver(self._npc), closing(self._ads.given, self._rules.hang_limit):
                 pass
 
 
