@@ -472,6 +472,7 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "fitness": request.fitness,
         "decision_limit": request.decision_limit,
         "against": None if harness.against is None else harness.against.commit or harness.against.shown,
+        "drivers": {name: getattr(each, "commit", "") for name, each in harness.drivers.items()},
         "sight": None if sight is None else asdict(sight),
         "weights": harness.policy.weights,
         "versions": harness.versions,
