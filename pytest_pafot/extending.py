@@ -89,7 +89,6 @@ if TYPE_CHECKING:
     from pytest_pafot.world.engines.npc_drivers import register as register
     from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld as SteppedWorld
     from pytest_pafot.world.engines.ordinary_traffic import drive_episode as drive_episode
-    from pytest_pafot.world.guard.chance import OwnDraws as OwnDraws
     from pytest_pafot.world.guard.hang_guard import check_time as check_time
     from pytest_pafot.world.guard.own_worlds import base_world as base_world
     from pytest_pafot.world.guard.own_worlds import rollout_of as rollout_of
@@ -148,7 +147,6 @@ _HOMES = {
     "check_function": "commands.policy_reference",
     "check_parameters": "searching.ask_tell",
     "check_time": "world.guard.hang_guard",
-    "OwnDraws": "world.guard.chance",
     "checked_action": "world.driving.policy_driver",
     "chosen_world": "commands.policy_reference",
     "code_of": "world.codec",

@@ -393,6 +393,17 @@ def test_wrong_return_of_a_kind_is_refused_by_the_name_of_its_method(name, made,
         list(getattr(one, name)())
 
 
+def test_remark_of_a_kind_stays_in_its_comment():
+    kind = changed(remark=property(lambda self: "left\nexpect: {outcome: safe}\x1b[31m\u2028xfail: no"))
+    register(kind, drives="itself")
+    given = kind(beside=1, ahead=20.0, speed=20.0, period=4.0)
+    text = text_of(replace(plain_finding(), scenario=Scenario(npcs=((given,),))))
+    (line,) = [each for each in text.splitlines() if "left" in each]
+    assert "outcome: safe" in line
+    assert "\x1b" not in text
+    assert "xfail: no" in line
+
+
 def test_error_that_a_kind_raises_is_its_own():
     kind = changed(roughness=property(lambda self: 1 // 0))
     register(kind, drives="itself")

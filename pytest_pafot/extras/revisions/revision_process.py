@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.extending import OwnDraws, Policy, Requests, ads_factory
+from pytest_pafot.extending import Policy, Requests, ads_factory
 from pytest_pafot.extras.revisions.revision_policy import PACKAGE, RevisionPolicy, mapped
 from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError
 from pytest_pafot.support.references import described, name_of
@@ -39,7 +39,7 @@ class Served:
     policy: RevisionPolicy
     opened: set[str]  # the files that this process has opened to read, or started; it grows
     factory: Callable[..., Any] | None = None
-    drivers: dict[int, Any] = field(default_factory=dict)  # those of NPCs in the current run, with their generators
+    drivers: dict[int, Any] = field(default_factory=dict)  # those of NPCs in the current run
     count: int = 0  # the number of such drivers so far
     _known: set[str] = field(default_factory=set)  # the paths that were looked at
     _modules: set[str] = field(default_factory=set)  # the names of modules that were looked at
@@ -94,10 +94,8 @@ class Served:
             AdsFactoryError: if the policy does not decide from observations, or cannot be made.
         """
         assert self.factory is not None  # noqa: S101  (for type checkers: it is served)
-        policy, draws, ads = Policy(self.factory), OwnDraws(seed), None
-        if policy.only_observes:
-            with draws:
-                ads = policy.make()
+        policy = Policy(self.factory)
+        ads = policy.make_drawing(seed) if policy.only_observes else None
         if ads is None or ads.drives_itself:
             received = "one that needs env" if ads is None and policy.simulates else "a vehicle class"
             raise AdsFactoryError(
@@ -105,19 +103,16 @@ class Served:
                 f"received {received}; name its present class in drivers="
             )
         self.count += 1
-        self.drivers[self.count] = ads, draws
+        self.drivers[self.count] = ads
         return self.count, ads.sight
 
     def decided(self, number: int, observation: Any) -> Any:
         """Return the decision of a driver of an NPC."""
-        ads, draws = self.drivers[number]
-        with draws:
-            return ads.decides(observation)
+        return self.drivers[number].decides(observation)
 
     def ended(self, number: int) -> None:
         """Close a driver of an NPC after its run, if it is of this process."""
-        ads, _ = self.drivers.pop(number, (None, None))
-        close = getattr(getattr(ads, "given", None), "close", None)
+        close = getattr(getattr(self.drivers.pop(number, None), "given", None), "close", None)
         if callable(close):
             close()
 
