@@ -55,6 +55,7 @@ from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sente
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.sight import BoolArray
 from pytest_pafot.model.trace import ALONG, HEADING, LANE, SPEED, Trace, X, Y
 
 # Right of way where the NPC's way meets the ego's: which vehicle did not give way, and which entered a taken zone.
@@ -600,13 +601,24 @@ class Conflict:
         self._safe_along = frame.safe_along(DISTANCES)[:, npc]
         along, across = frame.gap_along[:, npc], frame.gap_across[:, npc]
         is_close = (along < self._safe_along) | (along <= 0)
+        self._onset = self._one_track_since(across[:-1] > 0)  # from here to the end they were in one track
         is_dangerous = is_close & (across < frame.safe_across(DISTANCES)[:, npc])
+        is_dangerous[self._onset :] = is_close[self._onset :]
         safe = np.flatnonzero(~is_dangerous[:-1])
         self._start = int(safe[-1]) + 1 if safe.size else 0
         self._before = max(self._start - 1, 0)  # the last safe tick; responses count from here
-        apart = np.flatnonzero(across[:-1] > 0)
-        self._onset = int(apart[-1]) + 1 if apart.size else 0  # from here to the end they were in one track
         self._side = 1.0 if frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
+
+    def _one_track_since(self, is_apart: BoolArray) -> int:
+        """Return the tick from which on the two were in one track.
+
+        A motorcycle that swerves in the lane of the other does not leave that track, even where the boxes do not
+        overlap: otherwise its swerve would hide how it came in.
+        """
+        lanes = self._trace.states[:-1, [0, self._npc + 1], LANE]
+        left = np.flatnonzero(is_apart & (lanes[:, 0] != lanes[:, 1]))
+        first = int(left[-1]) + 1 if left.size else 0
+        return first + next((at for at, apart in enumerate(is_apart[first:]) if not apart), len(is_apart) - first)
 
     @property
     def has_begun_safely(self) -> bool:

@@ -376,6 +376,11 @@ def replays_of(
         where = "drivers" if name in request.drivers.values() else "against"
         raise request.error(where, f"expected a factory, or its name as module:factory, received {name!r}")
 
+    def revision(name: str) -> NoReturn:
+        expected = "a factory, or its name as module:factory"
+        drive = "a revision drives in a test with @pafot.search, and by the command search"
+        raise request.error("drivers", f"expected {expected}, received {name!r}; {drive}")
+
     # Without a corpus, findings are not saved, but the search and its replays need the place where they would be.
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
     folder = folder_of_test(Path(module), test, str(corpus), Path())
@@ -386,7 +391,7 @@ def replays_of(
     if settings.resume is not None:
         check_states(settings.resume, Path.cwd())
     policy, world = Policy(request.ads), build_world(request, Highway())
-    drivers = drivers_of(request, policy.factory, fixture)
+    drivers = drivers_of(request, policy.factory, fixture, revision)
     harness = Harness(
         request=request,
         world=with_drivers(world, drivers),

@@ -98,7 +98,7 @@ class MadeWorse:
         try:
             verdict = bench.finish(bench.run(scenario))
         except ProcessLostError as error:
-            return (yield from lose(error, self.state, bench, self.store)), False
+            return (yield from lose(error, self.state, bench, self.store)) == "failed", False
         if not verdict.passes:
             return verdict.failed, False
         reference = bench.harness.judge_reference(bench.reference, scenario)

@@ -247,17 +247,13 @@ def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any
         if name in BUILT_IN_DRIVERS and value != name:
             problem = f"{name!r} to have no factory, because it is a driver of the plugin, received {value!r:.100}"
             raise RequestError(f"{wrong} {problem}; choose another name, or write {name!r}: {name!r}")
-        if isinstance(value, str) and value.startswith(REVISION):
-            problem = "a policy that this process can make, received a revision, which drives in a process of its own"
-            of_tree = f"`git worktree add ../last_version {value.removeprefix(REVISION)}` and PYTHONPATH=.."
-            fix = f"with {of_tree} it is such as 'last_version.planner:Planner'"
-            raise RequestError(f"{wrong} {problem}: {value!r}; {fix}")
-        if isinstance(value, str) and ":" in value:
+        is_revision = isinstance(value, str) and value.startswith(REVISION)
+        if isinstance(value, str) and ":" in value and not is_revision:
             try:
                 value = factory_named(value)  # noqa: PLW2901
             except ValueError as error:
                 raise RequestError(f"{place}: {error}") from error
-        if value != "" and (problem := _problem_of_ads(value)):
+        if value != "" and not is_revision and (problem := _problem_of_ads(value)):
             raise RequestError(f"{place}: {name!r}: {problem}")
         drivers[name] = value
     return drivers
@@ -267,10 +263,12 @@ def _some_drivers(known: Sequence[str]) -> str:
     return f'some of {", ".join(map(repr, known))}, or a mapping such as {{"last": MyPlanner}}'
 
 
-def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
+def drivers_of(
+    request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any], revision: Callable[[str], Any]
+) -> dict[str, Any]:
     """Return the factories of the drivers of free NPCs by name, if named with the policy under test as ``policy``.
 
-    ``fixture`` returns the value of a fixture.
+    ``fixture`` returns the value of a fixture, and ``revision`` the factory of a driver by the policy of a revision.
     """
     own = {name: each for name, each in request.drivers.items() if name not in BUILT_IN_DRIVERS and each != ""}
     given = request.settings.against
@@ -278,7 +276,10 @@ def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[
         problem = f"only idm and mobil with against={given!r}, whose process has none of these policies, received"
         raise request.error("drivers=...", f"expected {problem} {', '.join(request.drivers)}")
     named = {"policy": policy} if "policy" in request.drivers else {}
-    return named | {name: fixture(each) if isinstance(each, str) else each for name, each in own.items()}
+    for name, each in own.items():
+        if isinstance(each, str):
+            own[name] = revision(each) if each.startswith(REVISION) else fixture(each)
+    return named | own
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:

@@ -20,6 +20,7 @@ from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import drivers_error
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
@@ -79,9 +80,8 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
                     state.first_generation.is_alike = False
                     yield from _released(state, store)
                     if done is not None:
-                        is_failure = yield from lose(done, state, bench, store)
-                        state.verdicts["failed" if is_failure else "common"] += 1
-                    taken = [plan.take(unknown(plan.scenario()))]
+                        state.verdicts[(yield from lose(done, state, bench, store))] += 1
+                    taken = [plan.take(unknown(plan.scenario(), "" if done is None else drivers_error(done)))]
             state.decides_for_many = plan.decides_for_many = state.decides_for_many or bench.runner.decides_for_many
             yield from _released(state, store)
             yield from _counted(taken, state, watch)

@@ -356,6 +356,7 @@ class SearchSession:
         for leftover in left:
             retried.append((yield from self._retried(leftover, left)))
         self.process_notes += [note for each in retried for note in each.notes]
+        state.fatal |= {each.fatal for each in retried if each.fatal is not None}
         reason, fault, is_closed = Ending.INTERRUPTED, None, False
         try:
             with bench.runner:

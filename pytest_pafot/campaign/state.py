@@ -417,14 +417,17 @@ class State:
         ]
 
 
-def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, bool]:
+def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, str]:
     """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
 
-    Return whether that is a failure. It is none if the reference does not pass the scenario either.
+    Return the kind of the verdict. It is no failure if the reference does not pass the scenario either, or if the
+    process died in the code of an NPC's driver.
     """
     state.fatal.add(lost.task)
+    if lost.npc is not None:
+        return "invalid"
     if bench.is_common(lost.task):
-        return False
+        return "common"
     signature = expectation(lost).signature
     if state.knows(signature):
         state.repeat(signature)
@@ -432,7 +435,7 @@ def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[S
         sighting = store.add_lost(lost, state.generation, state.runs + 1)
         yield from store.publish(sighting)
         state.add(signature, sighting.id)
-    return True
+    return "failed"
 
 
 MAX_SAVED = flag("max_saved")
@@ -469,6 +472,7 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "fitness": request.fitness,
         "decision_limit": request.decision_limit,
         "against": None if harness.against is None else harness.against.commit or harness.against.shown,
+        "drivers": {name: getattr(each, "commit", "") for name, each in harness.drivers.items()},
         "sight": None if sight is None else asdict(sight),
         "weights": harness.policy.weights,
         "versions": harness.versions,

@@ -358,9 +358,11 @@ def _headline(lost: LostRun) -> str:
 
 def cause(lost: LostRun, way_out: str) -> str:
     """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
-    if lost.how == OUT_OF_MEMORY:
+    if lost.npc is not None:
+        return "that driver is the cause, and not the policy: correct it, or leave it out of drivers="
+    if lost.end == OUT_OF_MEMORY:
         return f"the ADS uses more and more memory, or needs that much (then give a larger {flag('memory')})"
-    if lost.how == WORLD_HANGS:
+    if lost.end == WORLD_HANGS:
         return f"the world hangs, or needs that long (then give it a longer hang_limit and {way_out})"
     if not lost.is_hang:
         return "the likely cause is a crash of native code, an exit or a lack of memory"

@@ -30,6 +30,7 @@ from pytest_pafot.execution.scenario_pool import (
     Job,
     LostRun,
     Timed,
+    drivers_error,
     pool_for,
     run_recorded,
 )
@@ -278,10 +279,10 @@ class BlockDriver:
                     raise
                 except Exception:  # noqa: BLE001  (the session runs it again, and reports what is raised)
                     answer = None
-                if isinstance(answer, ProcessLostError) and answer.how != KILLED:
+                if isinstance(answer, ProcessLostError) and answer.end != KILLED:
                     count()
                     say((answer, CapturedOutput(), 0.0))
-                    block.take(unknown(scenario))
+                    block.take(unknown(scenario, drivers_error(answer)))
                     continue
                 digested, output, seconds = answer if isinstance(answer, tuple) else (None, CapturedOutput(), 0.0)
                 # Only the session may judge this run, or report what it raised: it goes on with the block from here.

@@ -23,6 +23,7 @@ from pytest_pafot.model.driving_style import PAPERS
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
+from pytest_pafot.support.text import visible
 
 
 class CorpusWriteError(RuntimeError):
@@ -166,7 +167,8 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
                 yield from (begin + first.lstrip(), *others)
                 continue
             entry = begin + _flow(told)
-            yield f"{entry:{COMMENT_COLUMN}}# {each.remark}" if each.remark else entry
+            remark = visible(each.remark)[:120]  # that of a registered kind may be any text
+            yield f"{entry:{COMMENT_COLUMN}}# {remark}" if remark else entry
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:

@@ -41,6 +41,7 @@ from pytest_pafot.execution.scenario_pool import (
     ScenarioPool,
     Timed,
     capture_output,
+    drivers_error,
     made_apart,
     made_from,
     pool_for,
@@ -1009,6 +1010,8 @@ class Retried:
     """Notes for the user on scenarios that did not cause the death of the process."""
     pending: Leftover | None = None
     """The crash record to remove at the end of the search, or None. If this session dies, the next one reads it."""
+    fatal: Scenario | None = None
+    """A scenario that must not be run, because the driver of an NPC ends the process in it; None if there is none."""
 
 
 def retry(
@@ -1058,6 +1061,13 @@ def retry(
     for scenario in guilty:
         answer = None if answers is None else answers[scenario]
         lost = answer if isinstance(answer, ProcessLostError) else None
+        if lost is not None and (error := drivers_error(lost)):
+            note = (
+                f"a process (pid {leftover.pid}) died while it ran {scenario}, and again: {error}, which says nothing "
+                f"about the ADS: correct that driver, leave it out of drivers=, or search with {flag('isolate')}, so "
+                "that it can die without harm"
+            )
+            return Retried(notes=(note,), pending=leftover, fatal=scenario)
         if lost is not None or not leftover.is_lock_step:
             keep(leftover, scenario, lost)
     if guilty:

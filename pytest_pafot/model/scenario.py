@@ -256,6 +256,11 @@ class Scenario(_Hashed):
         """Return what vehicle an NPC is."""
         return self.vehicles[npc] if npc < len(self.vehicles) else CAR
 
+    def drivers_error(self, npc: int, error: str) -> str:
+        """Return a line on an error of the driver of an NPC."""
+        first = self.npcs[npc][0]
+        return f"the driver {getattr(first, 'driver', first.name)} failed: {error}"
+
     @property
     def all_vehicles(self) -> tuple[VehicleType, ...]:
         """The vehicle that each NPC is, also those after the last one that is no car."""

@@ -547,8 +547,7 @@ class Trace(Shown):
         if self.npc_error is None:
             return self.ended if self.outcome is Outcome.INVALID else ""
         npc, error = self.npc_error
-        first = self.scenario.npcs[npc][0]
-        return f"the driver {getattr(first, 'driver', first.name)} failed: {error.text}"
+        return self.scenario.drivers_error(npc, error.text)
 
     def steps_begun(self, npc: int) -> tuple[int, ...]:
         """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""

@@ -133,7 +133,12 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
     policy = Policy(policy_of(item))
-    drivers = drivers_of(request, policy.factory, lambda name: checked_factory(item.funcargs[name], name))
+    drivers = drivers_of(
+        request,
+        policy.factory,
+        lambda name: checked_factory(item.funcargs[name], name),
+        lambda text: _driver_of(item, request, text),
+    )
     given = against if revision is None else revision.policy
     harness = Harness(
         request=request,
@@ -181,6 +186,22 @@ def _revision_of(item: pytest.Item, request: Request) -> Any:
         return opened(REFERENCES).revision_of(item, against, request.settings.copy or "", *names)
     except RevisionError as error:
         raise AgainstError(str(error)) from None
+
+
+def _driver_of(item: pytest.Item, request: Request, revision: str) -> Any:
+    """Return the factory of drivers of NPCs by the policy of an item's test in a revision.
+
+    Raises:
+        RequestError: if there is no such revision, or its policy cannot be built.
+    """
+    names = node_ids.base_id(item), node_ids.qualified_name(item), os.environ.get(OF_COMMAND, "")
+    try:
+        driver, label = opened(REFERENCES).driver_of(item, revision, request.settings.copy or "", *names)
+    except RevisionError as error:
+        raise request.error("drivers=...", str(error)) from None
+    if request.settings.is_search:
+        messages.send(item, "note", {"text": f"free NPCs that {revision} drives: the policy of {label}"})
+    return driver
 
 
 def _compare(item: pytest.Item, harness: Harness) -> None:

@@ -179,6 +179,16 @@ class TestCutIn:
             "The ego had too little time to respond, by the rules.",
         )
 
+    @pytest.mark.parametrize(
+        "swerves", [[], [(3.2, OWN - 1.8, 0.7), (3.9, OWN - 1.0, 0.7)]], ids=["straight", "swerves"]
+    )
+    def test_swerve_of_a_motorcycle_in_the_lane_hides_no_cut_in(self, swerves):
+        """It is 0.9 m wide, so its box and the ego's do not overlap across the lane for a while."""
+        npc = driven(9.0, LEFT, brakes=[(3.0, 8.0, 0.0)], shifts=[(2.0, OWN, 1.2), *swerves])
+        found = rss_rule(crash(driven(0.0, brakes=[(3.4, 7.0, 0.0)]), npc, sizes=[(5.0, 2.0), (2.2, 0.9)]))
+        assert found.responsibility == "npc"
+        assert found.sentences[0].startswith("NPC 0 crossed into lane 1 at 2.")
+
     @pytest.mark.parametrize(("brakes", "responsible", "due"), [(4.5, "ego", 10.5), (8.0, "both", 9.5)])
     def test_ego_not_braking_after_cut_in_is_responsible(self, brakes, responsible, due):
         """It shares the responsibility with an NPC that brakes hard for nothing."""

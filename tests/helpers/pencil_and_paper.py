@@ -184,8 +184,12 @@ class Crash:
         self.trace, self.hz, self.impact = trace, trace.physics_hz, trace.collision.tick
         self.vehicles = [Vehicle(trace, index) for index in range(trace.states.shape[1])]
         self.ego, self.npc = self.vehicles[0], self.vehicles[trace.collision.npc + 1]
+        together = [in_one_track(self.ego, self.npc, 0)]
+        for tick in range(1, self.impact + 1):  # a narrow vehicle that swerves in the lane has not left
+            stays = together[-1] and self.ego.lane[tick] == self.npc.lane[tick]
+            together.append(stays or in_one_track(self.ego, self.npc, tick))
+        self.joined = first_of_last_stretch(together.__getitem__, self.impact)
         self.danger = first_of_last_stretch(self.is_danger, self.impact)
-        self.joined = first_of_last_stretch(lambda tick: in_one_track(self.ego, self.npc, tick), self.impact)
         self.is_cut_in = False
         self.counted = None  # the tick from which a response was last counted
         self.sped_up = self.sped_up_to = None  # from which tick one vehicle sped up into the other, and to which speed
@@ -198,7 +202,7 @@ class Crash:
         pair = (self.ego, self.npc) if is_behind(self.ego, self.npc, tick) else (self.npc, self.ego)
         is_close_along = apart < safe_along(*pair, tick) or apart <= 0
         is_close_across = max(0.0, beside(self.ego, self.npc, tick)) < safe_across(self.ego, self.npc, tick)
-        return is_close_along and is_close_across
+        return is_close_along and (is_close_across or tick >= self.joined)
 
     def seconds(self, ticks):
         return ticks / self.hz

@@ -370,6 +370,47 @@ def test_what_is_no_instruction_is_refused_by_the_name_of_its_kind(made):
         [mutate(scenario, SearchSpace(npcs=1), rng) for _ in range(30)]
 
 
+@table(
+    ("name", "made", "expected"),
+    [
+        ("steps", property(lambda self: (1, 2)), r"a list or tuple of pafot\.Step\(\.\.\.\), received \(1, 2\)"),
+        ("steps", property(lambda self: None), r"a list or tuple of pafot\.Step\(\.\.\.\), received None"),
+        ("goal", property(lambda self: 3), "a text, received 3"),
+        ("roughness", property(lambda self: "rough"), "a whole number, received 'rough'"),
+        ("weight", property(lambda self: 0.5), r"a whole number, received 0\.5"),
+        ("plainer", lambda self: iter([None]), "an instruction, received None"),
+        ("plainer", lambda self: 5, "an instruction, received 5"),
+        ("plain", lambda self: "it", "a list of texts and numbers, received 'it'"),
+        ("in_file", lambda self: [1], r"a dict of its fields, received \[1\]"),
+    ],
+)
+def test_wrong_return_of_a_kind_is_refused_by_the_name_of_its_method(name, made, expected):
+    kind = changed(**{name: made})
+    for _ in range(2):  # as in a notebook
+        register(kind, drives="itself")
+    one = kind(beside=1, ahead=20.0, speed=20.0, period=4.0)
+    with pytest.raises(ScenarioError, match=rf"\w+\.{name}: expected {expected}; correct this property or method"):
+        list(getattr(one, name)())
+
+
+def test_remark_of_a_kind_stays_in_its_comment():
+    kind = changed(remark=property(lambda self: "left\nexpect: {outcome: safe}\x1b[31m\u2028xfail: no"))
+    register(kind, drives="itself")
+    given = kind(beside=1, ahead=20.0, speed=20.0, period=4.0)
+    text = text_of(replace(plain_finding(), scenario=Scenario(npcs=((given,),))))
+    (line,) = [each for each in text.splitlines() if "left" in each]
+    assert "outcome: safe" in line
+    assert "\x1b" not in text
+    assert "xfail: no" in line
+
+
+def test_error_that_a_kind_raises_is_its_own():
+    kind = changed(roughness=property(lambda self: 1 // 0))
+    register(kind, drives="itself")
+    with pytest.raises(ZeroDivisionError):
+        assert kind(beside=1, ahead=20.0, speed=20.0, period=4.0).roughness
+
+
 def test_simpler_instructions_without_an_end_are_shrunk():
     def plainer(self):
         while True:

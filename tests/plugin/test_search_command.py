@@ -452,7 +452,6 @@ def test_session_of_a_search_that_is_killed_ends(here):
             ["a_planner:Planner", "--driver", "last"],
             "search: --driver: expected idm, mobil, policy, or NAME=MODULE",
         ),
-        (["a_planner:Planner", "--driver", "last=rev:main"], "; with `git worktree add ../last_version main` and "),
         (
             ["a_planner:Planner", "--driver", "last=a_planner:No"],
             "search: --driver: expected a factory in the module a",

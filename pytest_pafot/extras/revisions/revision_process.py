@@ -16,7 +16,7 @@ from typing import Any
 
 from pytest_pafot.extending import Policy, Requests, ads_factory
 from pytest_pafot.extras.revisions.revision_policy import PACKAGE, RevisionPolicy, mapped
-from pytest_pafot.support.errors import RequestError, RevisionError
+from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionError
 from pytest_pafot.support.references import described, name_of
 from pytest_pafot.support.source_files import is_users, source_files
 from pytest_pafot.support.text import one_line, visible
@@ -39,6 +39,8 @@ class Served:
     policy: RevisionPolicy
     opened: set[str]  # the files that this process has opened to read, or started; it grows
     factory: Callable[..., Any] | None = None
+    drivers: dict[int, Any] = field(default_factory=dict)  # those of NPCs in the current run
+    count: int = 0  # the number of such drivers so far
     _known: set[str] = field(default_factory=set)  # the paths that were looked at
     _modules: set[str] = field(default_factory=set)  # the names of modules that were looked at
     _strangers: set[str] = field(default_factory=set)
@@ -81,8 +83,38 @@ class Served:
         try:
             return function(self, *arguments)
         finally:
-            if refused := self.refused():
+            # A decision takes less time than the look at what the process has seen; the end of its run comes soon.
+            if function is not Served.decided and (refused := self.refused()):
                 raise RevisionError(f"{self.policy.label}: {refused}")
+
+    def made(self, seed: int) -> tuple[int, Any]:
+        """Make a driver of an NPC for one run, with random numbers of its own; return its number and its sight.
+
+        Raises:
+            AdsFactoryError: if the policy does not decide from observations, or cannot be made.
+        """
+        assert self.factory is not None  # noqa: S101  (for type checkers: it is served)
+        policy = Policy(self.factory)
+        ads = policy.make_drawing(seed) if policy.only_observes else None
+        if ads is None or ads.drives_itself:
+            received = "one that needs env" if ads is None and policy.simulates else "a vehicle class"
+            raise AdsFactoryError(
+                f"{self.policy.label}: expected a policy that decides from observations as the driver of an NPC, "
+                f"received {received}; name its present class in drivers="
+            )
+        self.count += 1
+        self.drivers[self.count] = ads
+        return self.count, ads.sight
+
+    def decided(self, number: int, observation: Any) -> Any:
+        """Return the decision of a driver of an NPC."""
+        return self.drivers[number].decides(observation)
+
+    def ended(self, number: int) -> None:
+        """Close a driver of an NPC after its run, if it is of this process."""
+        close = getattr(getattr(self.drivers.pop(number, None), "given", None), "close", None)
+        if callable(close):
+            close()
 
     def is_whole(self) -> bool:
         """Return whether all files of the user that this process has imported are of the revision."""

@@ -14,6 +14,7 @@ import pytest
 from pytest_pafot import Scenario
 from pytest_pafot.extending import ProcessLostError, refusals
 from pytest_pafot.extras.revisions.revision import PROCESS, Revision, revision_at
+from pytest_pafot.extras.revisions.revision_driver import RevisionDriver
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy, rolled
 from pytest_pafot.extras.revisions.revision_process import NO_TEST, Served
 from pytest_pafot.support.errors import OutOfTime, RequestError, RevisionError, flag
@@ -96,7 +97,9 @@ def _of_test(item: pytest.Item, revision: Revision, test: Path, name: str) -> Re
     return revision.policy("pytest_pafot.extras.revisions.revision_session", name, tuple(arguments))
 
 
-def revision_of(item: pytest.Item, against: str, copy: str, test: str, name: str, named: str) -> OfTest:
+def revision_of(
+    item: pytest.Item, against: str, copy: str, test: str, name: str, named: str, *, place: str = "against: "
+) -> OfTest:
     """Return the policy of an item's test in a revision.
 
     Args:
@@ -106,6 +109,7 @@ def revision_of(item: pytest.Item, against: str, copy: str, test: str, name: str
         test: the node id of the test, without the plugin's own part.
         name: the name of the test in its file.
         named: the policy that a command names, in place of that of a test; or empty.
+        place: the beginning of messages.
 
     Raises:
         RevisionError: if there is no such revision, or its policy cannot be built.
@@ -125,8 +129,27 @@ def revision_of(item: pytest.Item, against: str, copy: str, test: str, name: str
             revisions.known[key] = error
     known = revisions.known[key]
     if isinstance(known, RevisionError):
-        raise RevisionError(f"against: {known}")
+        raise RevisionError(f"{place}{known}")
     return known
+
+
+def driver_of(
+    item: pytest.Item, revision: str, copy: str, test: str, name: str, named: str
+) -> tuple[RevisionDriver, str]:
+    """Return the factory of drivers of NPCs by the policy of an item's test in a revision, and the revision's label.
+
+    The arguments are those of :func:`revision_of`.
+
+    Raises:
+        RevisionError: if there is no such revision, or its policy is new since then or cannot be built.
+    """
+    found = revision_of(item, revision, copy, test, name, named, place="")
+    if found.policy is None:
+        raise RevisionError(
+            f"{found.revision.label}: expected a revision that has the policy, received one that lacks it; name a "
+            "later one"
+        )
+    return RevisionDriver(found.policy), found.revision.label
 
 
 def compared(found: OfTest, world: Any, scenario: Scenario) -> tuple[list[str], str]:

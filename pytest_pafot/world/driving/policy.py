@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -15,6 +15,7 @@ from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, takes_nothing
 from pytest_pafot.world.driving.perception import ads_and_sight, sight_of
+from pytest_pafot.world.guard.chance import OwnDraws
 
 
 class DrivesElsewhere(ABC):
@@ -133,6 +134,18 @@ class Policy:
         given = make_ads(self.factory, **arguments)
         decides, sight = ads_and_sight(given)
         return Ads(given, decides, sight, drives_itself=is_vehicle_class(given))
+
+    def make_drawing(self, seed: int) -> Ads:
+        """Make a fresh ADS that draws from generators of its own, seeded once."""
+        draws = OwnDraws(seed)
+        with draws:
+            ads = self.make()
+
+        def decides(observation: Any) -> Any:
+            with draws:
+                return ads.decides(observation)
+
+        return ads if ads.drives_itself else replace(ads, decides=decides)
 
     def _own(self, name: str) -> Any:
         """Return an attribute of the factory or of the factory that it wraps; None if there is none.

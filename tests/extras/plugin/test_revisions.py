@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -458,6 +459,71 @@ def test_branch_without_a_commit_is_a_usage_error(repository):
     result = run(repository)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stdout.fnmatch_lines(["*against (rev:main (*)): *received 'HEAD', which does not exist in *"])
+
+
+DECIDES = "import os\nimport time\n\nclass Adapter:\n    __call__ = lambda self, seen: {}\n"
+
+HANGS_SOON = """
+import pytest
+import pytest_pafot as pafot
+
+@pytest.fixture
+def pafot_world():
+    return pafot.Highway(hang_limit=0.5)
+"""
+
+LAST = """
+from pkg.adapter import Adapter
+import pkg.core
+
+
+@pafot.search(SHORT, ads=Adapter, drivers={"last": "rev:main"}, runs=8)
+def test_others_are_driven_by_the_last_version(run):
+    for number, chain in enumerate(run.scenario.npcs):
+        if getattr(chain[0], "driver", "") == "last":
+            speeds = run.trace.npcs[:, number, 3]
+            assert abs(speeds - speeds[0]).max() < 1e-9
+            print("driven by last")
+    assert run.ego.speed.max() > 22.5
+"""
+
+
+def driven_by_last(project, policy, *args, apart=True):
+    """Run a search in which a revision with some policy drives NPCs."""
+    project.write(LAST)
+    commit(project, **{"pkg/core.py": policy})
+    write(project, {"pkg/core.py": NOW, "pkg/adapter.py": ADAPTER})
+    return project.run("-rP", *args, apart=apart)
+
+
+def test_revision_drives_free_npcs_as_it_was(repository):
+    result = driven_by_last(repository, "SPEED_UP = 0.0\n")
+    result.assert_outcomes(passed=1)
+    commit_name = git(repository, "rev-parse", "main")[:7]
+    result.stdout.fnmatch_lines([f"*note: free NPCs that rev:main drives: the policy of rev:main ({commit_name})"])
+    assert "driven by last" in result.outlines
+
+
+@pytest.mark.parametrize(
+    ("policy", "told"),
+    [
+        (DECIDES.format("[][1]"), "RevisionError: rev:main (*): expected a policy that drives, received IndexError"),
+        (DECIDES.format("os._exit(3)"), "that decides, received one whose process ended with exit code 3"),
+        (DECIDES.format("time.sleep(99)"), "Hang: one decision took longer"),
+        ("from highway_env.vehicle.behavior import IDMVehicle as Adapter\n", "observations*, received a vehicle class"),
+    ],
+)
+def test_revision_that_fails_as_a_driver_is_no_failure_of_the_policy(repository, policy, told):
+    write(repository, {"pkg/adapter.py": policy, "conftest.py": HANGS_SOON})
+    result = driven_by_last(repository, "SPEED_UP = 0.0\n")
+    text = " ".join(line.strip() for line in result.outlines)
+    assert fnmatch(text, f"*{told}*")
+    assert not repository.files
+
+
+def test_revision_that_does_not_exist_drives_nobody(repository):
+    repository.write(LAST.replace("rev:main", "rev:nowhere"))
+    repository.run(apart=True).stdout.fnmatch_lines(["@pafot.search(drivers=...): rev:nowhere: expected *"])
 
 
 def dies(served):
