@@ -32,6 +32,7 @@ from pytest_pafot import (
 )
 from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
+from pytest_pafot.extras.testing.simulators import experiments
 from pytest_pafot.extras.testing.traces import ACROSS, ALONG, DEEP, ROUNDING, Promises
 from pytest_pafot.support.errors import plain_number
 
@@ -168,8 +169,10 @@ def check_world(
         able["instructions"] = "both"
     able["vehicles"] = tuple(filter(base_world(world).can_drive, (CAR, VAN, TRUCK, MOTORCYCLE)))
     random, within = np.random.default_rng(seed), base_world(world).space({**able, **space})
-    calls = _Calls(ads)
-    done = [_run(world, sample(within, random), calls) for _ in range(runs)]
+    calls, scenarios = _Calls(ads), [sample(within, random) for _ in range(runs)]
+    if isinstance(simulated := base_world(world), SimulatorWorld):
+        _keep(experiments(simulated, scenarios[0], seed))
+    done = [_run(world, each, calls) for each in scenarios]
     for each in done:
         _check_form(world, each.scenario, each.trace)
     egos, staged, more = _further(world, done, (sample(within, random) for _ in range(MORE * runs)))
