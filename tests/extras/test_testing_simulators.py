@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pytest_pafot import Scenario, Simulator, SimulatorWorld
+from pytest_pafot import PositionInstruction, Scenario, Simulator, SimulatorWorld
 from pytest_pafot.extending import base_world, sample
 from pytest_pafot.extras.testing.simulators import experiments
 from tests.helpers.tables import table
@@ -267,3 +267,22 @@ def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
 def test_right_simulator_passes_the_experiments(base, members):
     npcs = {"npcs": 1, "ego_lane": 0} if members.get("lanes") == 1 else {}
     assert first_broken(made(base, **members), **npcs) == ""
+
+
+class Backwards(Toy):
+    """Its brakes push a vehicle that stands a little backwards."""
+
+    def step(self, controls):
+        super().step(controls)
+        for car in self.cars:
+            car[3] -= 1e-3 if car[3] <= 1e-3 else 0.0
+
+
+def test_npc_that_a_simulator_pushes_backwards_is_driven_on():
+    npcs = ((PositionInstruction(2, 0.0),),)
+    assert made(Backwards).rollout(Scenario(npcs=npcs, ego_speed=5.0), lambda: lambda seen: (-2.0, 0.0)).ticks == 150
+
+
+def test_check_of_a_road_of_one_lane_needs_no_arguments(capsys):
+    check_world(made(lanes=1), runs=2)
+    assert "kept its promises" in capsys.readouterr().out
