@@ -5,9 +5,11 @@ import random
 from typing import ClassVar
 
 import numpy as np
+import pytest
 
 from pytest_pafot import PositionInstruction, Scenario, Simulator, SimulatorWorld
 from pytest_pafot.extending import base_world, sample
+from pytest_pafot.extras.testing import check_world
 from pytest_pafot.extras.testing.simulators import experiments
 from tests.helpers.tables import table
 
@@ -283,6 +285,7 @@ def test_npc_that_a_simulator_pushes_backwards_is_driven_on():
     assert made(Backwards).rollout(Scenario(npcs=npcs, ego_speed=5.0), lambda: lambda seen: (-2.0, 0.0)).ticks == 150
 
 
+@pytest.mark.filterwarnings("ignore:check_world. no:RuntimeWarning")
 def test_check_of_a_road_of_one_lane_needs_no_arguments(capsys):
     check_world(made(lanes=1), runs=2)
     assert "kept its promises" in capsys.readouterr().out
