@@ -241,7 +241,10 @@ class _Bench:
     def motion(self) -> Promises:
         """Yield that the ego moves as its controls and its state say, with the cause if it does not."""
         felt: dict[str, float] = {}
-        wrong = [each for each in self._moves(felt) if not each[0]]
+        try:
+            wrong = [each for each in self._moves(felt) if not each[0]]
+        except WorldError as error:
+            wrong = [(False, "the ego drives where it heads in each experiment", str(error))]
         if wrong:
             _, promise, received = wrong[0]
             yield False, promise, received + next(filter(None, map(self._fits, self._causes(felt))), "")
