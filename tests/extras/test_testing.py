@@ -857,6 +857,7 @@ BENT_AND_WRONG = [
     (without_a_row, "states has a row for each tick"),
     (column("states", LANE, lambda lane: np.where(lane < 0, lane, 1 - lane)), "states[..., X] and states[..., Y] of"),
     (column("states", HEADING, lambda angle: 0.0 * angle), "states[..., HEADING] "),
+    (column("states", ACCELERATION, lambda a: np.vstack([a[:1], a[2:], a[-1:]])), "states[..., ACCELERATION] is the"),
     (column("states", STEERING, np.negative), "states[..., STEERING] of the ego is positive where"),
     (column("states", STEERING, lambda a: np.clip(8 * a, -1.5, 1.5)), "states[..., STEERING] of the ego is the"),
     (lambda given: given.update(track=None), "track has the places of all vehicles on the ego's way if the road bends"),

@@ -575,8 +575,8 @@ class Remembering(Bicycle):
 @table(
     ("members", "message"),
     [
-        ({"step": held}, "the ego follows its ADS"),
-        ({"step": mirrored}, "the heading of NPCs"),
+        ({"step": held}, "the speed changes by control.acceleration"),
+        ({"step": mirrored}, "the opposite sign of control.steering"),
         ({"start": Remembering.start, "step": Remembering.step, "runs": 0}, "same"),
     ],
 )

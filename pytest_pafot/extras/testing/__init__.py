@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial, wraps
 from itertools import count, cycle
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from pytest_pafot import (
 )
 from pytest_pafot.extending import LANE, SPEED, Policy, WorldData, X, Y, base_world, rollout_of, sample
 from pytest_pafot.extras.testing import traces as rules
+from pytest_pafot.extras.testing.simulators import experiments
 from pytest_pafot.extras.testing.traces import ACROSS, ALONG, DEEP, ROUNDING, Promises
 from pytest_pafot.support.errors import plain_number
 
@@ -55,6 +57,10 @@ STEADY_BRAKING = "steady-braking"
 """The driver that brakes in its lane until it stands."""
 BRAKING, BRAKING_SHARE = 6.0, 0.1
 """The braking of the driver steady-braking [m/s^2], and the share by which it may differ."""
+FEW = 2
+"""The number of runs of a simulator that are made again in each of the checks that repeat runs."""
+QUIET = 5.0
+"""The time after which the check prints what it does [s]."""
 MORE = 4
 """The number of further runs, as a multiple of ``runs``, after which no collision is looked for any more."""
 
@@ -160,16 +166,35 @@ def check_world(
         RuntimeWarning: if no run had a collision, so that nothing about collisions was checked; or if all had an event,
             so that nothing about ``lasting`` was checked.
     """
+    started = monotonic()
+
+    def tell(what: str) -> None:
+        if (seconds := monotonic() - started) > QUIET:
+            print(f"check_world: checks {what}, after {seconds:.0f} s", flush=True)
+
     lacking = base_world(world).missing
     _promise(not lacking, "a world has all that a search needs", f"no {', '.join(lacking)}")
     _check_members(world)
     able: dict[str, Any] = {} if (found := base_world(world).crossings) is None else {"crossings": found}
     if base_world(world).has_lane_instructions:
         able["instructions"] = "both"
+    road = base_world(world).straight_road
+    if road is not None and road.lane_count == 1:
+        able["ego_lane"] = 0
     able["vehicles"] = tuple(filter(base_world(world).can_drive, (CAR, VAN, TRUCK, MOTORCYCLE)))
     random, within = np.random.default_rng(seed), base_world(world).space({**able, **space})
-    calls = _Calls(ads)
-    done = [_run(world, sample(within, random), calls) for _ in range(runs)]
+    calls, scenarios = _Calls(ads), [sample(within, random) for _ in range(runs)]
+    if isinstance(simulated := base_world(world), SimulatorWorld):
+        with _no_error("a simulator can be driven step by step, with one vehicle or several"):
+            kept = (True, "", "")
+            broken = next((each for each in experiments(simulated, scenarios[0], seed) if not each[0]), kept)
+        _promise(*broken)
+    done: list[_Done] = []
+    for scenario in scenarios:
+        tell(f"run {len(done) + 1} of {runs}")
+        done.append(_run(world, scenario, calls))
+    # What may go wrong with a simulator has shown in the experiments, and the rest is done by this package.
+    few = done[:FEW] if isinstance(simulated, SimulatorWorld) else done
     for each in done:
         _check_form(world, each.scenario, each.trace)
     egos, staged, more = _further(world, done, (sample(within, random) for _ in range(MORE * runs)))
@@ -179,17 +204,22 @@ def check_world(
     _keep(rules.of_runs(world, [each.trace for each in every]))
     for each in every:
         _keep(_decided(world, each))
-    _check_repetition(world, done)
-    _check_obedience(world, done, egos)
-    _check_speed(world, staged[:1])
-    _check_sides(world, done[0])
-    _check_decisions(world, done)
-    _check_drivers(world, staged, [*egos, *done])
-    _check_batch(world, done, ads)
-    _check_lasting(world, done, ads)
     longest = max(done, key=lambda each: each.trace.ticks)
-    _check_faults(world, longest, ads)
-    _check_round_trip(world, done[0], ads)
+    checks: tuple[tuple[str, Callable[[], None]], ...] = (
+        ("that equal scenarios give equal runs", lambda: _check_repetition(world, few)),
+        ("that NPCs and the ego obey", lambda: _check_obedience(world, few, egos)),
+        ("speeds of NPCs", lambda: _check_speed(world, staged[:1])),
+        ("sides of NPCs", lambda: _check_sides(world, done[0])),
+        ("decisions=", lambda: _check_decisions(world, few)),
+        ("drivers that take over", lambda: _check_drivers(world, staged, [*egos, *few][: len(few)])),
+        ("rollout_batch", lambda: _check_batch(world, done, ads)),
+        ("lasting", lambda: _check_lasting(world, done, ads)),
+        ("an ADS that fails", lambda: _check_faults(world, longest, ads)),
+        ("from_dict", lambda: _check_round_trip(world, done[0], ads)),
+    )
+    for what, check in checks:
+        tell(what)
+        check()
     if not any(each.trace.collision for each in every):
         warnings.warn(
             f"check_world: no collision in {len(every)} runs, so nothing about collisions was checked; give an ads= "

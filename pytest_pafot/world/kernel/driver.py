@@ -171,7 +171,7 @@ class NpcDriver:
         if speed + acceleration * self._dt < 0.0:
             acceleration = -speed / self._dt
             while speed + acceleration * self._dt < 0.0:  # rounding must not push an NPC backwards
-                acceleration = math.nextafter(acceleration, 0.0)
+                acceleration = math.nextafter(acceleration, math.inf)  # a simulator may already have done so
         return acceleration
 
     def _released(self, acceleration: float, speed: float) -> float:

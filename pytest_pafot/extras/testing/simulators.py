@@ -1,0 +1,462 @@
+"""Experiments on a user's simulator. They find the cause of a mistake where runs of a search only have its symptoms.
+
+In an experiment the simulator moves the ego alone, with known controls, and the package's own model moves the others.
+So the world itself translates units and axes, as in a search. If the ego does not move as it has to, the same is tried
+with other statements or other controls. If one of them fits, it is the cause.
+
+The tolerances are for other models of a vehicle: with a distance of its own between the axles, with a lag of some
+0.3 s, with drag, with noise that follows from the seed, or calculated in another way or with single precision.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise, product
+from typing import Any
+
+import numpy as np
+
+from pytest_pafot import (
+    TRUCK,
+    Cell,
+    PositionInstruction,
+    Scenario,
+    ScenarioError,
+    Simulator,
+    SimulatorWorld,
+    WorldError,
+)
+from pytest_pafot.extending import HEADING, SPEED, FloatArray, X, Y
+from pytest_pafot.extras.testing.traces import Promises, beside, wrapped
+
+SECONDS, SETTLED = 1.5, 1.0
+"""How long an experiment lasts, and the time after which a simulator with a lag does as it is asked [s]."""
+FASTER, SLOWER, ASIDE = 2.0, -3.0, 1.5
+"""The accelerations of the experiments along the road and across it [m/s^2]."""
+SLOW = 10.0
+"""The speed of an ego that turns, if it can have any [m/s]; at a high one, ticks are too long to see where it turns."""
+STEADY = 0.5, 0.05
+"""The largest changes of speed [m/s], and of heading or direction [rad], without acceleration and steering."""
+DRIVEN, GAINED, TURNED = (0.97, 1.03), (0.85, 1.15), (0.4, 2.3)
+"""What the simulator does, as a multiple of what it is asked to do: at least and at most."""
+LEAST_ROWS = 4
+"""The fewest rows of an experiment that show something."""
+LEAST_TURN = 0.03
+"""The least turn by the wheels that is compared [rad]."""
+SLIP = 0.3, 0.06
+"""The largest angle between heading and motion in a turn: a share of the turn, and what wheels at the rear do [rad]."""
+PART = 0.2
+"""The least of these if controls may take effect in part."""
+CENTRE = 0.12, 0.7
+"""How far behind the centre of its box a vehicle turns, as a share of its length: at least if places are those of its
+front, and at most if they are those of its centre."""
+OVERLAP = 0.85
+"""The least distance between neighbouring lanes, as a multiple of their width."""
+INFLUENCE = 0.5
+"""The largest change of the place [m] or the speed [m/s] of a vehicle by the controls of others."""
+ON_TRACK = 0.05
+"""The largest distance of a recorded vehicle from its track [m]."""
+AXES = {
+    "y_is_left": (True, False),
+    "degrees": (True, False),
+    "at_front": (True, False),
+    "from_north": (True, False),
+    "headings": ("x to y", "y to x", "x to -y", "-x to y"),
+}
+"""What a simulator may state of its axes."""
+
+
+class _Watched(Simulator):
+    """A user's simulator that moves the first vehicles only, with other statements or controls than its own.
+
+    Args:
+        real: the user's simulator.
+        stated: other statements.
+
+    Attributes:
+        moved: the number of vehicles that it moves; the others move by the package's own model.
+        scaled: which of its controls is multiplied, and by what.
+        vehicles: the vehicles of the last run.
+        controls: the controls of each of its ticks.
+        ego: the states of its ego, in the simulator's own units.
+    """
+
+    def __init__(self, real: Simulator, **stated: Any) -> None:
+        for name in Simulator.__annotations__:
+            setattr(self, name, stated.get(name, getattr(real, name)))
+        self._real = real
+        self.moved, self.scaled = 0, ("steering", 1.0)
+        self.vehicles: list[Any] = []
+        self.controls: list[list[Any]] = []
+        self.ego: list[Any] = []
+
+    def start(self, vehicles: Sequence[Any], seed: int) -> None:
+        """Begin a run of the user's simulator with its part of the vehicles."""
+        self.vehicles, self.controls, self.ego = list(vehicles), [], []
+        self._rest = _places(vehicles)[self.moved :]
+        if self.moved:
+            self._real.start(self.vehicles[: self.moved], seed)
+
+    def step(self, controls: Sequence[Any]) -> None:
+        """Move all vehicles by a tick."""
+        self.controls.append(list(controls))
+        self._rest = _places(controls)[self.moved :]
+        if self.moved:
+            name, factor = self.scaled
+            self._real.step([each._replace(**{name: factor * getattr(each, name)}) for each in controls[: self.moved]])
+
+    def states(self) -> Any:
+        """Return the states of all vehicles."""
+        states = [*(self._real.states() if self.moved else ()), *self._rest]
+        self.ego.append(copy(states[0]))  # of arrays and lists that the next step changes
+        return states
+
+    def gains(self) -> tuple[FloatArray, FloatArray]:
+        """Return how the ego's speed changed in each tick, and how the package's own model would change it."""
+        return self._changes(3)
+
+    def turns(self) -> tuple[FloatArray, FloatArray]:
+        """Return the same of its heading [rad], in the direction of the simulator's headings."""
+        unit = math.pi / 180 if self.degrees else 1.0
+        turned, asked = (wrapped(each * unit) for each in self._changes(2))
+        return turned, asked
+
+    def _changes(self, column: int) -> tuple[FloatArray, FloatArray]:
+        ego = np.array(self.ego, dtype=np.float64)[:, column]
+        asked = np.array(_places([each[0] for each in self.controls])).reshape(-1, 4)[:, column]
+        return np.diff(ego), asked[: len(ego) - 1] - ego[:-1]
+
+
+def _places(vehicles: Sequence[Any]) -> list[tuple[float, ...]]:
+    return [(each.x, each.y, each.heading, each.speed) for each in vehicles]
+
+
+def experiments(world: SimulatorWorld, scenario: Scenario, seed: int) -> Promises:
+    """Yield what a simulator promises, by experiments with it. A scenario of its world says where vehicles start."""
+    real = world.simulator()
+    try:
+        yield from _lanes(real)
+        bench = _Bench(world, scenario, real)
+        yield from bench.start()
+        yield from bench.repetition(seed)
+        yield from bench.sizes(seed)
+        yield from bench.motion()
+        yield from bench.others(seed)
+    finally:
+        real.close()
+
+
+def _lanes(real: Simulator) -> Promises:
+    """Yield that the centre lines of lanes are listed from the left, and as far from each other as they are wide."""
+    if isinstance(real.lanes, int):
+        return
+    unit = [real.metres, -real.metres if real.y_is_left else real.metres]
+    lines = [np.asarray(line, dtype=np.float64) * unit for line in real.lanes]
+    width = 4.0 if real.lane_width is None else real.lane_width * real.metres
+    for number, (left, right) in enumerate(pairwise(lines)):
+        middles = (right[1:] + right[:-1]) / 2
+        away, across, _ = beside(left, middles)
+        near = across[away < 1.5 * width]
+        apart = float(np.median(near)) if len(near) else width
+        promise = "lanes are listed from the left, in the direction of driving, and y_is_left says where y grows"
+        received = f"lanes[{number + 1}] {-apart:.1f} m to the left of lanes[{number}]"
+        fix = f"list them the other way round, or write y_is_left = {not real.y_is_left}"
+        yield apart > 0, promise, f"{received}; {fix}"
+        promise = "lane_width is the width of lanes, which do not overlap"
+        received = f"{width:g} m for lanes[{number}] and lanes[{number + 1}], {apart:.2f} m apart"
+        yield apart >= OVERLAP * width, promise, f"{received}; write lane_width = {apart / real.metres:.3g}"
+
+
+class _Bench:
+    """The experiments with a simulator.
+
+    Args:
+        world: its world.
+        scenario: a scenario of it.
+        real: the simulator.
+    """
+
+    def __init__(self, world: SimulatorWorld, scenario: Scenario, real: Simulator) -> None:
+        self._world, self._scenario, self._real = world, scenario, real
+        top = int(10 * world.speed_limit) / 10
+        self._moves_ego_only = bool(getattr(real, "moves_ego_only", False))
+        self._made: dict[tuple[Any, ...], tuple[SimulatorWorld, _Watched]] = {}
+        self._fast, self._slow = max(top - FASTER * SECONDS, top / 2), min(SLOW, top)
+
+    def _driven(
+        self, speed: float, action: tuple[float, float], moved: int = 1, **changed: Any
+    ) -> tuple[FloatArray, _Watched]:
+        """Return the states of the ego with constant decisions in SI units, and the simulator as it was driven.
+
+        The start has this speed [m/s], if it can have any.
+        """
+        world, watched = self._watched(**{key: value for key, value in changed.items() if key != "scaled"})
+        watched.moved, watched.scaled = moved, changed.get("scaled", ("steering", 1.0))
+        given = [action] * max(round(SECONDS * world.rules.ads_hz), 1)
+        return world.rollout(self._alone(world, speed), _ends, decisions=given).ego, watched
+
+    def _watched(self, **stated: Any) -> tuple[SimulatorWorld, _Watched]:
+        """Return the world with a watched simulator, whose class has the user's name for messages, and it."""
+        key = tuple(stated.items())
+        if key not in self._made:
+            watched = type(type(self._real).__name__, (_Watched,), {})(self._real, **stated)
+            ads_hz = None if "hz" in stated else self._world.ads_hz
+            self._made[key] = replace(self._world, simulator=lambda: watched, ads_hz=ads_hz), watched
+        return self._made[key]
+
+    def _alone(self, world: SimulatorWorld, speed: float) -> Scenario:
+        """Return a scenario with one NPC, in any cell that there is."""
+        for cell in (Cell.REAR, *Cell):
+            asked = replace(self._scenario, npcs=((PositionInstruction(cell, 0.0),),), vehicles=())
+            if not world.road_start:
+                asked = replace(asked, ego_speed=min(speed, int(10 * world.speed_limit) / 10))
+            with suppress(ScenarioError):
+                world.check_fits(asked)
+                return asked
+        return self._scenario
+
+    def start(self) -> Promises:
+        """Yield that vehicles start where they are asked to."""
+        try:
+            self._driven(self._fast, (0.0, 0.0))
+        except WorldError as error:
+            watched = self._driven(self._fast, (0.0, 0.0), moved=0)[1]
+            ego, real = watched.vehicles[0], self._real
+            rows = self._raw(real, [ego], [each[:1] for each in watched.controls], 0)[:, 0]
+            fix = ""
+            if 0.45 < math.dist(rows[0, :2], (ego.x, ego.y)) / ego.length < 0.55:
+                fix = "; that is half the length of the ego, so for places of the front write at_front = True"
+            elif "fits" not in str(error):  # else it has a cause
+                driven = float(np.hypot(*np.diff(rows[:, :2], axis=0).T).sum()) * real.metres
+                by_speed = float(np.abs(rows[1:, 3]).sum()) * real.metres_per_second / real.hz
+                causes = self._causes({"driven": driven / by_speed} if by_speed > 1.0 else {})
+                fix = next(filter(None, map(self._fits, causes)), "")
+            yield False, "vehicles start where they are asked to, and drive where they head", f"{error}{fix}"
+
+    def motion(self) -> Promises:
+        """Yield that the ego moves as its controls and its state say, with the cause if it does not."""
+        felt: dict[str, float] = {}
+        try:
+            wrong = [each for each in self._moves(felt) if not each[0]]
+        except WorldError as error:
+            wrong = [(False, "the ego drives where it heads in each experiment", str(error))]
+        if wrong:
+            _, promise, received = wrong[0]
+            yield False, promise, received + next(filter(None, map(self._fits, self._causes(felt))), "")
+
+    def _moves(self, felt: dict[str, float], **changed: Any) -> Promises:
+        """Yield how the ego moves in each experiment; ``felt`` receives multiples of what it was asked to do."""
+        dt, length = 1 / changed.get("hz", self._real.hz), self._world.ego.length
+        is_free = self._moves_ego_only  # then its controls may take effect late or in part
+        rows, watched = self._driven(self._fast, (0.0, 0.0), **changed)
+        if len(rows) < LEAST_ROWS:  # the road bends too much to go straight ahead; other statements would be unproven
+            yield not changed, "the ego stays on the road", f"{len(rows)} rows"
+            return
+        driven, course, seconds = *_steps(rows)[:2], (len(rows) - 1) * dt
+        by_speed = np.abs(rows[1:, SPEED] + rows[:-1, SPEED]) / 2 * dt
+        if by_speed.sum() > dt:
+            promise = "states() has the states after the last step"
+            yield not _is_late(driven, by_speed), promise, "those before it: the first step moves no vehicle"
+            felt["driven"] = ratio = float(driven.sum() / by_speed.sum())
+            promise = "a vehicle drives as far as hz, metres_per_second and metres say of its speed"
+            yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance"
+            away = float(np.median(course))
+            promise = "a vehicle moves where its heading points, in the axes of y_is_left, from_north and degrees"
+            yield abs(away) <= STEADY[1], promise, f"{math.degrees(away):.0f} degrees beside it"
+        promise, gain = "the speed is steady without acceleration", float(rows[-1, SPEED] - rows[0, SPEED])
+        received = f"{rows[0, SPEED]:.2f} m/s, and {rows[-1, SPEED]:.2f} m/s {seconds:.1f} s later"
+        yield abs(gain) <= STEADY[0], promise, received
+        turned, asked = (float(each.sum()) for each in watched.turns())
+        promise = "the heading is steady without steering"
+        received = f"a turn by {turned - asked:.2f} rad in {seconds:.1f} s"
+        yield abs(turned - asked) <= STEADY[1] + (TURNED[1] - 1) * abs(asked), promise, received
+        late = "step moves vehicles by the controls that it receives"
+        for acceleration in (FASTER, max(SLOWER, -rows[0, SPEED] / 3)):
+            gains, wanted = self._driven(self._fast, (acceleration, 0.0), **changed)[1].gains()
+            yield is_free or not _is_late(gains, wanted), late, "an acceleration that begins a tick late"
+            since = _since(gains, dt)
+            felt["acceleration"] = ratio = _ratio(gains[since:], wanted[since:])
+            promise = "the speed changes by control.acceleration, which is in the simulator's speeds per second"
+            received = f"{ratio:.3g} times an acceleration of {acceleration:.3g} m/s^2"
+            yield (PART if is_free else GAINED[0]) <= ratio <= GAINED[1], promise, received
+        for side in (1.0, -1.0):
+            speed = max(float(rows[0, SPEED]), 1.0) if self._world.road_start else self._slow
+            slip = math.asin(min(ASIDE * length / 2 / speed**2, 0.15))
+            turning, watched = self._driven(self._slow, (0.0, side * math.atan(2 * math.tan(slip))), **changed)
+            (turns, wanted), since = watched.turns(), _since(turning[1:], dt)
+            if abs(wanted[since:].sum()) < LEAST_TURN:  # the road bends to the other side
+                continue
+            driven, course, own = _steps(turning)
+            away, whole = float(course[-1]), float(own.sum())
+            promise = "a vehicle that turns moves where its heading points, in the axes of y_is_left and degrees"
+            received = f"{away:.2f} rad beside it after a turn by {whole:.2f} rad"
+            yield abs(away) <= SLIP[0] * abs(whole) + SLIP[1], promise, received
+            yield is_free or not _is_late(turns, wanted), late, "a steering that begins a tick late"
+            felt["steering"] = ratio = _ratio(turns[since:], wanted[since:])
+            promise = f"control.steering to the {'right' if side > 0 else 'left'} turns a vehicle as wheels do"
+            received = f"{ratio:.3g} times the turn of a vehicle of its length"
+            yield (PART if is_free else TURNED[0]) <= ratio <= TURNED[1], promise, received
+            behind = _ratio((driven * np.sin(course))[since:], own[since:]) / length
+            spare = float(turning[-1, SPEED]) * dt / 2 / length  # a step may have the heading before or after it
+            at_front = changed.get("at_front", self._real.at_front)
+            is_there = behind + spare >= CENTRE[0] if at_front else behind - spare <= CENTRE[1]
+            promise = "a vehicle turns about its rear, so that at_front says whether its place is that of its front"
+            received = f"a turn about {behind * length:.1f} m behind the centre of its box"
+            yield is_there, promise, f"{received} with at_front = {at_front}"
+
+    def _causes(self, felt: dict[str, float]) -> Iterator[dict[str, Any]]:
+        """Yield what may be otherwise than stated, the simplest first."""
+        real, driven = self._real, felt.get("driven", 1.0)
+        known = {name: values for name, values in AXES.items() if hasattr(real, name)}
+        stated = {name: getattr(real, name) for name in known}
+        given = [dict(zip(known, each, strict=True)) for each in product(*known.values())]
+        other = [{name: value for name, value in each.items() if value != stated[name]} for each in given]
+        yield from sorted(filter(None, other), key=len)
+        if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
+            yield {"hz": round(real.hz / driven)}
+            yield {"metres_per_second": real.metres_per_second * driven}
+            yield {"metres": real.metres / driven}
+        yield {"scaled": ("steering", -1.0)}
+        names = [name for name in ("acceleration", "steering") if abs(felt.get(name, 0.0)) > 1e-3]
+        yield from ({"scaled": (name, 1 / felt[name])} for name in names)
+
+    def _fits(self, cause: dict[str, Any]) -> str:
+        """Return in words that the experiments go well with a cause taken out; nothing if they do not."""
+        try:
+            if not all(is_kept for is_kept, *_ in self._moves({}, **cause)):
+                return ""
+        except (WorldError, ScenarioError):  # the road is none then, or the start
+            return ""
+        if "scaled" not in cause:
+            return "; all fits with " + ", ".join(f"{name} = {value!r:.6}" for name, value in cause.items())
+        name, factor = cause["scaled"]
+        if factor < 0:
+            return f"; all fits with the opposite sign of control.{name}, which is positive where headings grow"
+        unit = "speeds per second" if name == "acceleration" else "angles"
+        return f"; all fits with {factor:.3g} times control.{name}, which is in the simulator's own {unit}"
+
+    def _raw(self, real: Simulator, vehicles: Sequence[Any], controls: Sequence[Any], seed: int) -> FloatArray:
+        """Return the states of vehicles in the simulator's own units, shape [ticks + 1, vehicles, 4]."""
+        real.start(list(vehicles), seed)
+        rows = [np.array(real.states(), dtype=np.float64)]
+        for each in controls:
+            real.step(list(each))
+            rows.append(np.array(real.states(), dtype=np.float64))
+        return np.array(rows)
+
+    def repetition(self, seed: int) -> Promises:
+        """Yield that equal starts give equal runs, in one simulator and in another."""
+        watched, real = self._watched_all(), self._real
+        run = partial(self._raw, vehicles=watched.vehicles, controls=watched.controls, seed=seed)
+        first, _, again = run(real), run(real, seed=seed + 1), run(real)
+        fresh, other = self._world.simulator(), self._world.simulator()
+        try:
+            is_random = not np.array_equal(run(fresh), run(other))
+        finally:
+            fresh.close()
+            other.close()
+        promise = "the same start with the same seed gives the same run, to the last bit"
+        fix = "take each random number from a generator that start makes from seed"
+        yield not is_random, promise, f"another one, in new simulators, too; {fix}"
+        received = "another one in a simulator that has been used before; reset all in start, also random generators"
+        yield np.array_equal(first, again), promise, received
+
+    def _watched_all(self) -> _Watched:
+        """Return a simulator with the vehicles and controls of a scenario, in which the ego brakes later."""
+        world, watched = self._watched()
+        watched.moved, watched.scaled = 0, ("steering", 1.0)
+        half = max(round(SECONDS * world.rules.ads_hz), 1)
+        world.rollout(self._scenario, _ends, decisions=[(1.0, 0.01)] * half + [(-4.0, -0.02)] * half)
+        return watched
+
+    def sizes(self, seed: int) -> Promises:
+        """Yield that a vehicle turns by its length, and not by its width."""
+        real = self._real
+        _, turning = self._driven(self._slow, (0.0, 0.05), moved=0)
+        ego, turn = turning.vehicles[0], [[each[0]] for each in turning.controls]
+        straight = [[each._replace(acceleration=0.0, steering=0.0)] for (each,) in turn]
+        plain, still, wide, long = (
+            (self._raw(real, [vehicle], given, seed)[-1, 0, :2] - [vehicle.x, vehicle.y]) * real.metres
+            for vehicle, given in (
+                (ego, turn), (ego, straight), (ego._replace(width=2 * ego.width), turn),
+                (ego._replace(length=2 * ego.length), turn),
+            )
+        )  # fmt: skip
+        least = 0.05 * float(np.hypot(*(plain - still)))  # nothing in a simulator that puts vehicles at places
+        promise = "the length of a vehicle decides how it turns, and not its width"
+        is_wide = np.hypot(*(wide - plain)) > max(least, 1e-3)
+        yield not is_wide, promise, "another turn of a wider vehicle; are they swapped?"
+        is_long = least < 1e-3 or np.hypot(*(long - plain)) > least
+        yield is_long or not self._world.can_drive(TRUCK), promise, "the same turn of one of twice the length"
+
+    def others(self, seed: int) -> Promises:
+        """Yield that each vehicle moves by its own controls, and as recorded if it has to."""
+        watched, real = self._watched_all(), self._real
+        vehicles, controls = watched.vehicles, watched.controls
+        together = self._raw(real, vehicles, controls, seed)
+        units = np.array([real.metres, real.metres, real.metres_per_second])
+
+        at_start = float(np.abs(together[0, :, :2] - np.array(_places(vehicles))[:, :2]).max()) * real.metres
+        promise = "states() has the vehicles in the order in which start received them"
+        yield at_start <= INFLUENCE, promise, f"{at_start:.1f} m from there at the start"
+
+        def away(number: int, by: int) -> float:
+            """Return how far a vehicle is from where it is alone, with the controls of one of them."""
+            alone = self._raw(real, [vehicles[number]], [[each[by]] for each in controls], seed)
+            return float(np.abs((together[:, number] - alone[:, 0])[:, [0, 1, 3]] * units).max())
+
+        own = [0] if self._moves_ego_only else [number for number, each in enumerate(vehicles) if not each.driver]
+        for number in own:
+            if (far := away(number, number)) > INFLUENCE:
+                by = min(own, key=partial(away, number))
+                what = f"those of {_name(by)}" if by != number else "those of others, too"
+                promise = f"the controls of {_name(number)} move it, and come in the order of the vehicles in start"
+                yield False, promise, f"{what} move it"
+        if real.follows_recordings:
+            given = [[each[0], *(one._replace(acceleration=0.0, steering=0.1, recorded=1) for one in each[1:])]
+                     for each in controls]  # fmt: skip
+            rows = self._raw(real, vehicles, given, seed)[1:, 1:]
+            asked = np.array([_places(each[1:]) for each in controls])
+            far = float(np.abs((rows - asked)[..., :2]).max()) * real.metres
+            promise = "step puts vehicles whose control is recorded where it says, as follows_recordings declares"
+            yield far <= ON_TRACK, promise, f"{far:.1f} m from there"
+
+
+def _ends() -> Callable[[Any], Any]:
+    """Return an ADS that ends the run after the given decisions."""
+
+    def decide(_: Any) -> Any:
+        raise ValueError
+
+    return decide
+
+
+def _is_late(done: FloatArray, asked: FloatArray) -> bool:
+    """Return whether what is asked begins in the second tick; with a lag, some of it is done at once."""
+    first, second = np.abs(done[:2]) / np.maximum(np.abs(asked[:2]), 1e-9) if len(done) > 1 else (1.0, 1.0)
+    return bool(first < 0.02 and second > 0.6)
+
+
+def _steps(rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return for each tick how far a vehicle drives [m], the angle between motion and heading, and its turn [rad]."""
+    steps, turns = np.diff(rows[:, [X, Y]], axis=0), np.diff(rows[:, HEADING])
+    return np.hypot(*steps.T), wrapped(np.arctan2(steps[:, 1], steps[:, 0]) - rows[:-1, HEADING] - turns / 2), turns
+
+
+def _ratio(done: FloatArray, asked: FloatArray) -> float:
+    """Return how much of what was asked has been done; all if nothing was."""
+    return float(done.sum() / asked.sum()) if abs(asked.sum()) > 1e-6 else 1.0
+
+
+def _since(ticks: FloatArray, dt: float) -> int:
+    """Return the tick from which a simulator with a lag does what it is asked to do."""
+    return min(round(SETTLED / dt), len(ticks) // 2)
+
+
+def _name(number: int) -> str:
+    return f"NPC {number - 1}" if number else "the ego"
