@@ -82,7 +82,8 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
-        expected, fix = "none, since a file holds no code", "give pafot.World(..., wrappers=[...]) in the test"
+        expected = "none, since a file holds no code"
+        fix = "give pafot.World(..., wrappers=[...]) in the test, or by --world module:factory"
         raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
     if kind == "gym":
         if "env_id" not in values:
