@@ -32,7 +32,7 @@ from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
 from pytest_pafot.support.references import REVISION, described, factory_named, imported
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, SimulatorWorld, World, WorldError
+from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -631,6 +631,9 @@ def hint_at_world(given: Any) -> str:
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
     if isinstance(given, type) and hasattr(given, "rollout"):
         return f"; call it: {given.__name__}(...)"
+    simulator = given if isinstance(given, type) else type(given)
+    if issubclass(simulator, Simulator):
+        return f"; write pafot.SimulatorWorld({simulator.__name__})"
     if given is None:
         return '; return a world, such as pafot.World("highway-v0")'
     try:

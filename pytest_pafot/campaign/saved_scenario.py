@@ -15,7 +15,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.shown import Shown
-from pytest_pafot.support.text import visible
+from pytest_pafot.support.text import shown, visible
 from pytest_pafot.world import WorldError, WorldLike, codec
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
@@ -71,7 +71,7 @@ class SavedScenario(Shown):
             code = WorldError(
                 field="world",
                 expected="a world that is data",
-                received=f"{dict(self.finding.world)!r:.100}",
+                received=shown(dict(self.finding.world)),
                 fix="a file contains no code: give the world itself, as in replay(ads, world=...) or by --world",
             )
             raise reader.located(self.path, "world", code)

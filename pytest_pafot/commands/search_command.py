@@ -157,7 +157,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     with _session(files) as session:
         environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
         code = _code_of([*session, *options, *arguments.options, *arguments.pytest], {**os.environ, **environ})
-    if code == TESTS_FAILED and files_below(corpus):
+    if code == TESTS_FAILED and files_below(corpus / Path(TEST).stem):
         replay = "pytest FILE" if arguments.corpus == CORPUS else f"pytest FILE {flag('corpus', corpus)}"
         kept = f"and commit {CONFTEST}, {TEST} and {arguments.corpus}/; `{replay}` needs them, too"
         own = command[: command.index("--")] if "--" in command else command

@@ -19,7 +19,7 @@ from typing import Any
 from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.support.text import differences
+from pytest_pafot.support.text import differences, shown
 from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -82,7 +82,8 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
         _check_names("world.limits", values["limits"], NpcLimits)
         values["limits"] = NpcLimits(**values["limits"])
     if "wrappers" in values:
-        expected, fix = "none, since a file holds no code", "give pafot.World(..., wrappers=[...]) in the test"
+        expected = "none, since a file holds no code"
+        fix = "give pafot.World(..., wrappers=[...]) in the test, or by --world module:factory"
         raise WorldError(field="world.wrappers", expected=expected, received=f"{values['wrappers']!r:.200}", fix=fix)
     if kind == "gym":
         if "env_id" not in values:
@@ -120,12 +121,9 @@ def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> Worl
     except WorldError:
         raise
     except Exception as error:
-        expected, fix = (
-            f"data that {entry.value}.from_dict accepts",
-            f"it raised {type(error).__name__}: {error!s:.200}",
-        )
-        received = f"{values['data']!r:.200}"
-        raise WorldError(field="world.data", expected=expected, received=received, fix=fix) from error
+        expected = f"data that {entry.value}{'' if is_simulator else '.from_dict'} accepts"
+        fix = f"it raised {type(error).__name__}: {error!s:.200}"
+        raise WorldError(field="world.data", expected=expected, received=shown(values["data"]), fix=fix) from error
     if lacking := base_world(world).missing:
         expected = f"that {entry.value}.from_dict returns a world"
         received = f"{world!r:.100}, which has no {', '.join(lacking)}"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, World, door
+from pytest_pafot import Highway, Simulator, World, door
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space, drawn_space, named_world
 from pytest_pafot.model.trace import Outcome
@@ -200,6 +200,22 @@ def test_more_manoeuvres_than_fit_a_road_are_refused():
 
 def a_class():
     return Highway
+
+
+class Still(Simulator):
+    def start(self, vehicles, seed): ...
+    def step(self, controls): ...
+    def states(self): ...
+
+
+def a_simulator():
+    return Still
+
+
+@pytest.mark.parametrize("name", ["Still", "a_simulator"])
+def test_a_simulator_is_no_world_yet(name):
+    with pytest.raises(RequestError, match=r"which has no rollout, .*; write pafot\.SimulatorWorld\(Still\)$"):
+        named_world(f"{__name__}:{name}", "--world")
 
 
 def test_factory_of_a_world_that_returns_its_class_is_refused():

@@ -340,6 +340,9 @@ def test_a_folder_that_is_full_is_told_in_one_line(here, capsys, monkeypatch):
 
 @pytest.mark.processes
 def test_an_error_is_no_test_to_keep(here):
+    of_another_test = here / "pafot_corpus/test_it/test_a"
+    of_another_test.mkdir(parents=True)
+    (of_another_test / "front-2-0674d1.pafot.yaml").touch()
     code, told = python("pytest_pafot", "search", "a_planner:keeps_moving", "--runs", "1")
     assert code == 1
     assert "signature (run)" in told

@@ -72,6 +72,11 @@ def test_the_kinds_of_this_package_cannot_be_taken(register):
     assert described(Ring(3))["kind"] == "own"
 
 
+def test_wrappers_in_a_file_are_refused_with_both_ways_to_give_them():
+    with pytest.raises(WorldError, match=r"world\.wrappers: .*in the test, or by --world module:factory"):
+        from_dict({"kind": "gym", "env_id": "highway-v0", "wrappers": ["FlattenObservation"]})
+
+
 @pytest.mark.usefixtures("ring")
 @table("kind", ["rings", "tests.world.test_registered_worlds:Ring", "os:system", "", None])
 def test_unknown_kind_is_refused_with_known_kinds(kind):

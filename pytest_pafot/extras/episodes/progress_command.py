@@ -552,7 +552,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         if given.episodes is not None:
             if given.world is None:
                 raise RequestError("--episodes: expected an environment, received none; give --world")
-            episodic(plan.traffic, "--episodes")
+            episodic(plan.traffic, "--episodes", "leave --episodes out")
         workers, rows = worker_count(given.workers), []
         with _of_revision(plan, given.copy) as (plan, both, same_as):
             if not same_as:

@@ -17,7 +17,7 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.source_files import source_digests
-from pytest_pafot.support.text import csv_text, plural
+from pytest_pafot.support.text import csv_text, one_line, plural
 from pytest_pafot.support.versions import installed_versions
 
 # Results of episodes: crashes per episode and per hour, and a comparison of two policies on the same seeds.
@@ -319,18 +319,17 @@ def factory_of(name: str) -> tuple[AdsFactory, bool]:
     return ads_factory(name), name.endswith(PLANNER)
 
 
-def episodic(world: Any, command: str) -> World:
+def episodic(world: Any, command: str, fix: str = "`search`, `compare` and `progress` drive in it") -> World:
     """Return a world if it has episodes.
 
     Raises:
-        RequestError: if it has none.
+        RequestError: with the way out, if it has none.
     """
     if isinstance(world, World):
         return world
     raise RequestError(
         f"--world: expected for {command} an environment, which makes ordinary traffic itself, by its id or from a "
-        f"factory of a pafot.World, received {world!r:.100}, whose traffic a search arranges; `search`, `compare` and "
-        "`progress` drive in it"
+        f"factory of a pafot.World, received {one_line(repr(world))}, whose traffic a search arranges; {fix}"
     )
 
 

@@ -64,8 +64,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     # A failed check cannot be compared, because the test function is not called.
     if saved.expect.check is None and not saved.matches(driven):
         event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
+        world_too = "" if arguments.world is None else ", and --world its world"
         sys.stderr.write(
             f"export: {saved.id} was saved with {event}, but this run ended with {driven.outcome} after "
-            f"{driven.duration:.1f} s. Is this the policy of its test?\n"
+            f"{driven.duration:.1f} s. Is this the policy of its test{world_too}?\n"
         )
     return 0

@@ -276,7 +276,7 @@ def test_same_seed_agrees_for_any_worker_count(here, capsys):
         (["Careful@planner"], "NEW: expected @planner after both names or none"),
         (
             ["Careful", "--world", "versions:Road", "--episodes", "9"],
-            "--world: expected for --episodes an environ",
+            "whose traffic a search arranges; leave --episodes out\n",
         ),
         (["Careful", "--world", "versions:Rod"], "received 'versions:Rod'; did you mean 'versions:Road'?"),
         (["Careful", "--world", "highway-v7"], "expected a registered environment, received 'highway-v7'"),

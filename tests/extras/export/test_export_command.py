@@ -141,11 +141,14 @@ def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path
     assert error.count("\n") == 1
 
 
-def test_differing_run_is_exported_with_a_warning(tmp_path, capsys):
-    assert export(FILE, "--to", "csv", "--ads", "idm_mobil", "--out", tmp_path) == 0
+@pytest.mark.parametrize(
+    ("world", "asked"), [([], ""), (["--world", "pytest_pafot:Highway"], ", and --world its world")]
+)
+def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked):
+    assert export(FILE, "--to", "csv", "--ads", "idm_mobil", *world, "--out", tmp_path) == 0
     told = capsys.readouterr().err
     assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
-    assert told.endswith(". Is this the policy of its test?\n")
+    assert told.endswith(f". Is this the policy of its test{asked}?\n")
 
 
 @pytest.mark.parametrize(
