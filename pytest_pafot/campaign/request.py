@@ -529,15 +529,16 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         return drawn | _crossing_space(world, given)
     # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
-    npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
+    drawn["ego_lane"] = lane = given.get("ego_lane", min(EGO_LANE, road.lane_count - 1))
+    npcs = given.get("npcs", min(NPCS, len(road.cells(lane)) - 1) if 0 <= lane < road.lane_count else NPCS)
     draws_lane = isinstance(world.given, (Highway, SimulatorWorld)) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
         drawn["npcs"] = npcs
         if "npcs" not in given:
             starts = lanes if draws_lane else [each for each in lanes if each == lane]
-            drawn["least_npcs"] = LEAST_NPCS if in_lanes else 1
             drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(each)) - 1) for each in starts)
+            drawn["least_npcs"] = min(LEAST_NPCS, *drawn["most_npcs"]) if in_lanes else 1
     if draws_genes:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:

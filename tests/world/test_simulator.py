@@ -174,6 +174,14 @@ def test_search_in_a_simulator_draws_its_drivers_and_any_start():
         world.check_fits(scenario)
 
 
+def test_search_on_a_road_of_one_lane_needs_no_arguments():
+    single = SimulatorWorld(type("Single", (Bicycle,), {"lanes": 1}), duration=20.0)
+    found = explore(lambda: lambda _: (1.0, 0.0), holds=holds, world=single, runs=6, seed=1)
+    assert {row["ego_lane"] for row in found.runs} == {0}
+    assert {row["npcs"] for row in found.runs} == {1}
+    assert found.findings
+
+
 def test_acceleration_of_an_own_driver_follows_from_its_speeds():
     class Hasty(Placing):
         def start(self, vehicles, seed):

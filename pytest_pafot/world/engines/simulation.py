@@ -31,8 +31,8 @@ A simulator may need long to start, but hardly as long as ten decisions that are
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 """The largest difference of a vehicle's first state from the one that was asked for [m, m, rad, m/s]."""
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
-"""In its first tick, a vehicle of at least ``MOVES`` [m/s] goes where its heading points and as far as its speed says, up
-to this share of the way and what a change of speed makes [m/s^2]; whatever its engine and its wheels do."""
+"""In its first tick, a vehicle of at least ``MOVES`` [m/s] drives where it heads and as far as its speed says, up to
+this share of the way and what a change of speed makes [m/s^2]; whatever its engine and its wheels do."""
 QUARTERS = ("x", "y", "-x", "-y")
 """The axes by quarter turns from x towards y."""
 HEADINGS = {
