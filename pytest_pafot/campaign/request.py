@@ -529,8 +529,10 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         return drawn | _crossing_space(world, given)
     # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
-    drawn["ego_lane"] = lane = given.get("ego_lane", min(EGO_LANE, road.lane_count - 1))
-    npcs = given.get("npcs", min(NPCS, len(road.cells(lane)) - 1) if 0 <= lane < road.lane_count else NPCS)
+    npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
+    if "ego_lane" not in given and road.lane_count <= EGO_LANE:  # a road of one lane
+        drawn["ego_lane"] = lane = 0
+        npcs = given.get("npcs", len(road.cells(0)) - 1)
     draws_lane = isinstance(world.given, (Highway, SimulatorWorld)) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
