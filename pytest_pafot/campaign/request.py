@@ -531,14 +531,17 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     # A straight road: patterns of traffic, and random numbers of NPCs, durations and starts, where nothing is given.
     drawn["patterns"] = True
     npcs, lane = given.get("npcs", NPCS), given.get("ego_lane", EGO_LANE)
+    if "ego_lane" not in given and road.lane_count <= EGO_LANE:  # a road of one lane
+        drawn["ego_lane"] = lane = 0
+        npcs = given.get("npcs", len(road.cells(0)) - 1)
     draws_lane = isinstance(world.given, (Highway, SimulatorWorld)) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
         drawn["npcs"] = npcs
         if "npcs" not in given:
             starts = lanes if draws_lane else [each for each in lanes if each == lane]
-            drawn["least_npcs"] = LEAST_NPCS if in_lanes else 1
             drawn["most_npcs"] = tuple(min(MOST_NPCS, len(road.cells(each)) - 1) for each in starts)
+            drawn["least_npcs"] = min(LEAST_NPCS, *drawn["most_npcs"]) if in_lanes else 1
     if draws_genes:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:

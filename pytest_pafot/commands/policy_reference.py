@@ -80,7 +80,9 @@ def add_world_arguments(
     """
     parser.epilog = ABOUT_POLICIES
     of_world = "the world: the id of a highway-env environment such as highway-v0, module:id if that module registers "
-    of_world += f"it, or module:factory for what returns a pafot.World or a world of your own ({note})"
+    of_world += (
+        f"it, or module:factory for what returns a pafot.World, a pafot.SimulatorWorld or a world of your own ({note})"
+    )
     parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
     of_config = "options of an environment that --world names by its id, as for gymnasium.make"
     if has_config:

@@ -140,7 +140,8 @@ class Sumo(Simulator):
         edges: the ids of the edges of the way, in order.
     """
 
-    y_is_left = degrees = from_north = at_front = True
+    y_is_left = degrees = at_front = True
+    headings = "y to x"
     follows_recordings = True
     one_at_a_time = True
     packages = ("libsumo",)

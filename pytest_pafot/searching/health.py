@@ -108,8 +108,12 @@ USELESS = (
         "collided within the first second, before an NPC can have caused it",
         "check that the ego starts on a free lane and that {actions}",
     ),
+    (
+        "left the road within the first second, before an NPC can have caused it",
+        "check the units and axes of the world, and that {actions}",
+    ),
 )
-"""Kinds of runs that test nothing, with advice: no interaction, outran, barely moved, immediate collision."""
+"""Kinds of runs that test nothing, with advice: no interaction, outran, barely moved, immediate collision or exit."""
 
 IN_SI = "the ADS returns accelerations in m/s^2 and steers in rad"
 IN_ENVIRONMENT = "the ADS returns the environment's actions as in its training"
@@ -130,12 +134,13 @@ class Health:
     valid: int = 0  # runs that were neither invalid nor discarded; the counts below are among these
     failing: int = 0  # runs that the user's function rejected
     measured: int = 0  # runs whose fitness is a finite number
-    # The next four leave out runs that an error of the ADS cut short.
+    # The next five leave out runs that an error of the ADS cut short.
     unmeasured: int = 0  # runs whose fitness is no finite number
     no_interaction: int = 0  # runs in which no NPC gave the ego a reason to react
     outran: int = 0  # runs in which the ego left all NPCs behind
     barely_moved: int = 0  # runs in which the ego hardly drove
     immediate: int = 0  # collisions within the first second
+    off_at_once: int = 0  # runs in which the ego left the road within the first second
     over: Counter[str] = field(default_factory=Counter)  # runs that the environment ended within the first second
     coverage: Coverage = field(default_factory=Coverage)  # requested, driven and reached instructions
 
@@ -170,6 +175,7 @@ class Health:
             outran=sum([each.outran for each in driven]),
             barely_moved=sum([each.barely_moved for each in driven]),
             immediate=sum([each.duration < IMMEDIATE for each in hits]),
+            off_at_once=sum([each.outcome is Outcome.OFF_ROAD and each.duration <= IMMEDIATE for each in driven]),
             over=Counter([each.ended for each in driven if each.ended and each.duration <= IMMEDIATE]),
             coverage=Coverage.of(runs),
         )
@@ -194,8 +200,8 @@ class Health:
 
     @property
     def vacuous(self) -> bool:
-        """True if the search cannot have shown anything: no run was valid, or the environment ended each at once."""
-        return self.over.total() == self.valid
+        """True if the search cannot have shown anything: no run was valid, or each ended at once, as off the road."""
+        return self.over.total() + self.off_at_once == self.valid
 
     @property
     def reached_share(self) -> float:
@@ -252,8 +258,8 @@ class Health:
                 f"the fitness was no finite number in any of {plural(self.valid, 'valid run')}, so it could not guide "
                 "the search; let fitness= return a finite number for every run that it can measure"
             )
-        useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate)
-        for count, spared, (what, advice) in zip(useless, (0, 0, known, known), USELESS, strict=True):
+        useless = (self.no_interaction, self.outran, self.barely_moved, self.immediate, self.off_at_once)
+        for count, spared, (what, advice) in zip(useless, (0, 0, known, known, known), USELESS, strict=True):
             if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
                 told = advice.format(actions=IN_SI if acts_in_si else IN_ENVIRONMENT)
                 found.append(f"{_percent(count, self.valid)} valid runs {what}; {told}")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
+from numbers import Real
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_driver, planner_run
 from pytest_pafot.world.engines.npc_drivers import BySimulator
 from pytest_pafot.world.engines.run import SteppedRun
-from pytest_pafot.world.engines.simulation import Frame, RepeatedBody, Simulation, Simulator, Simulators
+from pytest_pafot.world.engines.simulation import HEADINGS, Frame, RepeatedBody, Simulation, Simulator, Simulators
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
@@ -168,7 +169,7 @@ class SimulatorWorld(BuiltInWorld):
         place, ahead = (np.array([np.interp(each, lengths, line[:, axis]) for axis in (0, 1)]) for each in (at, at + 1))
         speed = min(EGO_SPEED, limit) if stated.start_speed is None else stated.start_speed
         ego = SimpleNamespace(position=place, heading=math.atan2(*(ahead - place)[::-1]), speed=speed)
-        network = network_of(lines, width, limit)
+        network = network_of(lines, width, limit, stated.name)
         env = SimpleNamespace(road=SimpleNamespace(network=network), vehicle=ego)
         road = survey(env, stated.name, self.limits, self.duration * TOP_SPEED)
         longest = (road.end - road.start) / speed if speed > 0.0 else math.inf
@@ -247,7 +248,8 @@ class SimulatorWorld(BuiltInWorld):
         """
         super().check_fits(scenario)
         for npc, chain in enumerate(scenario.npcs):
-            if chain[0].follows_track and not self._stated.follows_recordings:
+            stated = self._stated
+            if chain[0].follows_track and not (stated.follows_recordings or stated.moves_ego_only):
                 raise ScenarioError(
                     field=f"npcs[{npc}][0]",
                     expected=f"no recorded NPC in {self._stated.name}, which does not follow recordings",
@@ -383,7 +385,7 @@ class _Stated:
     metres_per_second: float
     y_is_left: bool
     degrees: bool
-    from_north: bool
+    headings: str
     at_front: bool
     hz: int
     lane_width: float
@@ -393,6 +395,7 @@ class _Stated:
     start_speed: float | None
     start_at: float | None
     follows_recordings: bool
+    moves_ego_only: bool
     drivers: tuple[str, ...]
     obstacles: list[tuple[float, float, float, float, float]]
     data: dict[str, Any]
@@ -429,17 +432,35 @@ def _stated(simulator: Any) -> _Stated:
         value = getattr(simulator, field)
         return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of) * of
 
-    drivers = tuple(map(checked_driver, simulator.drivers))
+    def several(field: str, of: str) -> Sequence[Any]:
+        """Return a list or tuple; a text, whose letters would count, is none."""
+        value = getattr(simulator, field)
+        if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim):
+            return list(value)
+        raise WorldError(field=f"{name}.{field}", expected=f"a list or tuple of {of}", received=f"{value!r:.100}")
+
+    if not isinstance(simulator.headings, str) or simulator.headings not in HEADINGS:
+        expected, received = f"one of {', '.join(map(repr, HEADINGS))}", f"{simulator.headings!r:.100}"
+        raise WorldError(field=f"{name}.headings", expected=expected, received=received)
+    is_on("one_at_a_time")
+    for each in several("packages", "names of packages"):
+        if not isinstance(each, str):
+            raise WorldError(field=f"{name}.packages", expected="names of packages", received=f"{each!r:.100}")
+    drivers = tuple(map(checked_driver, several("drivers", "names of drivers")))
     if own := [each for each in drivers if each in BUILT_IN_DRIVERS]:
         expected = f"other names than {', '.join(BUILT_IN_DRIVERS)}, which the package has"
         raise WorldError(field=f"{name}.drivers", expected=expected, received=own[0])
+    data = plain_data(f"{name}.to_dict()", simulator.to_dict())
+    if not isinstance(data, dict):
+        expected = "the arguments of the class by name"
+        raise WorldError(field=f"{name}.to_dict()", expected=expected, received=f"{data!r:.100}")
     found = _Stated(
         maker=type(simulator),
         metres=metres,
         metres_per_second=unit,
         y_is_left=is_on("y_is_left"),
         degrees=is_on("degrees"),
-        from_north=is_on("from_north"),
+        headings=simulator.headings,
         at_front=is_on("at_front"),
         hz=whole_within(f"{name}.hz", simulator.hz, *PHYSICS_HZ),
         lane_width=in_si("lane_width", 2.0, 10.0, metres) or LANE_WIDTH,
@@ -449,15 +470,19 @@ def _stated(simulator: Any) -> _Stated:
         start_speed=in_si("start_speed", 0.0, TOP_SPEED, unit),
         start_at=in_si("start_at", 0.0, 1e6, metres),
         follows_recordings=is_on("follows_recordings"),
+        moves_ego_only=is_on("moves_ego_only"),
         drivers=drivers,
-        obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(simulator.obstacles)],
-        data=plain_data(f"{name}.to_dict()", simulator.to_dict()),
+        obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(several("obstacles", "objects"))],
+        data=data,
     )
-    if isinstance(simulator.lanes, int):
+    if isinstance(simulator.lanes, Real):
         found.count = whole_within(f"{name}.lanes", simulator.lanes, 1, MOST_LANES)
     else:
         frame = Frame(found)
-        found.lines = [_line(f"{name}.lanes[{n}]", line, frame) for n, line in enumerate(simulator.lanes)]
+        found.lines = [
+            _line(f"{name}.lanes[{n}]", line, frame)
+            for n, line in enumerate(several("lanes", "centre lines, or a number"))
+        ]
         found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
     whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
     return found

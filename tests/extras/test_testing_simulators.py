@@ -40,7 +40,7 @@ class Toy(Simulator):
         """Return where a heading points: along x, or along y for a compass."""
         return (
             (math.sin(heading), math.cos(heading))
-            if self.says("from_north")
+            if self.says("headings") == "y to x"
             else (math.cos(heading), math.sin(heading))
         )
 
@@ -209,9 +209,9 @@ def limited(self, controls):
     [
         (Toy, {"inside": {"degrees": True}}, "all fits with degrees = True"),
         (Toy, {"degrees": True, "inside": {"degrees": False}}, "all fits with degrees = False"),
-        (Toy, {"inside": {"from_north": True}}, "all fits with y_is_left = True, from_north = True"),
+        (Toy, {"inside": {"headings": "y to x"}}, "fits"),
         (Toy, {**RING, "inside": {"degrees": True}}, "all fits with degrees = True"),
-        (Toy, {**RING, "inside": {"degrees": True, "from_north": True}}, "degrees = True, from_north = True"),
+        (Toy, {**RING, "inside": {"degrees": True, "headings": "y to x"}}, "fits with degrees = True, headings"),
         (Toy, {"at_front": True, "inside": {"at_front": False}}, "all fits with at_front = False"),
         (Toy, {"states": lambda self: [(x + 2.5, *rest) for x, *rest in self.cars]}, "at_front = True"),
         (Toy, {"inside": {"hz": 10}}, "all fits with hz = 10"),
@@ -250,8 +250,8 @@ def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
     [
         (Toy, {}),
         (Toy, {"lanes": 1}),
-        (Toy, {"degrees": True, "from_north": True, "at_front": True, "y_is_left": True}),
-        (Toy, {**RING, "degrees": True, "from_north": True, "at_front": True}),
+        (Toy, {"degrees": True, "headings": "y to x", "at_front": True, "y_is_left": True}),
+        (Toy, {**RING, "degrees": True, "headings": "y to x", "at_front": True}),
         (Toy, RING),
         (Toy, {"metres": 0.3048, "metres_per_second": 1 / 3.6, "lane_width": 12.0, "speed_limit": 96.0}),
         (Toy, {"hz": 7}),

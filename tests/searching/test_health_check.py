@@ -67,6 +67,19 @@ def test_a_search_whose_runs_the_environment_ends_at_once_says_so(make_evaluatio
     assert health_of(make_evaluation, (6, over)).vacuous
 
 
+def test_a_search_whose_runs_leave_the_road_at_once_says_so(make_evaluation):
+    off, later = ({"outcome": Outcome.OFF_ROAD, "duration": seconds} for seconds in (0.3, 8.0))
+    assert health_of(make_evaluation, (9, later)).warnings() == []
+    health = health_of(make_evaluation, (3, later), (6, off))
+    assert health.warnings() == [
+        "67 % (6) of 9 valid runs left the road within the first second, before an NPC can have caused it; check the "
+        "units and axes of the world, and that the ADS returns accelerations in m/s^2 and steers in rad"
+    ]
+    assert not health.vacuous
+    assert health_of(make_evaluation, (6, off)).vacuous
+    assert health_of(make_evaluation, (6, off), (2, {"outcome": Outcome.INVALID})).vacuous
+
+
 def test_an_error_in_what_ends_episodes_is_named_with_what_to_do(make_evaluation):
     failed = {"outcome": Outcome.INVALID, "users_error": "GoalEnv._is_terminated failed: KeyError: 'goal'"}
     (first, *_) = health_of(make_evaluation, (4, failed)).warnings()

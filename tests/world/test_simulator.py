@@ -25,6 +25,7 @@ from pytest_pafot import (
     Track,
     Traffic,
     WorldError,
+    explore,
 )
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space
@@ -173,6 +174,14 @@ def test_search_in_a_simulator_draws_its_drivers_and_any_start():
         world.check_fits(scenario)
 
 
+def test_search_on_a_road_of_one_lane_needs_no_arguments():
+    single = SimulatorWorld(type("Single", (Bicycle,), {"lanes": 1}), duration=20.0)
+    found = explore(lambda: lambda _: (1.0, 0.0), holds=holds, world=single, runs=6, seed=1)
+    assert {row["ego_lane"] for row in found.runs} == {0}
+    assert {row["npcs"] for row in found.runs} == {1}
+    assert found.findings
+
+
 def test_acceleration_of_an_own_driver_follows_from_its_speeds():
     class Hasty(Placing):
         def start(self, vehicles, seed):
@@ -210,6 +219,8 @@ def test_longer_runs_begin_as_the_others():
 # Units and axes.
 
 FOOT, KMH = 0.3048, 1 / 3.6
+CLOCKWISE = {"y to x": -math.pi / 2, "x to -y": 0.0, "-x to y": math.pi}
+"""Headings that grow clockwise if y is to the left, with the direction of 0, clockwise from x [rad]."""
 
 
 def other_axes(cls, **flags):
@@ -223,14 +234,15 @@ def other_axes(cls, **flags):
         def mine(self, each, length):
             side = -1.0 if self.y_is_left else 1.0
             heading = math.radians(each.heading) if self.degrees else each.heading
-            heading = heading - math.pi / 2 if self.from_north else side * heading
+            is_clockwise = self.headings in CLOCKWISE
+            heading = heading + CLOCKWISE[self.headings] if is_clockwise else side * heading
             x, y = each.x * self.metres, side * each.y * self.metres
             if self.at_front:
                 x, y = x - length / 2 * math.cos(heading), y - length / 2 * math.sin(heading)
             return [x, y, heading, each.speed * self.metres_per_second]
 
         def step(self, controls):
-            side = -1.0 if self.y_is_left and not self.from_north else 1.0
+            side = -1.0 if self.y_is_left and self.headings not in CLOCKWISE else 1.0
             angle = math.pi / 180 if self.degrees else 1.0
             unit = self.metres_per_second
             super().step(
@@ -245,7 +257,8 @@ def other_axes(cls, **flags):
             for (x0, y0, heading, speed), length in zip(self.cars, self.lengths, strict=True):
                 ahead = length / 2 if self.at_front else 0.0
                 x, y = x0 + ahead * math.cos(heading), y0 + ahead * math.sin(heading)
-                turned = heading + math.pi / 2 if self.from_north else side * heading
+                is_clockwise = self.headings in CLOCKWISE
+                turned = heading - CLOCKWISE[self.headings] if is_clockwise else side * heading
                 turned = math.degrees(turned) if self.degrees else turned
                 rows.append(
                     (
@@ -274,8 +287,10 @@ def other_axes(cls, **flags):
             "lane_width": LANE / FOOT,
             "speed_limit": 26.8 / KMH,
         },
-        "a compass": {"y_is_left": True, "from_north": True},
-        "all, as SUMO states them": {"y_is_left": True, "degrees": True, "from_north": True, "at_front": True},
+        "a compass": {"y_is_left": True, "headings": "y to x"},
+        "x to the north, a compass": {"y_is_left": True, "headings": "x to -y"},
+        "x backwards": {"y_is_left": True, "headings": "-x to y", "degrees": True},
+        "all, as SUMO states them": {"y_is_left": True, "degrees": True, "headings": "y to x", "at_front": True},
     }.values(),
 )
 def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
@@ -398,6 +413,102 @@ def test_lines_are_a_straight_road_if_lanes_are_equal(lines, found):
     assert straight_along([np.array(line, dtype=float) for line in lines], LANE) == found
 
 
+def spiral(away, radius=300.0, grows=18.0, points=300):
+    """Return points of two turns to the right with a growing radius, at a distance ``away`` from its outside."""
+    turns = np.linspace(0.0, 4 * math.pi, points + 1)
+    reach = radius + grows * turns
+    way = np.stack([reach * np.sin(turns), -reach * np.cos(turns)], axis=-1)[:, ::-1]
+    along = np.gradient(way, axis=0, edge_order=2)
+    along /= np.hypot(*along.T)[:, None]
+    return way + away * np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+
+def test_spiral_is_a_road_whose_lanes_are_next_to_each_other():
+    class Spiral(Bicycle):
+        lanes = tuple(spiral(away) for away in (0.0, 4.0, 8.0))
+        start_lane, start_speed = 1, 20.0
+
+    world = SimulatorWorld(Spiral, duration=20.0)
+    assert world.road.lane_count == 3
+    trace = world.rollout(
+        Scenario(npcs=BEHIND, ego_lane=1, ego_speed=20.0, gene_seconds=20.0),
+        lambda: lambda seen: Drive(lane=2 if seen.time > 5.0 else 1, speed=20.0),
+    )
+    assert trace.outcome is Outcome.SAFE
+    assert trace.states[-1, 0, 6] == 2  # its lane
+
+
+def test_lanes_from_the_right_or_that_overlap_are_refused():
+    for lanes, field, received in (
+        (Ring.lanes[::-1], "lanes[1]", "one 4.0 m to the left of the lane before it"),
+        ([arc(400.0, 3.0, y=3.0 * number) for number in range(3)], "lane_width", "4.00 m"),
+    ):
+        with pytest.raises(WorldError) as error:
+            SimulatorWorld(type("Odd", (Ring,), {"lanes": lanes})).check()
+        assert (error.value.field, error.value.received) == (f"Odd.{field}", received)
+
+
+# A simulator in which a control takes effect late.
+
+
+class Late(Bicycle):
+    """An ego with a lag of first order of 0.3 s in acceleration and steering, between NPCs that are put in places."""
+
+    moves_ego_only = True
+
+    def start(self, vehicles, seed):
+        super().start(vehicles, seed)
+        self.real = np.zeros(2)
+
+    def step(self, controls):
+        first, *others = controls
+        wanted = np.array([first.acceleration, first.steering])
+        self.real = self.real + (wanted - self.real) * (1.0 - math.exp(-1 / self.hz / 0.3))
+        acceleration, steering = self.real.tolist()
+        super().step([first._replace(acceleration=acceleration, steering=steering), *others])
+        self.cars[1:] = [[each.x, each.y, each.heading, each.speed] for each in others]
+
+
+def test_npcs_next_to_an_ego_that_obeys_late_drive_as_on_a_highway():
+    late = SimulatorWorld(Late, duration=20.0)
+    for scenario in scenarios():
+        steady = lambda: lambda _: (0.0, 0.0)  # noqa: E731  (what takes effect late is the same then)
+        assert same(late.rollout(scenario, steady), HIGHWAY.rollout(scenario, steady))
+    scenario = Scenario(npcs=((PositionInstruction(2, 26.0),),), ego_lane=1, ego_speed=22.0)
+    trace = late.rollout(scenario, lambda: lambda _: (-4.0, 0.0))
+    after = np.arange(0, 31) / 15
+    exact = 22.0 - 4.0 * (after - 0.3 * (1.0 - np.exp(-after / 0.3)))
+    assert trace.states[:31, 0, 3] == pytest.approx(exact, abs=0.15)
+    taken = late.take_over(trace, 10, "careful-human")
+    assert np.array_equal(taken.states[:11], trace.states[:11])
+    recorded = np.array([(40.0 + 2.0 * row, 4.0, 0.0, 20.0) for row in range(120)])
+    late.rollout(Scenario(npcs=((Recorded(track=Track.of(recorded)),),), ego_lane=1, ego_speed=22.0), swerving)
+
+
+def holds(run):
+    assert not run.collision
+
+
+def test_search_with_an_ego_that_obeys_late_finds_who_would_prevent_a_collision():
+    found = explore(
+        lambda: lambda _: (0.0, 0.0), holds=holds, world=SimulatorWorld(Late, duration=20.0), runs=12, seed=1
+    )
+    drivers = [each.expect.reference_drivers for each in found.findings]
+    assert drivers
+    assert {"avoids"} <= {verdict for each in drivers for verdict in each.values()}
+
+
+def test_npc_that_is_not_put_in_its_place_is_refused():
+    world = SimulatorWorld(type("Own", (Bicycle,), {"moves_ego_only": True, "hz": 15, "step": half}), duration=4.0)
+    with pytest.raises(WorldError, match=r"Own.states, tick 1 after step: expected x = .* of NPC 0"):
+        world.rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
+
+
+def half(self, controls):
+    Bicycle.step(self, controls)
+    self.cars[1][0] -= 0.1
+
+
 # Errors.
 
 
@@ -430,14 +541,85 @@ def raising(self, controls):
             {"states": lambda self: self.cars[::-1]},
             r"Broken.states, tick 0 after start: expected x = 200.00 of the ego",
         ),
+        "drivers as a text": ({"drivers": "krauss"}, r"Broken.drivers: expected a list or tuple of names of drivers"),
+        "packages as a text": ({"packages": "sumo"}, r"Broken.packages: expected a list or tuple of names of packages"),
+        "obstacles as a text": ({"obstacles": "none"}, r"Broken.obstacles: expected a list or tuple of objects"),
+        "lanes as a text": ({"lanes": "four"}, r"Broken.lanes: expected a list or tuple of centre lines, or a number"),
+        "half a lane": ({"lanes": 3.5}, r"Broken.lanes: expected a whole number from 1 to 12, received 3.5"),
+        "no headings": ({"headings": "north"}, r"Broken.headings: expected one of 'x to y', 'x to -y', 'y to -x'"),
+        "headings along one axis": ({"headings": "x to -x"}, r"Broken.headings: expected one of 'x to y'"),
+        "one at a time": ({"one_at_a_time": "yes"}, r"Broken.one_at_a_time: expected True or False"),
+        "no mapping": (
+            {"to_dict": lambda self: [1]},
+            r"Broken.to_dict\(\): expected the arguments of the class by name",
+        ),
+        "degrees": (
+            {"states": lambda self: [(*car[:2], math.degrees(car[2]) + 90.0, car[3]) for car in self.cars]},
+            r"Broken.states, tick 0 after start: expected heading = 0.00 of the ego, .* do units and axes fit\?",
+        ),
+        "headings from y": (
+            {"states": lambda self: [(*car[:2], math.pi / 2 - car[2], car[3]) for car in self.cars]},
+            r"expected heading = 0.00 of the ego, .* received 1.57; states fits headings = 'y to x': if this is so",
+        ),
+        "km/h": (
+            {"states": lambda self: [(*car[:3], car[3] * 3.6) for car in self.cars]},
+            r"expected speed = 22.00 of the ego, .* states fits metres_per_second = 1 / 3.6: if this is so",
+        ),
+        "front bumper": (
+            {"states": lambda self: [(car[0] + 2.5, *car[1:]) for car in self.cars]},
+            r"expected x = 200.00 of the ego, .* received 202.50; states fits at_front = True: if this is so",
+        ),
         "y to the left": (
             {"states": lambda self: [(x, -y, heading, speed) for x, y, heading, speed in self.cars]},
-            r"Broken.states, tick 0 after start: expected y = 4.00 of the ego, .* do units and axes fit\?",
+            r"tick 0 after start: expected y = 4.00 of the ego, .* states fits y_is_left = True: if this is so",
         ),
     }.values(),
 )
 def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message):
     with pytest.raises(WorldError, match=message):
+        broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
+
+
+def along(x, y):
+    """Return a step in which vehicles drive along the vector that x and y return for a heading."""
+
+    def step(self, controls):
+        for car in self.cars:
+            car[0] += car[3] * x(car[2]) / 15
+            car[1] += car[3] * y(car[2]) / 15
+
+    return step
+
+
+def before(self, controls):
+    self.last = [list(car) for car in self.cars]
+    Bicycle.step(self, controls)
+
+
+@table(
+    ("members", "received"),
+    {
+        "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; likely headings = 'y to x'"),
+        "x to the north": (
+            {"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
+            r"90 degrees away from it; likely headings = 'x to -y'",
+        ),
+        "km/h": (
+            {"step": along(lambda _: 1 / 3.6, math.sin)},
+            r"0.41 m, 0 degrees away from it; likely metres_per_second = 1 / 3.6 or a tick of it lasts 0.0185 s",
+        ),
+        "other ticks": ({"hz": 20}, r"0 degrees away from it; likely a tick of it lasts 0.0667 s, which is hz = 15"),
+        "old states": (
+            {"step": before, "states": lambda self: getattr(self, "last", self.cars)},
+            r"0.00 m, .* likely states returns what was before the step",
+        ),
+    }.values(),
+)
+def test_vehicles_that_drive_elsewhere_than_they_head_are_refused_at_the_first_tick(members, received):
+    members = {"step": along(math.cos, math.sin), **members}
+    with pytest.raises(
+        WorldError, match=rf"Broken.states, tick 1: expected that the ego drives .* m where .*{received}"
+    ):
         broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
 
 

@@ -65,7 +65,6 @@ AXES = {
     "y_is_left": (True, False),
     "degrees": (True, False),
     "at_front": (True, False),
-    "from_north": (True, False),
     "headings": ("x to y", "y to x", "x to -y", "-x to y"),
 }
 """What a simulator may state of its axes."""
@@ -266,7 +265,7 @@ class _Bench:
             promise = "a vehicle drives as far as hz, metres_per_second and metres say of its speed"
             yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance"
             away = float(np.median(course))
-            promise = "a vehicle moves where its heading points, in the axes of y_is_left, from_north and degrees"
+            promise = "a vehicle moves where its heading points, in the axes of y_is_left, headings and degrees"
             yield abs(away) <= STEADY[1], promise, f"{math.degrees(away):.0f} degrees beside it"
         promise, gain = "the speed is steady without acceleration", float(rows[-1, SPEED] - rows[0, SPEED])
         received = f"{rows[0, SPEED]:.2f} m/s, and {rows[-1, SPEED]:.2f} m/s {seconds:.1f} s later"

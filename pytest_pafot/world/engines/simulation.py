@@ -13,6 +13,7 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -29,6 +30,26 @@ PATIENCE, LEAST_PATIENCE = 10.0, 60.0
 A simulator may need long to start, but hardly as long as ten decisions that are too slow."""
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 """The largest difference of a vehicle's first state from the one that was asked for [m, m, rad, m/s]."""
+STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
+"""In its first tick, a vehicle of at least ``MOVES`` [m/s] drives where it heads and as far as its speed says, up to
+this share of the way and what a change of speed makes [m/s^2]; whatever its engine and its wheels do."""
+QUARTERS = ("x", "y", "-x", "-y")
+"""The axes by quarter turns from x towards y."""
+HEADINGS = {
+    f"{QUARTERS[zero]} to {QUARTERS[(zero + sense) % 4]}": (zero, sense) for zero in range(4) for sense in (1, -1)
+}
+"""The quarter turn at which headings are 0, and 1 if they grow as from x to y, by what :class:`Simulator` states."""
+LIKELY: tuple[tuple[str, Any], ...] = (
+    ("y_is_left", True),
+    ("y_is_left", False),
+    ("at_front", True),
+    ("at_front", False),
+    ("degrees", True),
+    ("degrees", False),
+    *(("headings", each) for each in ("y to x", "x to -y", *HEADINGS)),
+    *((name, unit) for name in ("metres_per_second", "metres") for unit in (1 / 3.6, 0.44704, 0.3048, 0.01, 1.0)),
+)
+"""What a simulator may have stated wrongly, the most likely first."""
 ON_TRACK = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
 """The same for a vehicle that drives as recorded, whose simulator may state a speed of its own."""
 
@@ -94,14 +115,17 @@ class Simulator(ABC):
         start_lane, start_speed, start_at: on a road that is not straight, the lane in which the ego starts, its speed,
             None for 22 m/s or the limit, and its place along this lane; None for the first one with room behind it.
         obstacles: fixed objects: x, y, heading, length and width of each.
-        y_is_left: True if y grows to the left of a vehicle that drives along x, and headings counter-clockwise.
+        y_is_left: True if y grows to the left of a vehicle that drives along x.
+        headings: the axis along which headings are 0, and the one along which they are a quarter turn: ``"x to y"``;
+            ``"y to x"`` for a compass, if x leads to the east and y to the north; or with a minus, ``"x to -y"``.
         degrees: True if angles are in degrees.
-        from_north: True if headings are those of a compass: 0 along y, clockwise.
         at_front: True if the place of a vehicle is the middle of its front; else it is the centre of its box.
         metres: the length of the simulator's unit of length [m].
         metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
         drivers: the names of drivers of the simulator's own, which can drive free NPCs.
         follows_recordings: True if :meth:`step` puts each vehicle whose control is ``recorded`` in the control's state.
+        moves_ego_only: True if :meth:`step` puts all NPCs, but those of ``drivers``, in the states of their controls:
+            for a simulator in which a control takes effect late or in part.
         one_at_a_time: True if a process can have one simulation only; then several runs do not proceed in lock step.
         packages: the names of installed packages whose versions change runs, for saved files.
     """
@@ -116,13 +140,14 @@ class Simulator(ABC):
     start_at: float | None = None
     obstacles: Sequence[tuple[float, float, float, float, float]] = ()
     y_is_left: ClassVar[bool] = False
+    headings: ClassVar[str] = "x to y"
     degrees: ClassVar[bool] = False
-    from_north: ClassVar[bool] = False
     at_front: ClassVar[bool] = False
     metres: ClassVar[float] = 1.0
     metres_per_second: ClassVar[float] = 1.0
     drivers: tuple[str, ...] = ()
     follows_recordings: bool = False
+    moves_ego_only: bool = False
     one_at_a_time: ClassVar[bool] = False
     packages: ClassVar[tuple[str, ...]] = ()
 
@@ -156,15 +181,29 @@ class Frame:
     """
 
     def __init__(self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        self.stands_for, self.origin = simulator, origin
         self.side = -1.0 if simulator.y_is_left else 1.0
-        self.turn = 1.0 if simulator.from_north else self.side
-        self.north = math.pi / 2 if simulator.from_north else 0.0
+        zero, sense = HEADINGS[simulator.headings]
+        self.zero, self.turn = self.side * zero * math.pi / 2, self.side * sense
         self.angle = math.pi / 180 if simulator.degrees else 1.0
         self.metres, self.speed = float(simulator.metres), float(simulator.metres_per_second)
         self.at_front = bool(simulator.at_front)
         x, y, heading = origin
         self._x, self._y, self._heading = x, y, heading
         self._cos, self._sin = math.cos(heading), math.sin(heading)
+
+    def others(self) -> Iterator[tuple[str, Frame]]:
+        """Yield what a simulator may have stated wrongly, and the units and axes that it then has."""
+        names = ("y_is_left", "headings", "degrees", "at_front", "metres", "metres_per_second")
+        stated = {name: getattr(self.stands_for, name) for name in names}
+        for name, value in LIKELY:
+            if value != stated[name]:
+                frame = Frame(SimpleNamespace(**{**stated, name: value}))
+                unit, side = frame.metres / self.metres, frame.side * self.side
+                x, y, heading = self.origin
+                origin = (x * unit, side * y * unit, side * heading)
+                given = f"1 / {1 / value:g}" if value == 1 / 3.6 else repr(value)
+                yield f"{name} = {given}", Frame(frame.stands_for, origin)
 
     def point(self, x: float, y: float) -> tuple[float, float]:
         """Return x and y of a run [m] of a place in the simulator."""
@@ -177,7 +216,7 @@ class Frame:
         ``row`` has them as the simulator states them. The heading has the turn that is nearest to ``near`` [rad].
         """
         x, y = self.point(row[0], row[1])
-        heading = self.turn * self.angle * row[2] - self.north - self._heading
+        heading = self.turn * self.angle * row[2] + self.zero - self._heading
         heading -= 2.0 * math.pi * round((heading - near) / (2.0 * math.pi))
         if self.at_front:
             x -= length / 2.0 * math.cos(heading)
@@ -191,8 +230,8 @@ class Frame:
             x += body.length / 2.0 * math.cos(heading)
             y += body.length / 2.0 * math.sin(heading)
         x, y = x * self._cos - y * self._sin + self._x, y * self._cos + x * self._sin + self._y
-        turned = self.turn * (heading + self._heading + self.north) / self.angle
-        if self.north:
+        turned = self.turn * (heading + self._heading - self.zero) / self.angle
+        if self.zero:
             turned %= 2.0 * math.pi / self.angle
         return x / self.metres, self.side * y / self.metres, turned, body.speed / self.speed
 
@@ -258,11 +297,14 @@ class Simulation:
             starts = self._starts(vehicles)
             with self._called("start"):
                 self._simulator.start(starts, seed)
-            self._check(self._read(), range(len(starts)), STARTS, "start")
+            self._rows = self._read()
+            self._check(self._in_run(self._rows), range(len(starts)), STARTS, "start")
         except BaseException:
             self.close()
             raise
         self._speeds = [body.speed for body in self._bodies]
+        self._puts_all = self._simulator.moves_ego_only
+        self._own = {number for number, each in enumerate(starts) if each.driver}
         self._is_sound = True
 
     def _starts(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
@@ -283,6 +325,7 @@ class Simulation:
         """Let the simulator do the tick in which the package's own model has just moved all vehicles."""
         frame, bodies = self._frame, self._bodies
         recorded = [number for number in self._recorded if bodies[number].left < 0]
+        put = [each for each in range(1, len(bodies)) if each not in self._own] if self._puts_all else recorded
         controls = [
             Control(
                 body.acceleration / frame.speed,
@@ -296,11 +339,14 @@ class Simulation:
         self._is_sound = False
         with self._called("step"):
             self._simulator.step(controls)
-        states = self._read()
-        if recorded:
-            self._check(states, recorded, ON_TRACK, "step")
+        rows = self._read()
+        states = self._in_run(rows)
+        if put:
+            self._check(states, put, ON_TRACK, "step")
+        if self._tick == 1:
+            self._check_way(rows)
         for number, (body, state) in enumerate(zip(bodies, states, strict=True)):
-            if number in recorded:
+            if number in put:
                 self._speeds[number] = body.speed
                 continue
             if state[3] != body.speed:  # else it has the acceleration that it was asked for
@@ -309,7 +355,8 @@ class Simulation:
             self._speeds[number] = state[3]
         self._is_sound = True
 
-    def _read(self) -> list[tuple[float, float, float, float]]:
+    def _read(self) -> list[list[float]]:
+        """Return what the simulator states of all vehicles."""
         with self._called("states"):
             given = self._simulator.states()
         count = len(self._bodies)
@@ -325,22 +372,70 @@ class Simulation:
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
             received = f"{STARTS[column][0]} = {rows[number, column]} of {_named(number)}"
             raise WorldError(field=self._place("states"), expected="finite numbers", received=received)
-        return [
-            self._frame.state(row, body.length, body.heading)
-            for row, body in zip(rows.tolist(), self._bodies, strict=True)
-        ]
+        stated: list[list[float]] = rows.tolist()
+        return stated
+
+    def _in_run(self, rows: Any, frame: Frame | None = None) -> list[tuple[float, float, float, float]]:
+        """Return the states of a run that the simulator states, in its units and axes or in others."""
+        frame = frame or self._frame
+        return [frame.state(row, body.length, body.heading) for row, body in zip(rows, self._bodies, strict=True)]
 
     def _check(self, states: Any, numbers: Sequence[int], most: Any, method: str) -> None:
         """Refuse states that are not those of the bodies."""
+        wrong = self._wrong(states, numbers, most)
+        if wrong is None:
+            return
+        number, name, wanted, value = wrong
+        place = f"{self._place('states')} after {method}"
+        expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
+        fix = "put each vehicle where it is asked to be, in the order given; do units and axes fit?"
+        if method == "start":
+            for likely, frame in self._frame.others():
+                if self._wrong(self._in_run(self._rows, frame), numbers, most) is None:
+                    fix = f"states fits {likely}: if this is so, state it, and let start read its vehicles so, too"
+                    break
+        raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=fix)
+
+    def _wrong(self, states: Any, numbers: Sequence[int], most: Any) -> tuple[int, str, float, float] | None:
+        """Return the first vehicle that is not in the state of its body, with what is wrong, wanted and received."""
         for number in numbers:
-            body = self._bodies[number]
             for (name, largest), value in zip(most, states[number], strict=True):
-                wanted = getattr(body, name)
+                wanted = getattr(self._bodies[number], name)
                 if abs(value - wanted) > largest:
-                    place = f"{self._place('states')} after {method}"
-                    expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
-                    fix = "put each vehicle where it is asked to be, in the order given; do units and axes fit?"
-                    raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=fix)
+                    return number, name, wanted, value
+        return None
+
+    def _check_way(self, rows: list[list[float]]) -> None:
+        """Refuse a first tick in which vehicles did not drive where they head, as far as their speeds say."""
+        strayed = self._strayed(rows, self._frame)
+        if strayed is None:
+            return
+        number, way, wanted = strayed
+        dt, moved = 1.0 / self._hz, math.hypot(*way)
+        expected = f"that {_named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
+        turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
+        received = f"{moved:.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
+        likely = [each for each, frame in self._frame.others() if self._strayed(rows, frame) is None][:1]
+        share = moved / math.hypot(*wanted)
+        if moved < STRAYS * math.hypot(*wanted):
+            likely = ["states returns what was before the step"]
+        elif abs(share - 1.0) > STRAYS and math.cos(math.radians(turned)) > 1.0 - STRAYS:
+            likely.append(f"a tick of it lasts {share * dt:.3g} s, which is hz = {self._hz / share:.3g}")
+        fix = f"likely {' or '.join(likely)}" if likely else "do units and axes, above all headings, fit?"
+        raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
+
+    def _strayed(self, rows: Any, frame: Frame) -> Any:
+        """Return a vehicle that did not drive where it heads, its way and the one expected [m]; None if all did."""
+        dt = 1.0 / self._hz
+        starts, ends = self._in_run(self._rows, frame), self._in_run(rows, frame)
+        for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(zip(starts, ends, strict=True)):
+            body, way = self._bodies[number], (to_x - x, to_y - y)
+            wanted = (speed * math.cos(heading) * dt, speed * math.sin(heading) * dt)
+            slips = abs(math.atan(math.tan(body.steering) / 2.0))
+            most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
+            if self._speeds[number] >= MOVES and math.dist(way, wanted) > most:
+                return number, way, wanted
+        return None
 
     def _place(self, method: str) -> str:
         return f"{type(self._simulator).__name__}.{method}, tick {self._tick}"

@@ -15,11 +15,14 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.support.errors import WorldError
 
 SECTION = 5.0
 """The length of a section [m]."""
 ALMOST = 1e-4
 """How far a point of a straight lane may be from its place [m]."""
+MOST_OVERLAP = 0.1
+"""The largest share of their width by which neighbouring lanes may overlap."""
 STRAIGHT = 1e-7
 """The angle between the ends of a section up to which a lane is a straight line there [rad]."""
 
@@ -50,13 +53,17 @@ def straight_along(lines: Sequence[FloatArray], width: float) -> tuple[tuple[flo
     return (float(x), float(y), heading), end - begin
 
 
-def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float) -> Any:
+def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float, name: str = "") -> Any:
     """Make a network of highway-env with a lane along each centre line.
 
     Args:
         lines: as for :func:`straight_along`; a lane may be shorter than the longest, next to which it lies.
         width: the width of the lanes [m].
         speed_limit: the speed limit [m/s].
+        name: whose lanes they are, for errors.
+
+    Raises:
+        WorldError: if the lanes are not from the left, or overlap.
     """
     from pytest_pafot.world.stock import CircularLane, RoadNetwork, StraightLane  # noqa: PLC0415  (highway-env)
 
@@ -65,8 +72,11 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float) ->
     stations = longest[:: max(1, round(SECTION))]
     if len(stations) > 1 and math.dist(stations[-1], longest[-1]) > SECTION / 2:
         stations = np.vstack([stations, longest[-1:]])
-    tangent = np.gradient(stations, axis=0)
-    ways = [_at_stations(curve, stations, tangent) for curve in curves]
+    tangent = np.gradient(stations, axis=0, edge_order=2 if len(stations) > 2 else 1)
+    tangent /= np.hypot(*tangent.T)[:, None]
+    reach = 2.0 * width * len(lines)  # further away, it is another turn of a spiral, or the other side of a loop
+    ways = [_at_stations(curve, stations, tangent, reach) for curve in curves]
+    _check_order(ways, tangent, width, name)
     turns = [np.unwrap(np.arctan2(*_slopes(way).T[::-1])) for way in ways]
     network = RoadNetwork()
     common = {"width": width, "speed_limit": speed_limit}
@@ -88,6 +98,25 @@ def network_of(lines: Sequence[FloatArray], width: float, speed_limit: float) ->
             lane = CircularLane(centre, radius, begin, begin + angle, clockwise=angle > 0, **common)
             network.add_lane(str(number), str(number + 1), lane)
     return network
+
+
+def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, name: str) -> None:
+    """Refuse lanes that are not from the left, or of which two overlap along most of their way."""
+    for number, (left, right) in enumerate(pairwise(ways), start=1):
+        across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
+        if np.isnan(across).all():
+            continue
+        apart = float(np.nanmedian(across))
+        if apart < 0.0:
+            expected = "lanes from the left, as a driver sees them"
+            received = f"one {-apart:.1f} m to the left of the lane before it"
+            fix = "write lanes[::-1]; or is y_is_left wrong, or do the points lead against the direction of driving?"
+            raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
+        if apart < (1.0 - MOST_OVERLAP) * width:
+            expected = (
+                f"at most {apart:.2f} m, the distance between the centre lines of lanes {number - 1} and {number}"
+            )
+            raise WorldError(field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m")
 
 
 def _slopes(way: FloatArray) -> FloatArray:
@@ -119,15 +148,17 @@ def _curve(line: FloatArray) -> FloatArray:
     return curve
 
 
-def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray) -> FloatArray:
-    """Return where a curve is next to each station of the longest one; NaN where it is not."""
+def _at_stations(curve: FloatArray, stations: FloatArray, tangent: FloatArray, reach: float) -> FloatArray:
+    """Return where a curve is next to each station of the longest one, up to a distance [m]; NaN where it is not."""
     found = np.full_like(stations, np.nan)
     for number, (station, direction) in enumerate(zip(stations, tangent, strict=True)):
-        ahead = (curve - station) @ direction / np.hypot(*direction)
+        ahead = (curve - station) @ direction
         crossing = np.flatnonzero((ahead[:-1] <= 1e-6) & (ahead[1:] >= -1e-6))
         if not crossing.size:
             continue
         near = min(crossing.tolist(), key=lambda each: float(np.hypot(*(curve[each] - station))))
+        if np.hypot(*(curve[near] - station)) > reach:
+            continue
         share = -ahead[near] / (ahead[near + 1] - ahead[near])
         found[number] = curve[near] + min(max(share, 0.0), 1.0) * (curve[near + 1] - curve[near])
     return found
