@@ -224,8 +224,8 @@ def limited(self, controls):
         (Toy, {"gas": lambda self, each: each.acceleration - 1.0}, "the speed is steady without acceleration"),
         (Toy, {"wheels": lambda self, each: each.steering + 0.02}, "the heading is steady without steering"),
         (Toy, {"states": lambda self: [(x, y, -heading, v) for x, y, heading, v in self.cars]}, "its heading points"),
-        (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, "180 degrees beside it"),
-        (Late, {}, "states() has the states after the last step"),
+        (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, "fits with headings = '-x to y'"),
+        (Late, {}, "likely states returns what was before the step"),
         (Delayed, {}, "a tick late"),
         (Worn, {}, "used before; reset all in start"),
         (Own, {}, "used before; reset all in start, also random generators"),
@@ -236,9 +236,6 @@ def limited(self, controls):
         (Resized, {"size": lambda self, each: each._replace(length=each.width)}, "another turn of a wider vehicle"),
         (Resized, {"size": lambda self, each: each._replace(length=5.0)}, "the same turn of one of twice the length"),
         (Toy, {"follows_recordings": True}, "as follows_recordings declares"),
-        (Toy, {**RING, "lanes": RINGS[::-1]}, "list them the other way round"),
-        (Toy, {**RING, "y_is_left": False}, "write y_is_left = True"),
-        (Toy, {**RING, "lanes": [circle(radius) for radius in (300.0, 303.0, 306.0)]}, "write lane_width = 3"),
     ],
 )  # fmt: skip
 def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):

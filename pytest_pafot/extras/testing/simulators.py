@@ -16,7 +16,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from pytest_pafot import (
     WorldError,
 )
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, X, Y
-from pytest_pafot.extras.testing.traces import Promises, beside, wrapped
+from pytest_pafot.extras.testing.traces import Promises, wrapped
 
 SECONDS, SETTLED = 1.5, 1.0
 """How long an experiment lasts, and the time after which a simulator with a lag does as it is asked [s]."""
@@ -55,8 +55,6 @@ PART = 0.2
 CENTRE = 0.12, 0.7
 """How far behind the centre of its box a vehicle turns, as a share of its length: at least if places are those of its
 front, and at most if they are those of its centre."""
-OVERLAP = 0.85
-"""The least distance between neighbouring lanes, as a multiple of their width."""
 INFLUENCE = 0.5
 """The largest change of the place [m] or the speed [m/s] of a vehicle by the controls of others."""
 ON_TRACK = 0.05
@@ -139,7 +137,6 @@ def experiments(world: SimulatorWorld, scenario: Scenario, seed: int) -> Promise
     """Yield what a simulator promises, by experiments with it. A scenario of its world says where vehicles start."""
     real = world.simulator()
     try:
-        yield from _lanes(real)
         bench = _Bench(world, scenario, real)
         yield from bench.start()
         yield from bench.repetition(seed)
@@ -148,27 +145,6 @@ def experiments(world: SimulatorWorld, scenario: Scenario, seed: int) -> Promise
         yield from bench.others(seed)
     finally:
         real.close()
-
-
-def _lanes(real: Simulator) -> Promises:
-    """Yield that the centre lines of lanes are listed from the left, and as far from each other as they are wide."""
-    if isinstance(real.lanes, int):
-        return
-    unit = [real.metres, -real.metres if real.y_is_left else real.metres]
-    lines = [np.asarray(line, dtype=np.float64) * unit for line in real.lanes]
-    width = 4.0 if real.lane_width is None else real.lane_width * real.metres
-    for number, (left, right) in enumerate(pairwise(lines)):
-        middles = (right[1:] + right[:-1]) / 2
-        away, across, _ = beside(left, middles)
-        near = across[away < 1.5 * width]
-        apart = float(np.median(near)) if len(near) else width
-        promise = "lanes are listed from the left, in the direction of driving, and y_is_left says where y grows"
-        received = f"lanes[{number + 1}] {-apart:.1f} m to the left of lanes[{number}]"
-        fix = f"list them the other way round, or write y_is_left = {not real.y_is_left}"
-        yield apart > 0, promise, f"{received}; {fix}"
-        promise = "lane_width is the width of lanes, which do not overlap"
-        received = f"{width:g} m for lanes[{number}] and lanes[{number + 1}], {apart:.2f} m apart"
-        yield apart >= OVERLAP * width, promise, f"{received}; write lane_width = {apart / real.metres:.3g}"
 
 
 class _Bench:
@@ -332,7 +308,8 @@ class _Bench:
         except (WorldError, ScenarioError):  # the road is none then, or the start
             return ""
         if "scaled" not in cause:
-            return "; all fits with " + ", ".join(f"{name} = {value!r:.6}" for name, value in cause.items())
+            shown = {name: f"{value:.6g}" if isinstance(value, float) else repr(value) for name, value in cause.items()}
+            return "; all fits with " + ", ".join(f"{name} = {value}" for name, value in shown.items())
         name, factor = cause["scaled"]
         if factor < 0:
             return f"; all fits with the opposite sign of control.{name}, which is positive where headings grow"
