@@ -59,7 +59,7 @@ TESTS = Path(__file__).parent / "tests"
 EXTRAS = TESTS / "extras"
 LONG = set((TESTS / "long.txt").read_text(encoding="utf-8").split())
 STAGES = ("processes", "long", "stories", "oracle", "extras")
-NAMED = re.compile(rf"\bmark\.({'|'.join(STAGES)})\b")
+NAMED = re.compile(rf"\bmark\.({'|'.join(STAGES)})\b|\bhelpers\.stages\b")
 
 
 def has_stages(path: Path) -> bool:
@@ -73,7 +73,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Leave out what a whole session would import only to deselect, unless a path names it.
 
     The main stage leaves out the tests of extras, which import pandas, matplotlib and others, and the other stages the
-    files without tests of theirs, which are two of five.
+    files without tests of theirs, which are a quarter.
     """
     if config.option.markexpr.startswith("not "):
         is_named = any("extras" in argument for argument in config.args)
@@ -110,7 +110,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, o
             item.add_marker("long")
     for path in {item.path for item in items if any(map(item.get_closest_marker, STAGES))}:
         if not has_stages(path):
-            raise pytest.UsageError(f"{path}: expected a file with tests of a stage to name it as `mark.<stage>`")
+            raise pytest.UsageError(f"{path}: expected a file with tests of a stage to name it, as `mark.<stage>`")
     items.sort(key=lambda item: item.path)  # the same order in all workers
     done = yield
     items.sort(key=lambda item: [item.get_closest_marker(stage) is None for stage in STAGES[:3]])

@@ -150,15 +150,12 @@ def test_only_assertions_that_pytest_rewrites_hold_without_those_of_python(tmp_p
     told = session(
         tmp_path,
         "-rAp",
-        "--continue-on-collection-errors",
         test_it=MARKED + EXPLORED,
         test_as_written=f"'PYTEST_DONT_REWRITE'\n{MARKED}",
         test_imported=f"{IMPORTS}test_it = pafot.search(ads=Old)(holds)\n",
     )
-    for name in ("test_as_written", "test_imported"):
-        collected = told.partition(f"ERROR collecting {name}.py")[2].partition("ERROR collecting")[0]
-        assert "expected a test whose assertions run" in collected
-    assert "2 errors in" in told
+    assert re.search(r"^test_as_written\.py E .*\ntest_imported\.py E ", told, re.MULTILINE)
+    assert told.count("expected a test whose assertions run") == 2
     assert "new finding" in told
     assert "assertions in modules that pytest does not rewrite are off" in told
     assert "PASSED test_it.py::test_explored" in told
