@@ -73,7 +73,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Leave out what a whole session would import only to deselect, unless a path names it.
 
     The main stage leaves out the tests of extras, which import pandas, matplotlib and others, and the other stages the
-    files without tests of theirs, which are a quarter.
+    files without tests of theirs, which are a third.
     """
     if config.option.markexpr.startswith("not "):
         is_named = any("extras" in argument for argument in config.args)
