@@ -3,6 +3,7 @@
 import atexit
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Generator
@@ -54,11 +55,33 @@ def pytest_configure(config: pytest.Config) -> None:
         providers.is_local_module_file = lambda path: False
 
 
+TESTS = Path(__file__).parent / "tests"
+EXTRAS = TESTS / "extras"
+LONG = set((TESTS / "long.txt").read_text(encoding="utf-8").split())
+STAGES = ("processes", "long", "stories", "oracle", "extras")
+NAMED = re.compile(rf"\bmark\.({'|'.join(STAGES)})\b|\bhelpers\.stages\b")
+
+
+def has_stages(path: Path) -> bool:
+    """Return whether a test file names a stage, or a list or its folder puts tests of it into one."""
+    file = f"{path.relative_to(TESTS.parent).as_posix()}::"
+    is_listed = any(each.startswith(file) for each in LONG)
+    return is_listed or path.is_relative_to(EXTRAS) or bool(NAMED.search(path.read_text(encoding="utf-8")))
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave the tests of extras to their stage, unless a path names them: they import pandas, matplotlib and others."""
-    is_of_stage = not config.option.markexpr.startswith("not ")
-    is_left_out = not is_of_stage and not any("extras" in argument for argument in config.args)
-    return True if collection_path == Path(__file__).parent / "tests" / "extras" and is_left_out else None
+    """Leave out what a whole session would import only to deselect, unless a path names it.
+
+    The main stage leaves out the tests of extras, which import pandas, matplotlib and others, and the other stages the
+    files without tests of theirs, which are a third.
+    """
+    if config.option.markexpr.startswith("not "):
+        is_named = any("extras" in argument for argument in config.args)
+        return True if collection_path == EXTRAS and not is_named else None
+    words = set(re.findall(r"\w+", config.option.markexpr))
+    is_of_stages = bool(words) and words <= {*STAGES, "or"} and config.args == config.getini("testpaths")
+    is_test = collection_path.suffix == ".py" and collection_path.name.startswith("test_")
+    return True if is_of_stages and is_test and not has_stages(collection_path) else None
 
 
 @pytest.hookimpl(wrapper=True)
@@ -82,14 +105,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, o
 
     Of these, tests of processes come first: to copy this process takes longer after tests that leave much in memory.
     """
-    long = set((Path(__file__).parent / "tests" / "long.txt").read_text(encoding="utf-8").split())
     for item in items:
-        if item.nodeid.partition("[")[0] in long:
+        if item.nodeid.partition("[")[0] in LONG:
             item.add_marker("long")
+    for path in {item.path for item in items if any(map(item.get_closest_marker, STAGES))}:
+        if not has_stages(path):
+            raise pytest.UsageError(f"{path}: expected a file with tests of a stage to name it, as `mark.<stage>`")
     items.sort(key=lambda item: item.path)  # the same order in all workers
     done = yield
-    stages = ("processes", "long", "stories")
-    items.sort(key=lambda item: [item.get_closest_marker(stage) is None for stage in stages])
+    items.sort(key=lambda item: [item.get_closest_marker(stage) is None for stage in STAGES[:3]])
     return done
 
 

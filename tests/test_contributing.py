@@ -4,7 +4,6 @@ import ast
 import importlib.util
 import re
 import shlex
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -15,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pytest_pafot
+from tests.helpers.sessions import command_in_a_copy
 from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
@@ -54,10 +54,7 @@ def nox_sessions():
 
 @pytest.mark.processes
 def test_pytest_knows_every_option_of_a_command():
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    known = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", done.stdout))
+    known = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", command_in_a_copy("pytest", "--help", folder=ROOT).out))
     used = {word.partition("=")[0] for words in calls_of_pytest() for word in words if word.startswith("-")}
     assert used - known == set()
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.sessions import Copy
+from tests.helpers.sessions import Copy, in_a_copy
 from tests.helpers.tables import table
 from tests.test_layers import MODULES, ROOMS
 
@@ -44,7 +44,7 @@ def test_warning_of_a_plugin_does_not_end_session(pytester, monkeypatch):
         noisy="import warnings\n\ndef pytest_configure():\n    warnings.warn('configured')\n",
         test_it="import warnings\n\ndef test_quiet(): pass\n\ndef test_noisy(): warnings.warn('ran')\n",
     )
-    result = pytester.runpytest_subprocess("-p", "noisy", "-p", "xdist", "-n", "1", "test_it.py")
+    result = in_a_copy(pytester, "-p", "noisy", "-p", "xdist", "-n", "1", "test_it.py")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*UserWarning: ran"])
 

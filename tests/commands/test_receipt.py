@@ -117,38 +117,45 @@ def test_the_session_of_a_search_ends_as_pytest_does_if_nobody_reads_its_output(
     assert "Traceback" not in done.stderr
 
 
-def session(folder, test, *options, docstring=""):
-    """Run a session under -O; return its output."""
+def session(folder, *options, **tests):
+    """Run a session of some test files under -O; return its output."""
     (folder / "helper.py").write_text("def holds(run):\n    assert not run.collision\n")
-    imports = "import pytest_pafot as pafot\nfrom helper import holds\nfrom planner import Old\n"
-    (folder / "test_it.py").write_text(f"{docstring}{imports}{test}")
+    for name, test in tests.items():
+        (folder / f"{name}.py").write_text(test)
     (folder / "planner.py").write_text(re.sub("[A-Z]+_[A-Z]+", "pass", POLICY))
     line = [sys.executable, "-O", "-m", "pytest", "--pafot-runs=8", "--pafot-seed=1", *options]
     return subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False).stdout
 
 
-MARKED = "@pafot.search(ads=Old)\ndef test_it(run):\n    assert not run.collision\n"
+IMPORTS = "import pytest_pafot as pafot\nfrom helper import holds\nfrom planner import Old\n"
+MARKED = f"{IMPORTS}@pafot.search(ads=Old)\ndef test_it(run):\n    assert not run.collision\n"
+EXPLORED = """
+def holds_here(run):
+    assert not run.collision
+
+def test_explored():
+    assert pafot.explore(Old, holds=holds_here, runs=8, seed=1).findings
+"""
 
 
-@pytest.mark.parametrize(
-    ("test", "options", "docstring"),
-    [
-        (MARKED, ["--assert=plain"], ""),
-        (MARKED, ["-p", "no:assertion"], ""),
-        (MARKED, [], "'PYTEST_DONT_REWRITE'\n"),
-        ("test_it = pafot.search(ads=Old)(holds)\n", [], ""),
-    ],
-)
-def test_pytest_refuses_a_marked_test_whose_assertions_are_off(tmp_path, test, options, docstring):
-    told = session(tmp_path, test, *options, docstring=docstring)
+@pytest.mark.parametrize("options", [["--assert=plain"], ["-p", "no:assertion"]])
+def test_pytest_refuses_a_marked_test_whose_assertions_are_off(tmp_path, options):
+    told = session(tmp_path, *options, test_it=MARKED)
     assert "expected a test whose assertions run" in told
     assert "1 error in" in told
 
 
-def test_assertions_that_pytest_rewrites_hold_without_those_of_python(tmp_path):
-    explored = "def holds_here(run):\n    assert not run.collision\n\ndef test_explored():\n"
-    explored += "    assert pafot.explore(Old, holds=holds_here, runs=8, seed=1).findings\n"
-    told = session(tmp_path, MARKED + explored, "-rAp")
+def test_only_assertions_that_pytest_rewrites_hold_without_those_of_python(tmp_path):
+    """Two files are refused, and the search of the third one finds what it does with Python's assertions."""
+    told = session(
+        tmp_path,
+        "-rAp",
+        test_it=MARKED + EXPLORED,
+        test_as_written=f"'PYTEST_DONT_REWRITE'\n{MARKED}",
+        test_imported=f"{IMPORTS}test_it = pafot.search(ads=Old)(holds)\n",
+    )
+    assert re.search(r"^test_as_written\.py E .*\ntest_imported\.py E ", told, re.MULTILINE)
+    assert told.count("expected a test whose assertions run") == 2
     assert "new finding" in told
     assert "assertions in modules that pytest does not rewrite are off" in told
     assert "PASSED test_it.py::test_explored" in told

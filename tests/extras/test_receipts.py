@@ -28,8 +28,17 @@ LONG = {
 }
 
 
+# The commands have the parent in common, which the search is tested with in every way. What is their own is where they
+# call the policy, and whether they let an exception of it through.
+EACH = [
+    *((place, "sys.exit(0)") for place in ENDINGS),
+    ("IN_DECISION", "os._exit(0)"),
+    ("ON_IMPORT", "os._exit(0)"),  # progress drives in other processes, and imports in this one
+]
+
+
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize(("place", "how"), [(place, how) for place, ways in ENDINGS.items() for how in ways])
+@pytest.mark.parametrize(("place", "how"), EACH)
 def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, how):
     check_ending(tmp_path, COMMANDS[command], place, how)
 
@@ -76,7 +85,7 @@ def test_a_child_that_an_interrupt_ends_without_a_receipt_is_no_fault_of_the_pol
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
     line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["map"].replace("10:60:2", "10:60:200").split()]
     (tmp_path / "planner.py").write_text(
