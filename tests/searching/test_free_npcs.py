@@ -203,7 +203,6 @@ def keeping(observation):
         (3, "expected some of 'idm'"),
         ({"a b": lambda: steady}, "a name has up to 40 letters"),
         ({"idm": lambda: steady}, "expected 'idm' to have no factory"),
-        ({"last": "rev:main"}, "received a revision, .* `git worktree add ../last_version main`"),
         ({"last": 3}, "expected the name of a fixture or a factory"),
         ({"last": "nowhere:Planner"}, "nowhere"),
     ],
