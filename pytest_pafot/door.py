@@ -55,8 +55,8 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         f"{EXTRAS}.episodes.rate_command",
         "count how often a policy crashes by itself",
         "Drive seeded episodes in the environment's own traffic, without a search, and count the crashes of one "
-        "policy, or of two on the same seeds. With --out it can be interrupted at any time; the same command continues "
-        "where it stopped.",
+        "policy, or of several on the same seeds. With --out it can be interrupted at any time; the same command "
+        "continues where it stopped.",
         is_gate=True,
     ),
     "export": Command(
