@@ -315,7 +315,7 @@ class Settings:
     profile: str = option(
         "text",
         "Set of defaults: ci (400 runs, seed 0, isolated) or local (40 runs, a new seed).",
-        "By default `ci` if the variable `CI` is set. It isolates only [on Linux](#pafot-isolate).",
+        "By default `ci` if the variable `CI` is set. It isolates only on Linux.",
         choices=tuple(PROFILES),
     )
     debug: bool = option(
