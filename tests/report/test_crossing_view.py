@@ -197,6 +197,28 @@ def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
 
 @pytest.mark.processes
 @in_a_browser
+def test_a_contact_at_a_junction_is_drawn_larger_until_the_reader_zooms(browser, tmp_path):
+    page = opened(browser, tmp_path, crash(), 1.8)
+    size = (
+        "(() => { const [stage, ego] = ['.stage svg', '.ego-body']"
+        ".map(each => document.querySelector(`article.current ${each}`));"
+        " return [stage.viewBox.baseVal.height, Number(ego.getAttribute('width'))]; })()"
+    )
+    far_height, far = page.evaluate(size)
+    page.press("e")
+    near_height, near = page.evaluate(size)
+    assert near == pytest.approx(2.2 * far, rel=0.01)
+    assert near_height == pytest.approx(far_height, rel=0.02)
+    page.press("-")
+    _, zoomed = page.evaluate(size)
+    assert zoomed == pytest.approx(0.8 * near, rel=0.01)
+    page.press("Home")
+    assert page.evaluate(size)[1] == pytest.approx(zoomed, rel=0.01)
+    page.close()
+
+
+@pytest.mark.processes
+@in_a_browser
 @pytest.mark.parametrize("width", [320, 400, 900, 1360])
 def test_crossing_npc_is_visible_long_before_contact(browser, tmp_path, width):
     """At 10 m/s each, the two are 42 m apart 3 s before. A page on a telephone shows half of that sideways."""
