@@ -111,10 +111,12 @@ class Player {
     this.draw();
   }
 
-  // A junction is drawn larger around the contact, where both vehicles are near.
+  // A junction is drawn larger around the moment, if an NPC is near then.
   closeUp() {
-    const { event } = this.finding;
-    const isNear = event.kind === "collision" && Math.abs(this.time - event.time) <= CLOSE_SECONDS;
+    const moment = momentOf(this.finding);
+    const frame = frameAt(this.finding.times, moment);
+    const gaps = this.finding.vehicles.slice(1).map((vehicle) => held(vehicle.gap, frame));
+    const isNear = Math.abs(this.time - moment) <= CLOSE_SECONDS && gaps.some((gap) => gap !== null && gap < CLOSE_GAP);
     return isNear && isCrossed(this.finding) && this.zoom === null ? CLOSE_UP : 1;
   }
 
