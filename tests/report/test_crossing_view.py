@@ -157,7 +157,8 @@ def browser(tmp_path_factory):
 
 
 def texts(page, selector):
-    return page.evaluate(f"[...document.querySelectorAll('article.current {selector}')].map(each => each.textContent)")
+    shown = page.evaluate(f"[...document.querySelectorAll('article.current {selector}')].map(each => each.textContent)")
+    return [each.replace("\u00a0", " ") for each in shown]
 
 
 def opened(browser, folder, view, time, **more):

@@ -143,7 +143,7 @@ class Player {
       index ? fixed(state.ttc, 2) : "",
       index ? (instruction ? PHASES[instruction.zone ? "crossing" : instruction.phase](instruction) : "") : decisionAt(this.finding, this.time),
     ] : ["-", "-", "-", "-", ""];
-    this.rows[index].forEach((cell, column) => { if (cell.textContent !== texts[column]) cell.textContent = texts[column]; });
+    this.rows[index].forEach((cell, column) => { if (cell.textContent !== tied(texts[column])) cell.textContent = tied(texts[column]); });
   }
 
   isAtEnd() { return this.time >= this.duration - 1e-6; }

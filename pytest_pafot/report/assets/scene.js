@@ -407,15 +407,18 @@ class Scene {
   }
 
   drawPointer(state, index) {
-    // An arrow at the edge points to a vehicle that is out of sight, below any other arrows there.
+    // An arrow at the edge points to a vehicle that is out of sight. It is away from other arrows there, and above the ruler if it can be.
     const pointer = this.pointers[index - 1];
     const isInside = this.isInside(state);
     pointer.setAttribute("visibility", isInside ? "hidden" : "visible");
     if (isInside) return;
     const isLeft = this.isWorld ? state.along < this.egoAlong : this.x(state.along) < 0;
     const [plate, arrow, label] = pointer.children;
-    let y = clamp(this.y(state.across), 12, this.height - RULER - 12);
-    while (this.taken.some((other) => other.isLeft === isLeft && Math.abs(other.y - y) < other.room)) y += 2;
+    const lowest = this.height - RULER - 12;
+    const start = clamp(this.y(state.across), 12, lowest);
+    const places = Array.from({ length: 400 }, (_, step) => start + (step % 2 ? 2 : -2) * Math.ceil(step / 2)).filter((y) => y >= 12
+      && this.taken.every((other) => other.isLeft !== isLeft || Math.abs(other.y - y) >= other.room));
+    const y = places.find((each) => each <= lowest) ?? places[0];
     this.taken.push({ isLeft, y, room: 15 });
     const edge = isLeft ? LANE_NAME : this.width - 4;
     const inward = isLeft ? 1 : -1;
