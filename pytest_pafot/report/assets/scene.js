@@ -340,10 +340,11 @@ class Scene {
       // The number is in a corner in which no vehicle is, the upper left one if it can be.
       const corners = [[-1, -1], [1, -1], [-1, 1], [1, 1]].map(([sideways, down]) => [sideways * (length / 2 - 7), down * (width / 2 - 9)]);
       const placed = corners.map(([dx, dy]) => [dx, dy, ...this.turnedPlace(centre, x, y, dx, dy)]);
-      const [dx, dy, ...place] = placed.find((each) => isFree(each.slice(2))) ?? placed[0];
-      change(number, { x: px(x + dx), y: px(y + dy), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
+      const free = placed.find((each) => isFree(each.slice(2)));
+      const [dx, dy, ...place] = free ?? placed[0];
+      change(number, { x: px(x + dx), y: px(y + dy), visibility: free ? visibility : "hidden", class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
-      if (centre.exists) this.numbers.push([...place, number]);
+      if (centre.exists && free) this.numbers.push([...place, number]);
     });
   }
 
