@@ -84,8 +84,11 @@ def row(name: str, *cells: object) -> str:
 
 # The page's text on findings without a script: their list, and an article on each with a place for its picture.
 
-SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2"}
-"""Symbols by who is responsible, or of a failed check. They differ at a glance, even without colour."""
+SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013", "check": "\u25b2", "error": "\u25a0"}
+"""Symbols by who is responsible, of a failed check, or of an error of the ego's policy.
+
+They differ at a glance, even without colour.
+"""
 
 WHO = {
     "ego": "ego responsible",
@@ -93,6 +96,7 @@ WHO = {
     "both": "both responsible",
     "none": "nobody responsible",
     "check": "failed check",
+    "error": "policy error",
 }
 
 
@@ -112,33 +116,43 @@ def finding_list(findings: Sequence[RunView]) -> str:
     if not findings:
         return ""
     tests: dict[str, dict[str, list[str]]] = {}
+    labels: dict[str, set[str]] = {}  # of each test; a label that all its findings have is said in its heading
+    for finding in findings:
+        labels.setdefault(finding.group[0], set()).add(finding.label.partition(" (")[0])
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         meta = ", ".join(_tags(finding))
         # The text that the filter searches.
         searched = [finding.node_id, finding.headline, finding.assertion, meta, finding.path]
         words = " ".join([*searched, *([finding.traced] if finding.traced else [])]).lower()
-        kind, badge = _kind(finding), finding.label.partition(" (")[0]
-        name, dash, number = finding.id.rpartition("-") if "-" in finding.id else (finding.id, "", "")
         heading, parameters = finding.group
+        kind, badge = _kind(finding), "" if len(labels[heading]) == 1 else finding.label.partition(" (")[0]
+        name, dash, number = finding.id.rpartition("-") if "-" in finding.id else (finding.id, "", "")
         tests.setdefault(heading, {}).setdefault(parameters, []).append(
             f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-index="{index}" data-key="{text(key)}" '
             f'data-outcome="{text(kind)}" data-words="{text(words)}" title="{text(finding.headline)}">'
             f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-            f'<span class="id"><span class="kind">{text(name)}</span>{dash}{text(number)}</span>'
+            f'<span class="line"><span class="id"><span class="kind">{text(name)}</span>{dash}{text(number)}</span>'
+            f'<span class="brief">{text(_brief(finding))}</span></span>'
             + (f'<span class="badge">{text(badge)}</span>' if badge else "")
             + "</a></li>"
         )
     counts = Counter(map(_who, findings))
     names = [*(name for name in SYMBOLS if counts[name]), *sorted(set(counts) - set(SYMBOLS))]
     summary = ", ".join(
-        plural(counts[name], WHO[name]) if name == "check" else f"{counts[name]} {WHO.get(name, name)}"
+        f"{SYMBOLS.get(name, '?')} "
+        + (plural(counts[name], WHO[name]) if name in ("check", "error") else f"{counts[name]} {WHO.get(name, name)}")
         for name in names
     )
-    listed = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
-    if len(tests) == 1 and not findings[0].traced and list(tests[findings[0].group[0]]) == [""]:
-        return f"{listed}<ol>{''.join(tests[findings[0].group[0]][''])}</ol>"
+    is_one = len(tests) == 1 and not findings[0].traced and list(tests[findings[0].group[0]]) == [""]
+    said = {test: min(each) for test, each in labels.items() if len(each) == 1}
+    if len(said) == len(tests) and len(set(said.values())) == 1 and (same := min(said.values())):
+        said, summary = {}, f"{summary}; {'all ' if len(findings) > 1 else ''}{same}"
+    above = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
+    if is_one:
+        return f'{above}<div class="rows"><ol>{"".join(tests[findings[0].group[0]][""])}</ol></div>'
+    listed = f'{above}<div class="rows">'
     for place, (title, policies) in enumerate(tests.items()):
-        count = sum(map(len, policies.values()))
+        count = ", ".join(filter(None, [str(sum(map(len, policies.values()))), text(said.get(title, ""))]))
         listed += f'<div class="group"><h3 id="group-{place}">{text(title)} <span class="count">{count}</span></h3>'
         for order, (parameters, items) in enumerate(policies.items()):
             label = f"group-{place}-{order}" if parameters else f"group-{place}"
@@ -146,7 +160,15 @@ def finding_list(findings: Sequence[RunView]) -> str:
             ordered = f'<ol aria-labelledby="{label}">{"".join(items)}</ol>'
             listed += f'<div class="group">{policy}{ordered}</div>' if parameters else ordered
         listed += "</div>"
-    return listed
+    return f"{listed}</div>"
+
+
+def _brief(finding: RunView) -> str:
+    """Return when and what, so short that it fits under a finding's name: ``4.2 s: NPC 3 ahead, ego at fault``."""
+    if finding.check is None and finding.event.kind not in ("collision", "ads_error", "hang"):
+        return finding.headline
+    time = finding.event.time if finding.check is None else finding.check.begin
+    return f"{'' if time is None else f'{time:.1f} s: '}{finding.headline.partition(': ')[2] or finding.headline}"
 
 
 def further_section(findings: Sequence[RunView], whole: int) -> str:
@@ -233,8 +255,8 @@ def _filter(findings: Sequence[RunView]) -> str:
 def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
-    is_said = finding.sentences and finding.check is None  # who is responsible
-    tags = _tags(finding)[1 if is_said else 0 :]
+    tags = _tags(finding)[1 if finding.sentences and finding.check is None else 0 :]  # who is responsible
+    sentences = "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences)
     tags += [finding.traffic] if finding.traffic else []
     mark = f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     deadline = "" if finding.deadline is None else f'; <span class="deadline">brake by {finding.deadline:.1f} s</span>'
@@ -242,8 +264,8 @@ def finding_article(finding: RunView, index: int) -> str:
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p>',
         f'<h2 id="headline-{index}">{mark} {text(finding.headline)}{deadline}</h2>',
-        "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences),
-        claim if finding.check is None else _check_figures(finding.check),
+        sentences + claim if finding.check is None else _check_figures(finding.check),
+        f'<p class="besides">{text(finding.besides)}</p>' if finding.besides else "",
         copyable(finding.command) if finding.command else "",
         f'<ul class="tags">{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
         f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
@@ -306,7 +328,9 @@ def _check_figures(check: CheckView) -> str:
 
 
 def _who(finding: RunView) -> str:
-    return finding.responsibility if finding.check is None else "check"
+    if finding.check is not None:
+        return "check"
+    return "error" if finding.event.kind in ("ads_error", "hang") else finding.responsibility
 
 
 def _kind(finding: RunView) -> str:
@@ -316,7 +340,7 @@ def _kind(finding: RunView) -> str:
 def _tags(finding: RunView) -> list[str]:
     """Return short texts that distinguish a finding from others, such as who is responsible for the collision."""
     tags = [WHO.get(_who(finding), finding.responsibility)]
-    if finding.check is not None and finding.responsibility != "none":
+    if finding.check is not None and finding.responsibility != "none" and not finding.besides:
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
     tags += [plural(finding.runs, "run")] if finding.runs else []
     tags += [] if finding.sighting is None else [f"first in generation {finding.sighting.finding.found.generation}"]
@@ -412,7 +436,8 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     )
     searches = "".join(search_article(each, index, is_open=is_open) for index, each in enumerate(report.searches))
     total = len(report.findings) + len(report.further)
-    link = '<p class="note"><a href="#further">The others, as a table</a></p>' if report.further else ""
+    rest = plural(len(report.further), "further finding")
+    link = f'<p class="note"><a href="#further">{rest}, as a table</a></p>' if report.further else ""
     section = f'<section class="campaigns" aria-label="Searches"><h2>Searches</h2>{searches}</section>'
     return Template(_asset("page.html")).substitute(
         title=text(report.title),

@@ -215,6 +215,11 @@ class CheckView:
     is_cut: tuple[bool, bool] = (False, False)
     broken: tuple[tuple[float, float], ...] = ()
 
+    @property
+    def begin(self) -> float | None:
+        """The time from which the bound is broken [s]; without a curve the time of the worst value, if it is known."""
+        return self.broken[0][0] if self.broken else self.time
+
 
 Stretch = tuple[float, float, str]
 """Decisions that are the same: the time of the first one, the time of the next other one [s], and their words."""
@@ -229,7 +234,9 @@ class RunView:
     """A run, as the report page shows it, and the finding that it shows, if any.
 
     Attributes:
-        sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision.
+        sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision, and
+            for a failed check, whose run may have had a collision besides.
+        besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
         deadline: time by which the ego had to brake [s]; None if unknown, if it did not have to, or of a failed check.
         happened: what else is known of the run and of the finding, in prose.
         found: the scenario as the search found it, if shrinking has replaced it by a simpler one; otherwise None.
@@ -266,6 +273,7 @@ class RunView:
     label: str = ""
     traced: str = ""
     sentences: tuple[str, ...] = ()
+    besides: str = ""
     assertion: str = ""
     check: CheckView | None = None
     traffic: str = ""

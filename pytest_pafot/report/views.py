@@ -15,6 +15,7 @@ import numpy as np
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
+from pytest_pafot.campaign.verdict import collision_in_short
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked, departures
@@ -260,15 +261,22 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     run = None if trace is None else expect.known_of(Run(trace))
     sentences = () if run is None else expect.sentences_on(run)
     first, *others = [""] if run is None else _explained(run, sentences)
-    if check is not None and sentences:  # of a check that failed in a run with a collision: they are on the collision
-        sentences = (_prose([first]), *sentences)
-    lines = (others if check is None or sentences else [first, *others]) or [expect.message]
+    besides, collision = "", ""
+    if check is not None and run is not None:
+        headline = headline.replace(str(check), _check_in_short(check, run.trace))
+        if sentences:  # they are on the collision, and would read as the check's
+            besides = f"Also in this run: {collision_in_short(run)}"
+            collision, sentences = _prose([first, *sentences]), ()
+    if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
+        headline = f"ego's policy failed at {run.event_time:.1f} s: {headline}"
+    lines = (others if check is None or besides else [first, *others]) or [expect.message]
     found = None if finding.original is None or finding.shrunk is None else finding.original
     view = RunView(
         headline=headline or first or expect.message or expect.failure,
         sentences=sentences,
+        besides=besides,
         deadline=_deadline(run, expect.avoided_by) if check is None else None,
-        happened=_happened(lines, sighting),
+        happened=(*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
         found=None if found is None else _chains(found, finding.longest_run),
         shrunk=None if found is None else _chains(finding.scenario, finding.longest_run),
         assertion=_assertion(expect),
@@ -313,6 +321,13 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
         traffic=run.scenario.traffic.described,
     )
     return _with_run(view, trace, clearance, None)
+
+
+def _check_in_short(check: Check, trace: Trace) -> str:
+    """Return one line on a failed check: who fails it, from when on, and the value with its bound."""
+    view = check_view(check, trace, ())
+    when = "" if view.begin is None else f" {'from' if view.broken else 'at'} {view.begin:.1f} s"
+    return f"ego fails the check{when}: {replace(check, time=None)}"
 
 
 def _explained(run: Run, sentences: Sequence[str]) -> list[str]:

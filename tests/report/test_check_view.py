@@ -108,7 +108,8 @@ def test_values_of_unknown_ticks_have_no_curve():
 
 def test_article_starts_with_check_value_bound_and_moment():
     article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
-    assert article.index("jerk 35.1 &gt; 20 m/s^3 at 4.1 s") < article.index('<dl class="figures">')
+    headline = "ego fails the check from 4.1 s: jerk 35.1 &gt; 20 m/s^3<"
+    assert article.index(headline) < article.index('<dl class="figures">')
     assert article.index('<dl class="figures">') < article.index('class="tags"') < article.index('class="player"')
     for figure in ('<dt>jerk</dt><dd>35.1 <span class="unit">m/s^3', "<dt>at most</dt><dd>20 ", "<dd>4.07 "):
         assert figure in article
@@ -116,7 +117,13 @@ def test_article_starts_with_check_value_bound_and_moment():
     assert "No collision in 20.0 s." in article[article.index("What happened") :]
 
 
-def test_sentences_on_a_collision_come_behind_it_and_give_a_check_no_deadline():
+def test_a_single_number_fails_at_its_moment_and_an_npc_is_named():
+    named = shown(35.1, at_most=20, at=4.2, npc=0)
+    assert named.headline == "ego fails the check at 4.2 s: jerk 35.1 > 20 m/s^3 (NPC 0)"
+    assert shown(35.1, at_most=20).headline == "ego fails the check: jerk 35.1 > 20 m/s^3"
+
+
+def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_checks():
     trace = cut_in_trace()
     with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
         pafot.check(3.0, name="jerk", unit="m/s^3", at_most=2.5)
@@ -124,22 +131,30 @@ def test_sentences_on_a_collision_come_behind_it_and_give_a_check_no_deadline():
     view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
     assert collided.deadline is not None
     assert view.deadline is None
-    assert view.sentences[0].startswith("Collision after ")
-    assert view.sentences[1:] == collided.sentences
-    assert view.sentences[0].rstrip(".") not in str(view.happened)
+    assert view.sentences == ()
+    assert view.besides.startswith("Also in this run: collision after ")
+    assert view.besides.endswith(", both at fault")
+    title, words, _ = view.happened[0]
+    assert title == "The collision"
+    assert words.startswith("Collision after ")
+    assert words.endswith(" ".join(collided.sentences))
+    article = finding_article(view, 0)
+    assert article.index('class="figures"') < article.index(view.besides) < article.index('class="player"')
+    assert article.index('class="player"') < article.index("The collision.")
+    assert "for the collision" not in article
 
 
 def test_list_calls_it_failed_check_and_blames_none():
     view = shown(peaks(t61=35.1), at_most=20)
     listed = finding_list([view, as_seen(view, finding={"id": "other"})])
-    assert '<p class="summary">2 failed checks</p>' in listed
+    assert '<p class="summary">\u25b2 2 failed checks</p>' in listed
     assert 'data-outcome="failed check"' in listed
     assert "nobody" not in listed
 
 
 def test_a_collision_of_the_run_is_told_besides():
     view = replace(shown(peaks(t61=35.1), at_most=20), responsibility="npc")
-    assert '<p class="summary">1 failed check</p>' in finding_list([view])
+    assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
     assert "<li>NPC responsible for the collision</li>" in finding_article(view, 0)
 
 

@@ -157,7 +157,8 @@ def browser(tmp_path_factory):
 
 
 def texts(page, selector):
-    return page.evaluate(f"[...document.querySelectorAll('article.current {selector}')].map(each => each.textContent)")
+    shown = page.evaluate(f"[...document.querySelectorAll('article.current {selector}')].map(each => each.textContent)")
+    return [each.replace("\u00a0", " ") for each in shown]
 
 
 def opened(browser, folder, view, time, **more):
@@ -192,6 +193,28 @@ def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
     assert len(texts(page, ".block-zone")) == len(texts(page, ".block-ego")) == 2
     assert "undefined" not in page.evaluate("document.querySelector('article.current').textContent")
     assert page.complaints == []
+    page.close()
+
+
+@pytest.mark.processes
+@in_a_browser
+def test_a_contact_at_a_junction_is_drawn_larger_until_the_reader_zooms(browser, tmp_path):
+    page = opened(browser, tmp_path, crash(), 1.8)
+    size = (
+        "(() => { const [stage, ego] = ['.stage svg', '.ego-body']"
+        ".map(each => document.querySelector(`article.current ${each}`));"
+        " return [stage.viewBox.baseVal.height, Number(ego.getAttribute('width'))]; })()"
+    )
+    far_height, far = page.evaluate(size)
+    page.press("e")
+    near_height, near = page.evaluate(size)
+    assert near == pytest.approx(2.2 * far, rel=0.01)
+    assert near_height == pytest.approx(far_height, rel=0.02)
+    page.press("-")
+    _, zoomed = page.evaluate(size)
+    assert zoomed == pytest.approx(0.8 * near, rel=0.01)
+    page.press("Home")
+    assert page.evaluate(size)[1] == pytest.approx(zoomed, rel=0.01)
     page.close()
 
 

@@ -85,7 +85,8 @@ def test_page_names_lanes_and_draws_lines_to_them(view, tmp_path):
     browser = Browser(find_chromium(), tmp_path / "profile")
     try:
         page = browser.open(f"{path.as_uri()}#finding={view.id}&t=1")
-        text = page.evaluate("document.querySelector('article.current').textContent")
+        words = "document.querySelector('article.current').textContent.replaceAll('\u00a0', ' ')"
+        text = page.evaluate(words)
         assert "from the left into the ego's lane at 25.0 m/s" in text
         assert "NPC 0, 0.0 s: from the left into the ego's lane, 25.0 m/s; reached at 2.0 s" in text
         assert "Dashed line: to the cell or lane that an NPC is to drive to." in text
@@ -100,7 +101,7 @@ def test_page_names_lanes_and_draws_lines_to_them(view, tmp_path):
             page.until(f"Math.abs({moment} - {time}) < 0.01")
             shown = page.evaluate(f"{rings}.map(each => each.getAttribute('visibility'))")
             assert shown == ["hidden" if each is None else "visible" for each in picture_at(view, time).targets]
-            readout = page.evaluate("document.querySelector('article.current').textContent")
+            readout = page.evaluate(words)
             assert ("keep the ego's lane at 8.0 m/s" in readout) is (time == 7)
         assert page.evaluate(f"{rings}[0].{top}") == pytest.approx(beside_lane_0, abs=3)
         assert page.complaints == []

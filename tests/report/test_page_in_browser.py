@@ -169,6 +169,40 @@ def test_a_link_to_nothing_shows_the_first_finding(opened, fragment):
     assert opened(fragment).evaluate(CURRENT) == 0
 
 
+@pytest.mark.parametrize("width", [420, 1360])
+def test_the_selected_row_is_in_sight_below_the_filter(browser, tmp_path, width):
+    finding = real_report().findings[0]
+    findings = tuple(as_seen(finding, finding={"id": f"hit-{number}"}) for number in range(60))
+    path = tmp_path / "long.html"
+    path.write_text(render_page(Report(title="t", findings=findings)), encoding="utf-8")
+    for chosen in (59, 40, 0):
+        page = browser.open(f"{path.as_uri()}#finding=hit-{chosen}", width=width)
+        top, bottom, filter_bottom, window = page.evaluate(
+            "(() => { const box = each => document.querySelector(each).getBoundingClientRect();"
+            " const row = box('#list a[aria-current=true]');"
+            " return [row.top, row.bottom, box('#filter').bottom, innerHeight]; })()"
+        )
+        assert 0 < filter_bottom <= top < bottom <= window
+        assert page.evaluate("scrollY") == 0
+        marked = ALL.format(selector="#list a", what="getComputedStyle(each).borderLeftColor")
+        page.press("k")
+        colours = page.evaluate(marked)
+        assert sorted(map(colours.count, set(colours))) == [1, 59]
+        page.close()
+
+
+def test_a_number_and_its_unit_are_not_parted(browser, tmp_path):
+    finding = replace(real_report().findings[0], headline="hit after 3.5 s at 8.0 m/s^2: 3 steps, 2 m away, 4 m/sec")
+    path = tmp_path / "units.html"
+    path.write_text(render_page(Report.of(finding)), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    words = page.evaluate("document.querySelector('article.current h2').textContent")
+    assert "hit after 3.5\u00a0s at 8.0\u00a0m/s^2: 3 steps, 2\u00a0m away, 4 m/sec" in words
+    code = page.evaluate("document.querySelector('article.current .yaml pre').textContent")
+    assert code == finding.yaml
+    page.close()
+
+
 @pytest.mark.parametrize("time", ["-5", "1e9", "NaN", "Infinity"])
 def test_time_outside_of_run_is_clamped_into_it(opened, time):
     finding = real_report().findings[0]

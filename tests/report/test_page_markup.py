@@ -7,11 +7,12 @@ import re
 from dataclasses import replace
 
 from pytest_pafot.campaign.events import Ending, SearchSummary
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.report.page import finding_article, finding_list, render_page, search_article
 from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.views import finding_view
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import TEST, as_seen, scenario, view_of
+from tests.report.builders import TEST, as_seen, finding_of, scenario, seen_of, view_of
 
 
 def hand_made_trace():
@@ -81,6 +82,39 @@ def test_the_list_has_the_findings_of_each_policy_under_its_test():
         *('4 early <span class="count">1</span>', "1"),
         *('3 test_b <span class="count">1</span>', "2"),
     ]
+
+
+def test_a_label_is_said_once_where_all_have_it():
+    finding = hand_made_finding()
+    known, new = (replace(finding, label=label) for label in ("still failing", "new"))
+    other = replace(as_seen(new, finding={"test": "t.py::test_other"}))
+
+    def said(*findings):
+        listed = finding_list(findings)
+        return re.findall(r"(?:class=\"(?:badge|count)\">|; )([^<]*(?:new|failing))<", listed)
+
+    assert said(known) == ["still failing"]
+    assert said(known, known) == ["all still failing"]
+    assert said(known, new) == ["still failing", "new"]
+    assert said(known, known, other) == ["2, still failing", "1, new"]
+    assert said(new, other) == ["all new"]
+
+
+def test_a_row_says_when_and_what():
+    finding = replace(hand_made_finding(), headline="collision after 3.5 s at 9.0 m/s: NPC 0 ahead, ego at fault")
+    assert '<span class="brief">3.5 s: NPC 0 ahead, ego at fault</span>' in finding_list([finding])
+    safe = replace(finding, event=replace(finding.event, kind="safe"), headline="slow")
+    assert '<span class="brief">slow</span>' in finding_list([safe])
+
+
+def test_an_error_of_the_policy_is_the_egos():
+    error = AdsError(kind="ValueError", message="no plan", traceback="", tick=30)
+    trace = replace(hand_made_trace(), outcome=Outcome.ADS_ERROR, collision=None, error=error)
+    view = finding_view(seen_of(trace, finding_of(trace), headline="ValueError: no plan"))
+    assert view.headline == f"ego's policy failed at {view.event.time:.1f} s: ValueError: no plan"
+    listed = finding_list([view])
+    assert "1 policy error" in listed
+    assert "nobody" not in listed
 
 
 def test_an_article_on_a_search_reads_so(snapshot):

@@ -3,13 +3,15 @@
 const CHART = { left: 46, right: 58, gap: 32, timeline: 24, curve: 104 };
 
 const CURVES = [
-  { key: "gap", title: "gap to the ego", unit: "m", top: 40, digits: 1 },
-  { key: "ttc", title: "time to contact", unit: "s", top: 8, digits: 2 },
+  { key: "gap", title: "gap to the ego", unit: "m", top: 40, digits: 1, remark: ", not drawn beyond 40" },
+  { key: "ttc", title: "time to contact", unit: "s", top: 8, digits: 2, remark: ", not drawn beyond 8, or where they are not on course to touch" },
   { key: "advantage", title: "expected time between the two at their zone", unit: "s", top: 4, digits: 2, isCrossed: true },
   { key: "speed", title: "speed", unit: "m/s", top: null, digits: 1 },
   { key: "acceleration", title: "acceleration", unit: "m/s^2", least: 4, digits: 1 },
   { key: "jerk", title: "jerk, peak of each frame", unit: "m/s^3", least: 10, digits: 0 },
 ];
+
+const isText = (part) => part.tagName === "text";
 
 class Charts {
   constructor(finding, width, check = null) {
@@ -31,7 +33,7 @@ class Charts {
     this.root = svg("svg", {
       viewBox: `0 0 ${px(width)} ${px(this.height)}`, height: px(this.height), role: "img",
       "aria-label": check ? `${check.name} over time, with its bound.` : "Instructions of the NPCs, and gap, time to contact, speed, acceleration and jerk over time.",
-    }, [...this.parts, this.cursor, ...this.dots.map((dot) => dot.mark)]);
+    }, [...this.parts.filter((part) => !isText(part)), this.cursor, ...this.parts.filter(isText), ...this.dots.map((dot) => dot.mark)]);  // no line goes through a text
   }
 
   x(time) { return CHART.left + (time / this.duration) * (this.right - CHART.left); }
@@ -48,7 +50,8 @@ class Charts {
     const laned = zoned && this.finding.instructions.some((row) => row.lane);
     const isNarrow = this.width < 600;
     const decided = this.finding.decisions.length ? `decisions${isNarrow ? "" : " of the ego"}; ` : "";
-    this.heading(isNarrow ? `${decided}instructions, speed` : `${decided}instructions: cell${laned ? ", lane" : ""} or ${zoned ? "zone" : "lane"}, speed`, "m/s", zoned && !isNarrow ? ", coloured: the NPC is in the zone, grey: the ego is" : "");
+    this.heading(isNarrow ? `${decided}instructions, speed` : `${decided}instructions: cell${laned ? ", lane" : ""} or ${zoned ? "zone" : "lane"}, speed`, "m/s", (zoned && !isNarrow ? ", coloured: the NPC is in the zone, grey: the ego is" : "") +
+      (this.finding.instructions.some((row) => row.started && row.requested !== row.cell) ? `, *: ${isNarrow ? "not as" : "another cell than"} requested` : ""));
     this.y += 2;
     this.decisions();
     this.finding.vehicles.slice(1).forEach((vehicle, npc) => {
@@ -91,7 +94,8 @@ class Charts {
     }
     this.parts.push(svg("rect", { ...box, width: px(wide), class: `block-edge ${stroke(npc + 1)}`, "pointer-events": "none" }));
     const mark = row.requested === row.cell ? "" : "*";
-    const texts = [`${goalName(row)}${mark}, ${fixed(row.speed, 1)}`, `${row.lane || row.cell}${mark}, ${fixed(row.speed, 1)}`, `${row.lane || row.cell}${mark}`];
+    const short = `${row.lane || `cell ${row.cell}`}${mark}`;
+    const texts = [`${row.lane ? "" : "cell "}${goalName(row)}${mark}, ${fixed(row.speed, 1)} m/s`, `${goalName(row)}${mark}, ${fixed(row.speed, 1)}`, `${short}, ${fixed(row.speed, 1)} m/s`, short, `${row.lane || row.cell}${mark}`];
     this.blockText(texts, x0, wide);
   }
 
@@ -120,7 +124,7 @@ class Charts {
     const [low, top] = this.range(curve);
     const [y0, y1] = [this.y + CHART.curve, this.y];
     const y = (value) => y0 - ((value - low) / (top - low)) * (y0 - y1);
-    const limit = curve.key === "speed" ? `, dotted: limit ${finding.road.speed_limit}` : "";
+    const limit = curve.key === "speed" ? `, dotted: limit ${finding.road.speed_limit}` : this.width < 600 ? "" : curve.remark ?? "";
     this.heading(curve.title, curve.unit, limit);
     for (const value of [low, (low + top) / 2, top]) {
       this.parts.push(svg("line", { x1: CHART.left, x2: px(this.right), y1: px(y(value)), y2: px(y(value)), class: "axis" }));
@@ -136,7 +140,7 @@ class Charts {
       const last = values[values.length - 1];
       if (last !== null && last <= top) ends.push({ y: y(last), index, name: vehicle.name.split(",")[0] });
     });
-    this.ends(ends);
+    this.ends(ends, y0);
     this.y = y0 + CHART.gap;
   }
 
@@ -186,10 +190,11 @@ class Charts {
     this.dots.push({ mark, values, y, top });
   }
 
-  ends(ends) {
-    // Labels at the ends of the curves, pushed apart where they would overlap.
+  ends(ends, lowest) {
+    // Labels at the ends of the curves, pushed apart where they would overlap, and up again from below the chart.
     ends.sort((a, b) => a.y - b.y);
     ends.forEach((end, place) => { end.label = place ? Math.max(end.y, ends[place - 1].label + 13) : end.y; });
+    ends.forEach((end, place) => { end.label = Math.min(end.label, lowest + 4 - 13 * (ends.length - 1 - place)); });
     for (const { label, index, name } of ends) {
       this.parts.push(svg("line", { x1: px(this.right + 4), x2: px(this.right + 16), y1: px(label), y2: px(label), class: `curve ${stroke(index)}`, "stroke-dasharray": index ? dashes(index - 1) : null }));
       this.parts.push(svg("text", { x: px(this.right + 20), y: px(label + 4), class: "small" }, name));

@@ -11,6 +11,9 @@ let player = null;
 document.documentElement.classList.add("js");
 
 for (const article of articles) {
+  // A number and its unit stay on one line.
+  const words = document.createTreeWalker(article, NodeFilter.SHOW_TEXT, (text) => (text.parentElement.closest("code, pre") ? NodeFilter.FILTER_SKIP : NodeFilter.FILTER_ACCEPT));
+  while (words.nextNode()) words.currentNode.data = tied(words.currentNode.data);
   // The line above the picture breaks only between its phrases.
   const headline = article.querySelector("h2").childNodes[1];
   const phrases = headline.textContent.split(/(?<=[:,;]) /);
@@ -59,12 +62,13 @@ function show(index, time) {
 
 function reveal(link) {
   // Scroll only inside the list, so that the page itself stays where the reader is.
-  const list = document.getElementById("list");
+  const list = document.querySelector("#list .rows");
   const place = link.getBoundingClientRect();
   const frame = list.getBoundingClientRect();
-  const heading = link.closest("#list > .group")?.firstChild.offsetHeight ?? 0;
+  const heading = link.closest(".rows > .group")?.firstChild.offsetHeight ?? 0;
+  const bottom = Math.max(Math.min(frame.bottom, innerHeight), frame.top + heading + place.height);
   if (place.top < frame.top + heading) list.scrollTop -= frame.top + heading - place.top;  // the heading stays on top
-  if (place.bottom > frame.bottom) list.scrollTop += place.bottom - frame.bottom;
+  else if (place.bottom > bottom) list.scrollTop += place.bottom - bottom;
 }
 
 const listed = () => [...document.querySelectorAll("#list li:not([hidden]) a[data-index]")];

@@ -12,7 +12,7 @@ class Player {
     this.duration = finding.times[finding.times.length - 1];
     this.time = clamp(time === null ? momentOf(finding) : time, 0, this.duration);
     this.rate = 1;
-    this.zoom = 1;
+    this.zoom = null;  // As the picture likes it, until the reader zooms.
     this.isPlaying = false;
     this.onSettle = () => {};
     this.build();
@@ -90,10 +90,10 @@ class Player {
 
   layout() {
     const width = this.stage.clientWidth;
-    if (!width || (width === this.drawnWidth && this.zoom === this.drawnZoom)) return;
-    this.drawnWidth = width;
-    this.drawnZoom = this.zoom;
-    this.scene = new Scene(this.finding, width, this.zoom);
+    const close = this.closeUp();
+    if (!width || (width === this.drawnWidth && this.zoom === this.drawnZoom && close === this.drawnClose)) return;
+    [this.drawnWidth, this.drawnZoom, this.drawnClose] = [width, this.zoom, close];
+    this.scene = new Scene(this.finding, width, this.zoom ?? 1, close);
     this.curves = new Charts(this.finding, width);
     this.checkCurve = this.checked ? new Charts(this.finding, width, this.finding.check) : null;
     if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
@@ -104,15 +104,25 @@ class Player {
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
       (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
-      (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
+      (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's; o2>o0 is the way from entry o2 to exit o0, +0.5 s is after the ego leaves, -0.5 s before it enters. " : "") +
       (this.finding.plans.length ? "Thin line ahead of the ego: its plan at that time. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
 
+  // A junction is drawn larger around the moment, if an NPC is near then.
+  closeUp() {
+    const moment = momentOf(this.finding);
+    const frame = frameAt(this.finding.times, moment);
+    const gaps = this.finding.vehicles.slice(1).map((vehicle) => held(vehicle.gap, frame));
+    const isNear = Math.abs(this.time - moment) <= CLOSE_SECONDS && gaps.some((gap) => gap !== null && gap < CLOSE_GAP);
+    return isNear && isCrossed(this.finding) && this.zoom === null ? CLOSE_UP : 1;
+  }
+
   draw() {
     if (!this.scene) return;
+    if (this.closeUp() !== this.drawnClose) { this.layout(); return; }
     const states = this.scene.draw(this.time);
     this.curves.draw(this.time);
     if (this.checkCurve) this.checkCurve.draw(this.time);
@@ -133,7 +143,7 @@ class Player {
       index ? fixed(state.ttc, 2) : "",
       index ? (instruction ? PHASES[instruction.zone ? "crossing" : instruction.phase](instruction) : "") : decisionAt(this.finding, this.time),
     ] : ["-", "-", "-", "-", ""];
-    this.rows[index].forEach((cell, column) => { if (cell.textContent !== texts[column]) cell.textContent = texts[column]; });
+    this.rows[index].forEach((cell, column) => { if (cell.textContent !== tied(texts[column])) cell.textContent = tied(texts[column]); });
   }
 
   isAtEnd() { return this.time >= this.duration - 1e-6; }
@@ -185,7 +195,7 @@ class Player {
   }
 
   zoomBy(factor) {
-    this.zoom = clamp(this.zoom * factor, 0.4, 3);
+    this.zoom = clamp((this.zoom ?? this.closeUp()) * factor, 0.4, 3);
     this.layout();
   }
 

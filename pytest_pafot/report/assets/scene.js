@@ -119,20 +119,23 @@ const POINTER_ROOM = 210;
 const SHOULDER = 1.4;
 const HALF_HEIGHT = 18; // Half of the height [m] that the picture of a bent road shows ...
 const CROSSED_HALF_HEIGHT = 45; // ... and if a vehicle crosses, which would otherwise come into sight only 2 s before contact.
+const CLOSE_UP = 2.2; // So much larger is the picture of such a road around the moment that a finding is about ...
+const CLOSE_SECONDS = 1; // ... for so long before and after it [s] ...
+const CLOSE_GAP = 15; // ... if the gap to an NPC is smaller then [m], so that both are in the picture.
 
 // Places that move with the road and turn with it: a bent road is drawn in world coordinates.
 const turned = (heading, x, y) => `rotate(${px(heading * 180 / Math.PI)} ${px(x)} ${px(y)})`;
 
 class Scene {
-  constructor(finding, width, zoom) {
+  constructor(finding, width, zoom, close = 1) {
     this.finding = finding;
     this.width = width;
     const road = finding.road;
     this.isWorld = road.shapes.length > 0;
     this.isCrossed = this.isWorld && isCrossed(finding);
-    this.scale = (this.isCrossed ? clamp(width / 130, 4.5, 7) : clamp(width / 96, 6.5, 10)) * zoom;
+    this.scale = (this.isCrossed ? clamp(width / 130, 4.5, 7) : clamp(width / 96, 6.5, 10)) * zoom * close;
     const half = road.lane_width / 2;
-    const reach = this.isCrossed ? CROSSED_HALF_HEIGHT : HALF_HEIGHT;
+    const reach = (this.isCrossed ? CROSSED_HALF_HEIGHT : HALF_HEIGHT) / close;
     this.top = this.isWorld ? SHOULDER - reach : Math.min(...road.lanes) - half;
     this.bottom = this.isWorld ? reach - SHOULDER : Math.max(...road.lanes) + half;
     this.height = (this.bottom - this.top + 2 * SHOULDER) * this.scale + RULER;
@@ -179,7 +182,7 @@ class Scene {
     ]);
     this.bodies = this.finding.vehicles.map((vehicle, index) => this.vehicle(vehicle, index, defs));
     this.pointers = this.finding.vehicles.slice(1).map((vehicle, npc) => svg("g", {}, [
-      svg("path", { class: fill(npc + 1) }), svg("text", { class: "label strong halo" }),
+      svg("rect", { height: 16, rx: 3, class: "plate" }), svg("path", { class: fill(npc + 1) }), svg("text", { class: "label strong halo" }),
     ]));
     this.offsets = [];
     for (let dx = -320; dx <= 320; dx += 16) for (let dy = -90; dy <= 90; dy += 3) if (Math.abs(dy - 4) > 22 || dx) this.offsets.push([dx, dy]);
@@ -275,7 +278,7 @@ class Scene {
     const offset = px((this.egoAlong * this.scale - this.middle) % (12 * this.scale));
     for (const dash of this.dashes) dash.setAttribute("stroke-dashoffset", offset);
     const wanted = this.drawTargets(states, time, frame);
-    this.drawCells(ego, wanted, frame);
+    this.drawCells(states, wanted, frame);
     this.taken = [];
     this.texts = [];
     this.drawNames(states);
@@ -320,8 +323,11 @@ class Scene {
     });
   }
 
-  drawCells(ego, wanted, frame) {
+  drawCells(states, wanted, frame) {
+    const ego = states[0];
     this.numbers = [];
+    const boxes = this.boxes(states);
+    const isFree = ([x, y]) => boxes.every(([bx, by, wide, high]) => Math.abs(bx - x) > wide + 6 || Math.abs(by - y) > high + 6);
     const [length, width] = [ego.length * this.scale, this.finding.road.lane_width * this.scale - 6];
     this.cells.forEach(([box, number], index) => {
       const cell = index + 1;
@@ -331,9 +337,14 @@ class Scene {
       change(box, { x: px(x - length / 2), y: px(y - width / 2), width: px(length), height: px(width), visibility });
       box.setAttribute("transform", turned(centre.heading, x, y));
       number.setAttribute("transform", turned(centre.heading, x, y));
-      change(number, { x: px(x - length / 2 + 7), y: px(y - width / 2 + 9), visibility, class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
+      // The number is in a corner in which no vehicle is, the upper left one if it can be.
+      const corners = [[-1, -1], [1, -1], [-1, 1], [1, 1]].map(([sideways, down]) => [sideways * (length / 2 - 7), down * (width / 2 - 9)]);
+      const placed = corners.map(([dx, dy]) => [dx, dy, ...this.turnedPlace(centre, x, y, dx, dy)]);
+      const free = placed.find((each) => isFree(each.slice(2)));
+      const [dx, dy, ...place] = free ?? placed[0];
+      change(number, { x: px(x + dx), y: px(y + dy), visibility: free ? visibility : "hidden", class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
-      if (centre.exists) this.numbers.push([...this.numberPlace(centre, x, y, length, width), number]);
+      if (centre.exists && free) this.numbers.push([...place, number]);
     });
   }
 
@@ -346,9 +357,8 @@ class Scene {
     });
   }
 
-  // The number of a cell is in its corner, which turns with it.
-  numberPlace(centre, x, y, length, width) {
-    const [dx, dy] = [7 - length / 2, 9 - width / 2];
+  // A place in a cell, which turns with it.
+  turnedPlace(centre, x, y, dx, dy) {
     const turn = this.isWorld ? centre.heading : 0;
     return [x + dx * Math.cos(turn) - dy * Math.sin(turn), y + dx * Math.sin(turn) + dy * Math.cos(turn)];
   }
@@ -398,15 +408,18 @@ class Scene {
   }
 
   drawPointer(state, index) {
-    // An arrow at the edge points to a vehicle that is out of sight, below any other arrows there.
+    // An arrow at the edge points to a vehicle that is out of sight. It is away from other arrows there, and above the ruler if it can be.
     const pointer = this.pointers[index - 1];
     const isInside = this.isInside(state);
     pointer.setAttribute("visibility", isInside ? "hidden" : "visible");
     if (isInside) return;
     const isLeft = this.isWorld ? state.along < this.egoAlong : this.x(state.along) < 0;
-    const [arrow, label] = pointer.children;
-    let y = clamp(this.y(state.across), 12, this.height - RULER - 12);
-    while (this.taken.some((other) => other.isLeft === isLeft && Math.abs(other.y - y) < other.room)) y += 2;
+    const [plate, arrow, label] = pointer.children;
+    const lowest = this.height - RULER - 12;
+    const start = clamp(this.y(state.across), 12, lowest);
+    const places = Array.from({ length: 400 }, (_, step) => start + (step % 2 ? 2 : -2) * Math.ceil(step / 2)).filter((y) => y >= 12
+      && this.taken.every((other) => other.isLeft !== isLeft || Math.abs(other.y - y) >= other.room));
+    const y = places.find((each) => each <= lowest) ?? places[0];
     this.taken.push({ isLeft, y, room: 15 });
     const edge = isLeft ? LANE_NAME : this.width - 4;
     const inward = isLeft ? 1 : -1;
@@ -417,6 +430,7 @@ class Scene {
     const where = this.isWorld ? `${beside.toFixed(0)} m away` : `${away.toFixed(0)} m ${isLeft ? "behind" : "ahead"}`;
     label.textContent = `NPC ${index - 1}, ${where}`;
     const half = 3.7 * label.textContent.length;
+    change(plate, { x: px(Math.min(edge, edge + inward * (18 + 2 * half))), y: px(y - 8), width: px(18 + 2 * half) });  // keeps lines out of the text
     this.texts.push([edge + inward * (14 + half), y, half + 14, 9]);
   }
 
@@ -480,8 +494,14 @@ class Scene {
       this.numbers.map(([nx, ny]) => [nx, ny, half + 8, 15]), this.zoneLabels(states, half),
       this.texts.map(([tx, ty, wide, high]) => [tx, ty, half + wide, high + 8]),
     );
-    const isFree = ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
+    // Better without edges of the road, and arrows' rings, in it.
+    const edges = this.isWorld ? [] : [this.top, this.bottom].map((each) => [0, this.y(each), Infinity, 10]);
+    const rings = this.lines.filter(([, ring]) => ring.getAttribute("visibility") === "visible").flatMap(([, ring]) => {
+      const [rx, ry, wide, high] = ["x", "y", "width", "height"].map((name) => Number(ring.getAttribute(name)));
+      return this.isWorld ? [] : [[rx, half, 8], [rx + wide, half, 8]].map(([at, wider]) => [at, ry + high / 2, wider, high / 2 + 8]);
+    });
+    const isFree = (boxes) => ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
       && boxes.every(([bx, by, wide, high]) => Math.abs(bx - x - dx) > wide || Math.abs(by - y - dy + 4) > high);
-    return this.offsets.find(isFree) ?? [0, 32];
+    return this.offsets.find(isFree([...boxes, ...edges, ...rings])) ?? this.offsets.find(isFree(boxes)) ?? [0, 32];
   }
 }
