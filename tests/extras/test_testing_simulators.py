@@ -107,15 +107,40 @@ class Late(Toy):
 
 
 class Delayed(Toy):
-    """It obeys a tick later."""
+    """It obeys some ticks later."""
+
+    ticks = 1
 
     def start(self, vehicles, seed):
         super().start(vehicles, seed)
-        self.next = None
+        self.waiting = [[]] * self.ticks
 
     def step(self, controls):
-        now, self.next = self.next, controls
+        now, *self.waiting = [*self.waiting, controls]
         super().step(now or [each._replace(acceleration=0.0, steering=0.0) for each in controls])
+
+
+class DelayedEgo(Delayed):
+    """Its ego obeys some ticks later; NPCs are put where their controls say."""
+
+    moves_ego_only = True
+
+    def step(self, controls):
+        super().step(controls)
+        for car, control in zip(self.cars[1:], controls[1:], strict=True):
+            car[:] = control.x, control.y, control.heading, control.speed
+        self.cars[0][3] = max(self.cars[0][3], 0.0)  # brakes hold a vehicle that stands
+
+
+class AlongRing(Toy):
+    """On a ring to the left, it drives the same angle in each lane."""
+
+    def step(self, controls):
+        before = [car[:2] for car in self.cars]
+        super().step(controls)
+        for car, (x, y) in zip(self.cars, before, strict=True):
+            stretch = math.hypot(x, y) / 204.0
+            car[0], car[1] = x + (car[0] - x) * stretch, y + (car[1] - y) * stretch
 
 
 class Lagging(Toy):
@@ -213,7 +238,7 @@ def limited(self, controls):
         (Toy, {**RING, "inside": {"degrees": True}}, "all fits with degrees = True"),
         (Toy, {**RING, "inside": {"degrees": True, "headings": "y to x"}}, "fits with degrees = True, headings"),
         (Toy, {"at_front": True, "inside": {"at_front": False}}, "all fits with at_front = False"),
-        (Toy, {"states": lambda self: [(x + 2.5, *rest) for x, *rest in self.cars]}, "at_front = True"),
+        (Toy, {"states": lambda self: [(x + 2.5, *rest) for x, *rest in self.cars]}, "the ego ahead of where"),
         (Toy, {"inside": {"hz": 10}}, "all fits with hz = 10"),
         (Toy, {"metres": 0.3048, "lane_width": 12.0, "inside": {"metres": 1.0}}, "metres_per_second = 0.3048"),
         (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "gas": lambda self, each: each.acceleration * 3.6},
@@ -226,7 +251,11 @@ def limited(self, controls):
         (Toy, {"states": lambda self: [(x, y, -heading, v) for x, y, heading, v in self.cars]}, "its heading points"),
         (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, "fits with headings = '-x to y'"),
         (Late, {}, "likely states returns what was before the step"),
-        (Delayed, {}, "a tick late"),
+        (Delayed, {}, "an acceleration that begins a tick late"),
+        (Delayed, {"ticks": 7}, "an acceleration that begins 7 ticks late; or write moves_ego_only = True"),
+        (Toy, {"states": lambda self: [(x - 2.5, *rest) for x, *rest in self.cars]}, "ego behind where start put it"),
+        (AlongRing, {**RING, "lanes": [circle(radius) for radius in (194.0, 204.0, 214.0)], "lane_width": 10.0},
+         "0.951 times the distance in lane 0"),
         (Worn, {}, "used before; reset all in start"),
         (Own, {}, "used before; reset all in start, also random generators"),
         (Toy, {"gas": lambda self, each: each.acceleration + random.gauss(0.0, 0.001)}, "in new simulators, too"),
@@ -255,6 +284,7 @@ def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
         (Toy, {"inside": {"length": 0.5}}),
         (Toy, {"gas": lambda self, each: each.acceleration + 0.05 * self.random.gauss(0.0, 1.0)}),
         (Lagging, {}),
+        (DelayedEgo, {"ticks": 7}),
         (Rested, {}),
         (Placing, {}),
         (Single, {}),
@@ -280,6 +310,12 @@ class Backwards(Toy):
 def test_npc_that_a_simulator_pushes_backwards_is_driven_on():
     npcs = ((PositionInstruction(2, 0.0),),)
     assert made(Backwards).rollout(Scenario(npcs=npcs, ego_speed=5.0), lambda: lambda seen: (-2.0, 0.0)).ticks == 150
+
+
+@pytest.mark.filterwarnings("ignore:check_world. no:RuntimeWarning")
+def test_ego_that_obeys_late_is_right_where_a_simulator_states_it(capsys):
+    check_world(made(DelayedEgo, ticks=7), runs=2)
+    assert "kept its promises" in capsys.readouterr().out
 
 
 @pytest.mark.filterwarnings("ignore:check_world. no:RuntimeWarning")

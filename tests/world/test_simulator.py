@@ -442,10 +442,12 @@ def test_lanes_from_the_right_or_that_overlap_are_refused():
     for lanes, field, received in (
         (Ring.lanes[::-1], "lanes[1]", "one 4.0 m to the left of the lane before it"),
         ([arc(400.0, 3.0, y=3.0 * number) for number in range(3)], "lane_width", "4.00 m"),
+        ([[(x, y + across) for x, y in arc(100.0, 1.5)] for across in (0.0, 4.0)], "lanes[1]", "one from"),
     ):
         with pytest.raises(WorldError) as error:
             SimulatorWorld(type("Odd", (Ring,), {"lanes": lanes})).check()
-        assert (error.value.field, error.value.received) == (f"Odd.{field}", received)
+        assert error.value.field == f"Odd.{field}"
+        assert error.value.received.startswith(received)
 
 
 # A simulator in which a control takes effect late.

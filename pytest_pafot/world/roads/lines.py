@@ -106,11 +106,16 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
         across = ((right - left) * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)).sum(axis=1)
         if np.isnan(across).all():
             continue
-        apart = float(np.nanmedian(across))
+        apart, least, most = float(np.nanmedian(across)), float(np.nanmin(across)), float(np.nanmax(across))
+        if apart < (1.0 - MOST_OVERLAP) * width and most - least > width / 2:
+            expected = f"a lane next to lanes[{number - 1}], {width:g} m to the right of it all the way"
+            received = f"one from {least:.1f} to {most:.1f} m to the right of it"
+            fix = "is each line moved across the road, rather than along an axis?"
+            raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < 0.0:
             expected = "lanes from the left, as a driver sees them"
             received = f"one {-apart:.1f} m to the left of the lane before it"
-            fix = "write lanes[::-1]; or is y_is_left wrong, or do the points lead against the direction of driving?"
+            fix = "is y_is_left wrong, or do the points lead against the way of driving? Otherwise write lanes[::-1]"
             raise WorldError(field=f"{name}.lanes[{number}]", expected=expected, received=received, fix=fix)
         if apart < (1.0 - MOST_OVERLAP) * width:
             expected = (
