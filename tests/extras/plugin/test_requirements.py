@@ -112,7 +112,7 @@ def test_session_names_the_requirement_in_every_report(project, monkeypatch, opt
     assert "- `REQ-1` It keeps away (planning): 1 failure\n" in summary
     page = (project.path / "a.html").read_text()
     assert "<td>It keeps away</td><td>planning</td><td>1 failure</td>" in page
-    assert "REQ-1, REQ-2: It keeps away (owner planning) <span" in page
+    assert "REQ-1, REQ-2: It keeps away (owner planning): test_fails <span" in page
 
 
 def test_session_without_requirements_says_nothing_of_them(failing):
