@@ -246,6 +246,7 @@ def limited(self, controls):
         (Toy, {"wheels": lambda self, each: -each.steering}, "the opposite sign of control.steering"),
         (Toy, {"wheels": lambda self, each: math.radians(each.steering)}, "57.4 times control.steering"),
         (Toy, {"step": limited}, "the speed changes by control.acceleration"),
+        (Toy, {"gas": lambda self, each: 0.0}, "the speed changes by control.acceleration"),
         (Toy, {"gas": lambda self, each: each.acceleration - 1.0}, "the speed is steady without acceleration"),
         (Toy, {"wheels": lambda self, each: each.steering + 0.02}, "the heading is steady without steering"),
         (Toy, {"states": lambda self: [(x, y, -heading, v) for x, y, heading, v in self.cars]}, "its heading points"),

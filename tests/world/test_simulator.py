@@ -32,7 +32,6 @@ from pytest_pafot.campaign.request import build_space
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.testing import check_world
 from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.roads.lines import network_of, straight_along
@@ -730,44 +729,6 @@ def test_world_of_a_registered_simulator_is_made_from_its_file(register):
     assert same(again.rollout(scenarios()[0], Batch), world.rollout(scenarios()[0], Batch))
     with pytest.raises(WorldError, match=r"world.data"):
         from_dict({**data, "data": {**data["data"], "lanes": 3}})
-
-
-def held(self, controls):
-    """Move as if nobody steered or braked."""
-    Bicycle.step(self, [each._replace(acceleration=0.0, steering=0.0) for each in controls])
-
-
-def mirrored(self, controls):
-    Bicycle.step(self, [each._replace(steering=-each.steering) for each in controls])
-
-
-class Remembering(Bicycle):
-    """It does not drive a run as it drove the one before."""
-
-    runs = 0
-
-    def start(self, vehicles, seed):
-        super().start(vehicles, seed)
-        type(self).runs += 1
-
-    def step(self, controls):
-        super().step(
-            [each._replace(acceleration=each.acceleration * (1 - 0.01 * (self.runs % 9))) for each in controls]
-        )
-
-
-@table(
-    ("members", "message"),
-    [
-        ({"step": held}, "the speed changes by control.acceleration"),
-        ({"step": mirrored}, "the opposite sign of control.steering"),
-        ({"start": Remembering.start, "step": Remembering.step, "runs": 0}, "same"),
-    ],
-)
-def test_simulator_that_does_not_follow_its_controls_is_noticed(members, message):
-    cls = type("Wrong", (Remembering if "runs" in members else Bicycle,), {} if "runs" in members else members)
-    with pytest.raises(AssertionError, match=message):
-        check_world(SimulatorWorld(cls, duration=12.0), ads=lambda: lambda seen: (0.0, 0.0))
 
 
 class Alone(Bicycle):
