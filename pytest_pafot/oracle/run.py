@@ -195,7 +195,7 @@ class Run(Shown):
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
+        """The end of the run, such as ``"collision"``, ``"off_road"`` or ``"safe"``."""
         return self.trace.outcome
 
     @property
@@ -291,7 +291,7 @@ class Run(Shown):
 
     @cached_property
     def passages(self) -> tuple[Passage, ...]:
-        """When the ego and each NPC that crosses were in their zone.
+        """The times at which the ego and each NPC that crosses were in their zone.
 
         ``min((each.post_encroachment_time for each in run.passages), default=math.inf)`` is the time by which the ego
         and crossing traffic missed each other.
@@ -372,7 +372,7 @@ class Run(Shown):
 
     @cached_property
     def attribution(self) -> Attribution:
-        """Who caused the collision, the time of what decides, and why."""
+        """The cause of the collision: who, the time of what decides, and why."""
         found = self._attributed
         return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
 
@@ -382,7 +382,7 @@ class Run(Shown):
 
     @property
     def responsibility(self) -> str | None:
-        """Who is responsible for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
+        """The side that is responsible for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
@@ -509,7 +509,7 @@ class Run(Shown):
 
     @cached_property
     def asked(self) -> tuple[Asked, ...]:
-        """What manoeuvres and crossing NPCs asked for, with what it was."""
+        """All that manoeuvres and crossing NPCs asked for, with what it was."""
         return asked(self.trace)
 
     @property

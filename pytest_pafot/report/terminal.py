@@ -468,7 +468,7 @@ def _parameters(test: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterShare:
-    """How often a test failed with one set of its parameters.
+    """The share of random scenarios in which a test failed with one set of its parameters.
 
     Attributes:
         parameters: the parameters, as in the node id.
