@@ -122,6 +122,11 @@ class SimulatorWorld(BuiltInWorld):
         return self._stated.maker
 
     @property
+    def moves_ego_only(self) -> bool:
+        """True if the simulator moves the ego only, whose controls may take effect late or in part."""
+        return self._stated.moves_ego_only
+
+    @property
     def packages(self) -> tuple[str, ...]:
         """The packages that the simulator's class names; none if a function makes the simulator."""
         maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator

@@ -285,6 +285,7 @@ def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
         (Toy, {"inside": {"length": 0.5}}),
         (Toy, {"gas": lambda self, each: each.acceleration + 0.05 * self.random.gauss(0.0, 1.0)}),
         (Lagging, {}),
+        (Lagging, {"hz": 240}),
         (DelayedEgo, {"ticks": 7}),
         (Rested, {}),
         (Placing, {}),

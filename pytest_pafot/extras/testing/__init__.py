@@ -541,19 +541,14 @@ def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done])
             _promise(is_same, f"take_over repeats the run up to its tick with {name!r}", "other states before it")
             _check_form(world, taken.scenario, taken)
             is_other.append(not _repeats(trace, taken, None, 1))
-            settled = tick + round(LAG * taken.physics_hz) if _may_lag(world) else tick
+            may_lag = isinstance(base := base_world(world), SimulatorWorld) and base.moves_ego_only
+            settled = tick + round(LAG * taken.physics_hz) if may_lag else tick
             is_braking = name != STEADY_BRAKING or taken.collision is not None or _brakes_steadily(taken, settled)
             received = f"{taken!r}, the ego at {taken.ego[-1, SPEED]:.1f} m/s at its end"
             _promise(is_braking, f"{STEADY_BRAKING} brakes with 6 m/s^2 in its lane until it stands", received)
         # Without a collision or another ego, a driver may have nothing else to do than the ADS.
         is_seen = is_other[0] if hit else any(is_other) or not any(each.trace.collision for each in tried)
         _promise(is_seen, f"take_over lets {name!r} drive after its tick", "the states of the run without it")
-
-
-def _may_lag(world: Any) -> bool:
-    """Return whether controls of the ego may take effect late or in part, as a simulator states."""
-    base = base_world(world)
-    return isinstance(base, SimulatorWorld) and bool(getattr(base.maker, "moves_ego_only", False))
 
 
 def _brakes_steadily(taken: Trace, tick: int) -> bool:

@@ -36,6 +36,8 @@ from pytest_pafot.extras.testing.traces import Promises, wrapped
 
 SECONDS, SETTLED = 1.5, 1.0
 """How long an experiment lasts, and the time after which a simulator with a lag does as it is asked [s]."""
+DEAD = 0.1
+"""The time after which a simulator with a lag does at least a small part of what it is asked [s]."""
 FASTER, SLOWER, ASIDE = 2.0, -3.0, 1.5
 """The accelerations of the experiments along the road and across it [m/s^2]."""
 SLOW = 10.0
@@ -159,7 +161,6 @@ class _Bench:
     def __init__(self, world: SimulatorWorld, scenario: Scenario, real: Simulator) -> None:
         self._world, self._scenario, self._real = world, scenario, real
         top = int(10 * world.speed_limit) / 10
-        self._moves_ego_only = bool(getattr(real, "moves_ego_only", False))
         self._made: dict[tuple[Any, ...], tuple[SimulatorWorld, _Watched]] = {}
         self._fast, self._slow = max(top - FASTER * SECONDS, top / 2), min(SLOW, top)
 
@@ -233,24 +234,24 @@ class _Bench:
 
     def _moves(self, felt: dict[str, float], **changed: Any) -> Promises:
         """Yield how the ego moves in each experiment; ``felt`` receives multiples of what it was asked to do."""
-        real, dt, length = self._real, 1 / changed.get("hz", self._real.hz), self._world.ego.length
-        is_free = self._moves_ego_only  # then its controls may take effect late or in part
+        real, length = self._real, self._world.ego.length
+        dt = 1 / changed.get("hz", real.hz)
+        is_free = self._world.moves_ego_only  # then its controls may take effect late or in part
         rows, watched = self._driven(self._fast, (0.0, 0.0), **changed)
         if len(rows) < LEAST_ROWS:  # the road bends too much to go straight ahead; other statements would be unproven
             yield not changed, "the ego stays on the road", f"{len(rows)} rows"
             return
-        driven, course, seconds = *_steps(rows)[:2], (len(rows) - 1) * dt
-        by_speed = np.abs(rows[1:, SPEED] + rows[:-1, SPEED]) / 2 * dt
+        (driven, course, _), by_speed, seconds = _steps(rows), _by_speed(rows, dt), (len(rows) - 1) * dt
         if by_speed.sum() > dt:
             promise = "states() has the states after the last step"
-            yield not _late(driven, by_speed), promise, "those before it: the first step moves no vehicle"
+            yield not _late(driven, by_speed, dt), promise, "those before it: the first step moves no vehicle"
             felt["driven"] = ratio = float(driven.sum() / by_speed.sum())
             promise = "a vehicle drives as far as hz, metres_per_second and metres say of its speed"
             yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance"
             # Along a bend, a simulator in coordinates of the road may drive as far in each lane, and be right in one.
             for lane in (0, len(real.lanes) - 1) if not changed and not isinstance(real.lanes, int) else ():
                 there = self._driven(self._fast, (0.0, 0.0), start_lane=lane)[0]
-                far = float(_steps(there)[0].sum() / max(float(there[1:, SPEED].sum()) * dt, dt))
+                far = float(_steps(there)[0].sum() / max(_by_speed(there, dt).sum(), dt))
                 yield DRIVEN[0] <= far <= DRIVEN[1], promise, f"{far:.3g} times the distance in lane {lane}"
             away = float(np.median(course))
             promise = "a vehicle moves where its heading points, in the axes of y_is_left, headings and degrees"
@@ -266,7 +267,7 @@ class _Bench:
         advice = "or write moves_ego_only = True and put NPCs where their controls say"
         for acceleration in (FASTER, max(SLOWER, -rows[0, SPEED] / 3)):
             gains, wanted = self._driven(self._fast, (acceleration, 0.0), **changed)[1].gains()
-            ticks = _late(gains, wanted)
+            ticks = _late(gains, wanted, dt)
             yield is_free or not ticks, late, f"an acceleration that begins {_many(ticks)} late; {advice}"
             since = _since(gains, dt)
             felt["acceleration"] = ratio = _ratio(gains[since:], wanted[since:])
@@ -285,7 +286,7 @@ class _Bench:
             promise = "a vehicle that turns moves where its heading points, in the axes of y_is_left and degrees"
             received = f"{away:.2f} rad beside it after a turn by {whole:.2f} rad"
             yield abs(away) <= SLIP[0] * abs(whole) + SLIP[1], promise, received
-            ticks = _late(turns, wanted)
+            ticks = _late(turns, wanted, dt)
             yield is_free or not ticks, late, f"a steering that begins {_many(ticks)} late; {advice}"
             felt["steering"] = ratio = _ratio(turns[since:], wanted[since:])
             promise = f"control.steering to the {'right' if side > 0 else 'left'} turns a vehicle as wheels do"
@@ -293,7 +294,7 @@ class _Bench:
             yield (PART if is_free else TURNED[0]) <= ratio <= TURNED[1], promise, received
             behind = _ratio((driven * np.sin(course))[since:], own[since:]) / length
             spare = float(turning[-1, SPEED]) * dt / 2 / length  # a step may have the heading before or after it
-            at_front = changed.get("at_front", self._real.at_front)
+            at_front = changed.get("at_front", real.at_front)
             is_there = behind + spare >= CENTRE[0] if at_front else behind - spare <= CENTRE[1]
             promise = "a vehicle turns about its rear, so that at_front says whether its place is that of its front"
             received = f"a turn about {behind * length:.1f} m behind the centre of its box"
@@ -302,9 +303,8 @@ class _Bench:
     def _causes(self, felt: dict[str, float]) -> Iterator[dict[str, Any]]:
         """Yield what may be otherwise than stated, the simplest first."""
         real, driven = self._real, felt.get("driven", 1.0)
-        known = {name: values for name, values in AXES.items() if hasattr(real, name)}
-        stated = {name: getattr(real, name) for name in known}
-        given = [dict(zip(known, each, strict=True)) for each in product(*known.values())]
+        stated = {name: getattr(real, name) for name in AXES}
+        given = [dict(zip(AXES, each, strict=True)) for each in product(*AXES.values())]
         other = [{name: value for name, value in each.items() if value != stated[name]} for each in given]
         yield from sorted(filter(None, other), key=len)
         if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
@@ -401,7 +401,7 @@ class _Bench:
             alone = self._raw(real, [vehicles[number]], [[each[by]] for each in controls], seed)
             return float(np.abs((together[:, number] - alone[:, 0])[:, [0, 1, 3]] * units).max())
 
-        own = [0] if self._moves_ego_only else [number for number, each in enumerate(vehicles) if not each.driver]
+        own = [0] if self._world.moves_ego_only else [number for number, each in enumerate(vehicles) if not each.driver]
         for number in own:
             if (far := away(number, number)) > INFLUENCE:
                 by = min(own, key=partial(away, number))
@@ -427,10 +427,21 @@ def _ends() -> Callable[[Any], Any]:
     return decide
 
 
-def _late(done: FloatArray, asked: FloatArray) -> int:
-    """Return after how many ticks something is done of what is asked; with a lag, some is done at once."""
-    is_done = np.abs(done) > 0.02 * np.maximum(np.abs(asked), 1e-9)
-    return int(is_done.argmax()) if is_done.any() else 0
+def _late(done: FloatArray, asked: FloatArray, dt: float) -> int:
+    """Return after how many ticks what is asked begins to be done.
+
+    It is 0 with a lag, in which a part is done in the first ticks, however short they are.
+    """
+    shares = np.abs(done) / np.maximum(np.abs(asked), 1e-9)
+    ticks = int((shares > 0.02).argmax())
+    is_sudden = shares[min(ticks, len(shares) - 1)] > 0.6
+    return ticks if is_sudden or ticks * dt > DEAD else 0
+
+
+def _by_speed(rows: FloatArray, dt: float) -> FloatArray:
+    """Return how far the ego drives in each tick by the speeds that it states [m]."""
+    distances: FloatArray = np.abs(rows[1:, SPEED] + rows[:-1, SPEED]) / 2 * dt
+    return distances
 
 
 def _many(ticks: int) -> str:
