@@ -160,21 +160,22 @@ FILE_TEXTS: Mapping[str, str] = {
     "`{zone, slot, speed, act}`, `{beside, ahead, speed, steps}`, `{beside, ahead, speed, driver}`, "
     "`{track, later, pace, shift, steps}`. Speeds are in m/s; a [track](scenarios.md#recorded-tracks) is a block of "
     "lines.",
-    "scenario.ego_track": "The track of the recorded ego, if NPCs drive as recorded.",
+    "scenario.ego_track": "That of the recorded ego, if NPCs drive as recorded.",
     "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung, `SlowDecision`.",
-    "expect.assertion": "The failing assertion without its message, with `N` for each number; the name of a failed "
-    "check; of another exception, its statement or first line, likewise.",
+    "expect.assertion": "The failing assertion, with `N` for each number; the name of a failed check; of another "
+    "exception, its statement or first line.",
     "expect.message": "First line of the message, if `assertion` does not say it.",
     "expect.time": "Of the event [s]: of the failed check, otherwise `event_time`.",
     "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each: "
     "`avoids`, `hit`, `at-fault` or `fails`.",
     "expect.check": "Of a failed check: `value`, `at_most`, `at_least`, `unit`.",
-    "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure, "
-    "which must come up again for a pass to be a fix: `npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from "
-    "the ego's to the right), `ego_speed` and `npc_speed` [m/s] (of a leader, its lowest from then on). Where ways "
-    "meet, the times to the zone `npc_enters` and `ego_enters` [s] replace `ahead` and `lane`.",
+    "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure: "
+    "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from the ego's to the right), `ego_speed` and "
+    "`npc_speed` [m/s] (of a leader, its lowest from then on). Where ways meet, the times to the zone `npc_enters` and "
+    "`ego_enters` [s] replace `ahead` and `lane`.",
     "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
-    "expect.mistake": "Of `entered-lane`: what the ego did wrong, by the place of the other vehicle.",
+    "expect.mistake": "[What the ego did wrong](../explanation/findings.md#what-makes-two-failures-the-same), for "
+    "`entered-lane`.",
     "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: those without which "
     "the test passes.",
     "original": "The scenario as first found, if shrinking has replaced it.",
@@ -199,7 +200,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.departure": "Where an NPC left its recording: `npc`, `time` [s], `gap` and `recorded_gap` [m] (negative: "
     "behind).",
     "expect.traceback": "Of an ADS that raised, without addresses, process ids and temporary folders.",
-    "found.seed": "Of the search, derived from base seed and node id; no value for `--pafot-seed`.",
+    "found.seed": "Of the search; no value for `--pafot-seed`.",
     "found.generation": "Counted from 0.",
     "found.versions": "Of the packages that the run depends on, and of the rules of verdicts.",
     "found.weights": "`sha256:` and a hash of the policy, if its factory provides one; a replay reports a difference.",
@@ -353,12 +354,10 @@ def _vehicles_table() -> str:
 def _catalogue_table() -> str:
     rows = []
     for entry in ENTRIES:
-        told = []
-        for name, each in entry.parameters.items():
-            told.append(f"`{name}` {f'{each.default:.4g} {each.unit}'.rstrip()} ({each.span.replace(' to ', '…')})")
         source = entry.source.removeprefix("UN R157, after ASAM ").removeprefix("Euro NCAP, vehicle assistance: ")
-        rows.append([_code(entry.name), entry.about, ", ".join(told), "" if source == "the project" else source])
-    return _table(["Name", "What happens", "Numbers, defaults and ranges", "After"], rows)
+        numbers = _code(", ".join(entry.parameters))
+        rows.append([_code(entry.name), entry.about, numbers, "" if source == "the project" else source])
+    return _table(["Name", "What happens", "Numbers", "After"], rows)
 
 
 def _code(names: str) -> str:

@@ -444,7 +444,7 @@ ENTRIES = (
     Entry(
         name="euro-ncap/cut-out",
         about="The leader changes lanes shortly before a stationary vehicle.",
-        source=f"{NCAP}: cut-out of leaders at 50 and 70 km/h, before which the ego is taken to be as fast as they are",
+        source=f"{NCAP}: cut-out of leaders at 50 and 70 km/h, at first as fast as the ego",
         parameters=_parameters(
             ego_speed=(50 * KMH, 50 * KMH, 70 * KMH, "m/s", _EGO[4]),
             headway=_HEADWAY,

@@ -43,11 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_world_arguments(parser, "default: a highway in SI units, or that of the finding")
     of_check = "a function of a run, which asserts what must hold (default: no collision, never off the road)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    parser.add_argument("--against", metavar="FILE", help="a saved map; tell what has changed since")
-    of_fail = "exit with 1 if a point is preventable, that is fails though a reference driver avoids it or by an error "
-    of_fail += (
-        "of the ADS, and if no point came up as asked; or if one was avoided in the map of --against, and is no more"
-    )
+    parser.add_argument("--against", metavar="FILE", help="a saved map to compare with")
+    of_fail = "preventable: exit with 1 if a point fails that a reference driver avoids, or by an error of the ADS, or "
+    of_fail += "if no point came up as asked; worse: if one was avoided in the map of --against, and is no more"
     parser.add_argument("--fail-on", choices=("preventable", "worse"), help=of_fail)
     parser.add_argument("--csv", metavar="FILE", help="save the map; --against reads it")
     parser.add_argument("--html", metavar="FILE", help="write a page on which each point plays its run")
