@@ -117,7 +117,7 @@ class SearchSummary:
     Attributes:
         node_id, result: of its item, as for a finding.
         message: why the item failed, in one line.
-        reason: why it ended; empty if it did not begin, or ended early.
+        reason: [why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
         algorithm, profile: their names.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number, with one that was cut.
@@ -127,9 +127,9 @@ class SearchSummary:
             `runs`, to confirm findings, in `shrink_runs` and in `neighbour_runs`, not in replays.
         reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios not run
             again.
-        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in the
-            summary; `npc` is npc at fault, `avoidable` those of them that braking late, but hard, would have avoided,
-            `unpreventable` not preventable, `common` failing with both.
+        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in [the
+            summary](items.md#the-summary-and-the-health-of-a-search): `npc` at fault, `avoidable` of these,
+            `unpreventable`, `common` with the reference.
         reached: share of instructions that were reached; null if unknown.
         finds: ids of its new findings.
         unsaved: runs by id of findings beyond `--pafot-max-saved`.
@@ -144,7 +144,7 @@ class SearchSummary:
         paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
             in how many only one failed. Null if there was nothing to decide.
         no_worse: headlines by id of new findings that do not count, because the reference fails as often.
-        warnings, notes: on its health, and other remarks except those on processes.
+        warnings, notes: on its health, and other remarks.
         requirements, title, owner: of its test: ids, what they ask for, who answers.
     """
 

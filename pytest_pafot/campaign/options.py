@@ -145,13 +145,12 @@ class Settings:
     seed: int = option(
         "integer",
         "Base seed, from which each search derives its own seed.",
-        "By default a new one, which the summary names; 0 with `--pafot-resume` and in `ci`.",
+        "The summary names it. By default 0 with `--pafot-resume`.",
     )
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
         "Search algorithm, such as distinct, pafot or random; or module:Class for your own.",
-        "`distinct` is genetic, and after a finding searches for other failures; `pafot` is the paper's; the others "
-        "are baselines, the last three in `pytest-pafot[search]`.",
+        "[What each is](../comparisons/README.md#the-searches).",
         default="distinct",
         choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
         or_class=True,
@@ -216,8 +215,8 @@ class Settings:
     neighbours: int = option(
         "integer",
         "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
-        "[They differ a little](../explanation/findings.md#how-broad-it-is) and run after all shrinking, all or none "
-        "of a finding. 0 leaves out [answers and moment](../explanation/findings.md#the-moment), too.",
+        "[They differ a little](../explanation/findings.md#how-broad-it-is). 0 leaves out [answers and "
+        "moment](../explanation/findings.md#the-moment), too.",
         default=40,
         most=MOST_NEIGHBOURS,
     )
@@ -302,7 +301,6 @@ class Settings:
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
-        "It is `day` in `--pafot-json`.",
         everywhere=False,
         is_argument=False,
     )
@@ -315,7 +313,6 @@ class Settings:
     profile: str = option(
         "text",
         "Set of defaults: ci (400 runs, seed 0, isolated) or local (40 runs, a new seed).",
-        "By default `ci` if the variable `CI` is set. It isolates only on Linux.",
         choices=tuple(PROFILES),
     )
     debug: bool = option(

@@ -72,7 +72,7 @@ def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
 
 FINDING: Mapping[str, Key] = MappingProxyType({
     "node_id": Key(
-        "node id of the item that replays it, if new from the next session on.",
+        "of the item that replays it, if new from the next session on.",
         "", lambda seen: seen.node_id,
     ),
     "id": Key("name of its file without the suffix.", "", lambda seen: seen.id),
@@ -103,7 +103,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "what differs from the file, why there is no file, or the error.", "", lambda seen: seen.detail,
     ),
     "signature": Key(
-        "what makes two failures the same, of that in its file.",
+        "what makes two failures the same.",
         "", lambda seen: seen.finding.signature.text,
     ),
     "kind": Key(
@@ -251,12 +251,11 @@ class SessionRecord:
     Attributes:
         exit: pytest's exit code; null while the session runs, or if it was killed.
         commit, day: values of `--pafot-commit` and `--pafot-today`, or null.
-        versions: versions of the packages on which a run depends.
-        searches: in the order of node ids.
-        findings: replayed and new ones, likewise.
-        tests: other tests that name a requirement or an owner, likewise.
+        versions: of the packages on which a run depends.
+        searches, findings, tests: in the order of node ids; `findings` are new or replayed, `tests` others that name a
+            requirement or an owner.
         compared: lines on what was compared with a reference, or why nothing was.
-        orphans: folders of saved scenarios that no test runs any more.
+        orphans: folders of saved scenarios without a test.
         warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
     """
 
