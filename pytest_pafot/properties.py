@@ -81,7 +81,7 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     it for an NPC ahead that is not safe across. Crossing NPCs count once they are on the ego's way.
 
     Source: Shalev-Shwartz and others, arXiv:1708.06374 (second hand). By default two seconds are enough behind a leader
-    of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters (read).
+    of equal speed, up to 48 m/s (a choice). ``pytest_pafot.criticality.RssRules()`` has Intel's parameters.
     """
     if not isinstance(rules, RssRules):
         raise TypeError(f"rss_distance: expected rules= as criticality.RssRules(...), received {rules!r:.80}")
@@ -172,7 +172,7 @@ def keeps_up(
     Raises:
         ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
 
-    Source: Vienna Convention on Road Traffic, Art. 13 (4) (read; without numbers).
+    Source: Vienna Convention on Road Traffic, Art. 13 (4) (without numbers).
     """
     limits = np.array([lane.speed_limit for lane in run.trace.lanes])[np.maximum(run.ego.lane.astype(np.intp), 0)]
     full = np.asarray(limits if speed is None else speed)
@@ -224,7 +224,7 @@ def brakes_for_a_reason(run: Run) -> None:
     0.4 s after it began: one of rule 7 of docs/explanation/verdicts.md, or a crossing NPC that would miss the ego in
     their zone by less than four seconds.
 
-    Source: Vienna Convention on Road Traffic, Art. 17 (1) (read); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
+    Source: Vienna Convention on Road Traffic, Art. 17 (1); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """
     trace = run.trace
     lasts, back = math.ceil(HARD_SECONDS * trace.physics_hz), round(REASON_SECONDS * trace.physics_hz)

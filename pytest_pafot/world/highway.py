@@ -48,13 +48,9 @@ class Highway(BuiltInWorld):
         clearance: the least gap between the ego and the cells ahead and behind [m]; NPCs may come nearer.
         headway: with which NPCs start ahead of the ego or behind it [s].
         limits: of NPCs.
-        ego: [its vehicle](scenarios.md#the-egos-vehicle): ``pafot.TRUCK``, another ``pafot.VehicleType``, or the name
-            of a ready one.
+        ego: [its vehicle](scenarios.md#the-egos-vehicle): a ``pafot.VehicleType``, or the name of a ready one.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        lasts: the duration of each run [s], whatever scenario and ``duration`` say, as :meth:`lasting` sets it. Not
-            part of a saved world.
-        npc_drivers: factories of the drivers of free NPCs by name, as :meth:`with_drivers` sets them. Not part of a
-            saved world.
+        lasts, npc_drivers: what :meth:`lasting` and :meth:`with_drivers` set; not part of a saved world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.

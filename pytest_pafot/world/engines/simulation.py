@@ -58,13 +58,12 @@ class Vehicle(NamedTuple):
     """A vehicle at the start of a run, in the units and axes of the simulator.
 
     Attributes:
-        x, y: its place: the centre of its box, or with ``at_front`` the middle of its front.
-        heading, speed: its heading and speed.
+        x, y, heading, speed: its place, heading and speed.
         length, width: the size of its box.
-        lane: its lane, counted from 0 at the left.
-        kind: the name of what vehicle it is, such as ``"car"`` or ``"truck"``.
+        lane: counted from 0 at the left.
+        kind: such as ``"car"`` or ``"truck"``.
         driver: one of the simulator's :attr:`Simulator.drivers`, which drives it; empty if its controls do.
-        wanted_speed: the speed that such a driver wants to drive; for other vehicles their speed.
+        wanted_speed: that of such a driver; for other vehicles their speed.
     """
 
     x: float
@@ -83,11 +82,10 @@ class Control(NamedTuple):
     """The control of a vehicle in a tick, in the units and axes of the simulator.
 
     Attributes:
-        acceleration: the acceleration, in the simulator's speeds per second.
+        acceleration: in the simulator's speeds per second.
         steering: the angle of the front wheels; it turns the vehicle in the direction in which headings grow.
-        x, y, heading, speed: the state at the end of the tick by the package's own kinematic bicycle model, for a
-            simulator that puts vehicles at places.
-        recorded: 1 if the vehicle drives as recorded, and so must be in this state; else 0.
+        x, y, heading, speed: the state at the end of the tick by the package's own kinematic bicycle model.
+        recorded: 1 if the vehicle must be in this state, because it drives as recorded; else 0.
     """
 
     acceleration: float
@@ -109,9 +107,9 @@ class Simulator(ABC):
         hz: ticks per second, a whole number.
         lanes: the number of parallel straight lanes; the centre of lane 0, the leftmost, is the x axis. Or the centre
             lines of all lanes from the left, each with the places of at least two points, in the direction of driving.
-        lane_width: the width of each lane; None for 4 m.
-        speed_limit: the speed limit; None for 26.8 m/s.
-        length: the length of the road if ``lanes`` is a number; None if it never ends.
+        lane_width: None for 4 m.
+        speed_limit: None for 26.8 m/s.
+        length: that of the road if ``lanes`` is a number; None if it never ends.
         start_lane, start_speed, start_at: on a road that is not straight, the lane in which the ego starts, its speed,
             None for 22 m/s or the limit, and its place along this lane; None for the first one with room behind it.
         obstacles: fixed objects: x, y, heading, length and width of each.
@@ -122,12 +120,11 @@ class Simulator(ABC):
         at_front: True if the place of a vehicle is the middle of its front; else it is the centre of its box.
         metres: the length of the simulator's unit of length [m].
         metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
-        drivers: the names of drivers of the simulator's own, which can drive free NPCs.
+        drivers: names of drivers of the simulator's own, for free NPCs.
         follows_recordings: True if :meth:`step` puts each vehicle whose control is ``recorded`` in the control's state.
-        moves_ego_only: True if :meth:`step` puts all NPCs, but those of ``drivers``, in the states of their controls:
-            for a simulator in which a control takes effect late or in part.
-        one_at_a_time: True if a process can have one simulation only; then several runs do not proceed in lock step.
-        packages: the names of installed packages whose versions change runs, for saved files.
+        moves_ego_only: True if :meth:`step` puts all NPCs, but those of ``drivers``, in the states of their controls.
+        one_at_a_time: True if a process can have one simulation only; then no runs proceed in lock step.
+        packages: names of installed packages whose versions change runs, for saved files.
     """
 
     hz: int = 15
