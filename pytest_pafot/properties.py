@@ -166,8 +166,7 @@ def keeps_up(
 
     The value is the ego's highest speed in the last ``seconds`` divided by ``speed`` [m/s], one number or one per tick,
     by default the limit of its lane. A vehicle is ahead if the gap to the leader is less than the required speed times
-    ``headway`` [s], or if the ego and a crossing NPC both still have to pass their zone. Shorter runs, and a ``speed``
-    of 0, are not checked.
+    ``headway`` [s], or if the ego and a crossing NPC both still have to pass their zone.
 
     Raises:
         ValueError: for an argument that is not a finite number of at least 0, or speeds that are not one per tick.
@@ -221,8 +220,7 @@ def brakes_for_a_reason(run: Run) -> None:
     """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason.
 
     The value is the deceleration that lasts for 0.4 s [m/s^2]; 0 if there is a reason from 1.6 s before the braking to
-    0.4 s after it began: one of rule 7 of docs/explanation/verdicts.md, or a crossing NPC that would miss the ego in
-    their zone by less than four seconds.
+    0.4 s after it began: one of rule 7 of docs/explanation/verdicts.md, or an NPC that would cross within 4 s of it.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """

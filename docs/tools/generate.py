@@ -98,11 +98,9 @@ MARKER_TEXTS: Mapping[str, str] = {
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
     "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "Parameter of the test that receives the run.",
-    "fitness": '[The fitness](fitness.md): `"default"`, `"paper"`, `"av-fuzzer"`, a measure such as '
-    '`"headway"`, `pafot.Measure(...)`, `pafot.Weights(...)`, a function `Trace -> float`, or its `module:function`.',
-    "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"`, of each valid run; '
-    '`"ego"`, no collisions by an NPC\'s fault alone; `"avoidable"`, of these those that braking late, but hard, '
-    'would have avoided, too; `"preventable"`, as `"ego"`, but only what a reference driver would have prevented.',
+    "fitness": "[The fitness](fitness.md): a name, a measure, `pafot.Weights(...)`, or a function of the trace.",
+    "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"`, '
+    '`"ego"`, `"avoidable"` or `"preventable"`.',
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
     '`"paper"`, or `pafot.Traffic(...)`.',
     "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
@@ -345,7 +343,7 @@ def _vehicles_table() -> str:
     names = ("length", "width", "acceleration", "braking", "lateral_acceleration", "top_speed")
     rows = [
         [f"`pafot.{name.upper()}`", _code(name)]
-        + ["the world's" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
+        + ["" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
         for name, each in READY.items()
     ]
     return _table(["Vehicle", "Name", *map(_code, names)], rows)
@@ -571,7 +569,10 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
             (action.help or "") % vars(action),
         )
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar
-        rows.append([f"`{name}`", _capital(text) + "."])
+        if action.dest == "config":  # the page on all forms of a world explains it
+            rows[-1][0] += f", `{name}`"
+        else:
+            rows.append([f"`{name}`", _capital(text) + "."])
     if as_in_mark:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in as_in_mark)
         rows.append([_code(flags), "As [the mark's arguments](../reference/search.md); `--help` has the defaults."])
@@ -614,10 +615,8 @@ def _strategies_table() -> str:
     rows = []
     for name in strategies.__all__:
         function: Callable[..., Any] = getattr(strategies, name)
-        arguments = ", ".join(f"`{parameter}`" for parameter in _parameters(function))
-        what = _capital(_value(function).removeprefix("A strategy for "))
-        rows.append([f"`pafot.strategies.{name}()`", what, arguments])
-    return _table(["Strategy", "Generates", "Arguments, all by keyword"], rows)
+        rows.append([f"`pafot.strategies.{name}()`", _capital(_value(function).removeprefix("A strategy for "))])
+    return _table(["Strategy", "Generates"], rows)
 
 
 if __name__ == "__main__":
