@@ -115,7 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report
     )
-    of_test = f"do not search, but write {CONFTEST} and {TEST} here, with which `pytest` searches and replays findings"
+    of_test = f"do not search, but write {CONFTEST} and {TEST} here, for `pytest`"
     parser.add_argument("--write-test", action="store_true", help=of_test)
     parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
     # Messages of the session name options of pytest. All that do something in a search are options here, too.

@@ -116,13 +116,13 @@ SITUATIONS = {
     "One follows the other": (
         Situation(
             "slow-leader-ignored",
-            "The ego, with 20 m/s, runs into a vehicle that drives 10 m/s. It does not brake.",
+            "The ego runs into a vehicle that drives 10 m/s, and does not brake.",
             lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
             "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
         Situation(
             "hit-from-behind",
-            "The ego keeps its speed of 20 m/s. An NPC with 26 m/s runs into it from behind.",
+            "An NPC with 26 m/s runs into the ego from behind.",
             lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
             "npc", None, "4b", "(safe: ",
         ),

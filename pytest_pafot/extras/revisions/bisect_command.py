@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bad", default="HEAD", metavar="REV", help=of_bad)
     of_policy = "the files and folders of the policy, taken from each commit; all other files stay as they are now"
     parser.add_argument("--policy", required=True, nargs="+", metavar="PATH", help=of_policy)
-    of_copy = "files and folders that the test needs and git ignores, such as weights; no other ignored file is copied"
+    of_copy = "files and folders that the test needs and git ignores, such as weights"
     parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
     of_any = "let a commit also pass if its test passes because the situation of the file does not occur"
     parser.add_argument("--any-pass", action="store_true", help=of_any)

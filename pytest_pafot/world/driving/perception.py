@@ -32,7 +32,7 @@ class Perception:
         latency: age of what it sees of others [s], rounded up to whole physics ticks; before, it sees the start. Its
             own state is current.
         noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
-            ``"speed"`` [m/s], such as ``{"position": 0.5}``. Sampled for each vehicle at each decision.
+            ``"speed"`` [m/s]. Sampled for each vehicle at each decision.
         dropout: probability that it does not see a vehicle at a decision.
         occlusion: if true, it does not see a vehicle if the lines from the ego's centre to its centre and corners all
             run through others.
@@ -40,8 +40,7 @@ class Perception:
         ghosts: vehicles that do not exist: how many appear per second, ``"rate"`` [1/s], up to 100, and their mean
             ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``.
         own_bias: standard deviations of normal errors of its own ``"position"``, along x and along y [m], ``"heading"``
-            [rad] and ``"speed"`` [m/s], such as ``{"position": 0.3}``. Sampled once a run. It sees the others moved and
-            turned with it.
+            [rad] and ``"speed"`` [m/s], sampled once a run. It sees the others moved and turned with it.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.
