@@ -537,7 +537,8 @@ def _example() -> Finding:
 def _measures_table() -> str:
     functions = [getattr(criticality, name) for name in criticality.__all__]
     measures = [each for each in functions if inspect.isfunction(each) and next(iter(_parameters(each))) == "trace"]
-    return _table(["Measure", "Meaning"], [[f"`{each.__name__}`", _value(each)] for each in measures])
+    rows = [[f"`{each.__name__}`", _value(each)] for each in measures if not each.__name__.startswith("min_")]
+    return _table(["Measure", "Meaning"], rows)
 
 
 def _signals_table() -> str:
