@@ -220,7 +220,8 @@ def brakes_for_a_reason(run: Run) -> None:
     """Check that the ego never brakes hard, more than 5 m/s^2 for 0.4 s, without a reason.
 
     The value is the deceleration that lasts for 0.4 s [m/s^2]; 0 if there is a reason from 1.6 s before the braking to
-    0.4 s after it began: one of rule 7 of docs/explanation/verdicts.md, or an NPC that would cross within 4 s of it.
+    0.4 s after it began: one of rule 7 of docs/explanation/verdicts.md, or an NPC that would cross within 4 s of the
+    ego.
 
     Source: Vienna Convention on Road Traffic, Art. 17 (1); 5 m/s^2 is UN R157, 5.3.1.1 (second hand).
     """

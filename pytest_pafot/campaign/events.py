@@ -117,7 +117,7 @@ class SearchSummary:
     Attributes:
         node_id, result: of its item, as for a finding.
         message: why the item failed, in one line.
-        reason: [why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
+        reason: [Why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
         algorithm, profile: their names.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number, with one that was cut.
