@@ -3,6 +3,8 @@
 import math
 import os
 import pickle
+import time
+import warnings
 from functools import partial
 
 import numpy as np
@@ -33,6 +35,7 @@ from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
+from pytest_pafot.world.engines.simulation import Simulators
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.roads.lines import network_of, straight_along
 from tests.helpers.tables import table
@@ -697,6 +700,27 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
     assert Counted.closed == ["own"]
     world.rollout(scenarios()[0], Batch)
     assert len(Counted.made) == 2
+
+
+@table(
+    ("close", "message"),
+    {
+        "raises": (raising, r"Counted.close: expected no exception, received TypeError"),
+        "hangs": (lambda self: time.sleep(60), r"Counted.close: expected a return within the hang limit of 0.2 s"),
+    }.values(),
+)
+def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, message):
+    monkeypatch.setattr("pytest_pafot.world.engines.simulation.CLOSING", 0.2)
+    world = SimulatorWorld(partial(type("Counted", (Bicycle,), {"close": close})), duration=1.0)
+    world.rollout(scenarios()[0], Batch)
+    with pytest.warns(RuntimeWarning, match=message):
+        Simulators.close_all()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Simulators.close_all()
+        world.rollout(scenarios()[0], Batch)
+    with pytest.warns(RuntimeWarning, match=message):  # the run made another one
+        Simulators.close_all()
 
 
 def test_world_that_is_sent_to_a_process_makes_its_own_simulator():

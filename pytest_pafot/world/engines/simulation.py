@@ -20,6 +20,7 @@ import numpy as np
 
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.guard.failure import call_close
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import TrackedNpc
@@ -28,6 +29,8 @@ from pytest_pafot.world.kernel.loop import GivenDriver
 PATIENCE, LEAST_PATIENCE = 10.0, 60.0
 """The time that a method of a simulator may take: a multiple of the world's ``hang_limit``, and at least this time [s].
 A simulator may need long to start, but hardly as long as ten decisions that are too slow."""
+CLOSING = 10.0
+"""The time that ``close`` of a simulator may take [s]."""
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 """The largest difference of a vehicle's first state from the one that was asked for [m, m, rad, m/s]."""
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
@@ -164,7 +167,10 @@ class Simulator(ABC):
         """Return x, y, heading and speed of each vehicle, the ego first; shape [vehicles, 4]."""
 
     def close(self) -> None:  # noqa: B027  (most simulators hold nothing)
-        """Release what the simulator holds, such as a process. The object is not used afterwards."""
+        """Release what the simulator holds, such as a process. The object is not used afterwards.
+
+        It is called once, at the end of the session or of the process, or when the simulator has failed.
+        """
 
     def to_dict(self) -> dict[str, Any]:
         """Return the arguments with which the class makes this simulator again, as plain data for a file."""
@@ -476,11 +482,14 @@ class Simulators:
         make: makes a simulator.
     """
 
+    _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
+
     def __init__(self, make: Callable[[], Any]) -> None:
         self._make = make
         self._process = os.getpid()
         self._free: list[Any] = []
-        weakref.finalize(self, _close_all, self._process, self._free)
+        weakref.finalize(self, _close, self._process, self._free)
+        self._all.add(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what makes an equal one, without its simulators."""
@@ -497,13 +506,20 @@ class Simulators:
         if is_sound and self._process == os.getpid():
             self._free.append(simulator)
         else:
-            simulator.close()
+            _close(os.getpid(), [simulator])
+
+    @classmethod
+    def close_all(cls) -> None:
+        """Close all simulators of this process that are not in use. Later runs make others."""
+        for each in tuple(cls._all):
+            _close(each._process, each._free)
 
 
-def _close_all(process: int, simulators: list[Any]) -> None:
-    if process == os.getpid():
-        for each in simulators:
-            each.close()
+def _close(process: int, simulators: list[Any]) -> None:
+    """Close simulators of a process, each once, if it is this one; another one still uses them."""
+    while simulators and process == os.getpid():
+        simulator = simulators.pop()
+        call_close(simulator.close, f"{type(simulator).__name__}.close", CLOSING)
 
 
 def _named(number: int) -> str:
