@@ -634,7 +634,7 @@ def test_exception_of_a_simulator_names_its_method_and_its_tick():
 
 
 def test_method_that_does_not_return_is_ended(monkeypatch):
-    monkeypatch.setattr("pytest_pafot.world.engines.simulation.LEAST_PATIENCE", 0.2)
+    monkeypatch.setattr("pytest_pafot.world.guard.hang_guard.LEAST_FOR_WORLD", 0.2)
 
     def wait(self, controls):
         while True:

@@ -7,6 +7,7 @@ decides, observes, records and compares is the same as in the other worlds, and 
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
 import weakref
@@ -20,14 +21,11 @@ import numpy as np
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.failure import call_close
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import TrackedNpc
 from pytest_pafot.world.kernel.loop import GivenDriver
 
-PATIENCE, LEAST_PATIENCE = 10.0, 60.0
-"""The time that a method of a simulator may take: a multiple of the world's ``hang_limit``, and at least this time [s].
-A simulator may need long to start, but hardly as long as ten decisions that are too slow."""
 CLOSING = 10.0
 """The time that ``close`` of a simulator may take [s]."""
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
@@ -417,7 +415,7 @@ class Simulation:
     def _called(self, method: str) -> Iterator[None]:
         """Call a method of the simulator, with a time limit of its own and its name in each error."""
         guard = self._guard
-        limit, guard.limit = guard.limit, max(PATIENCE * guard.limit, LEAST_PATIENCE)
+        limit, guard.limit = guard.limit, patience_with_world(guard.limit)
         try:
             try:
                 guard.decision_starts()
@@ -455,8 +453,13 @@ class Simulators:
         self._make = make
         self._process = os.getpid()
         self._free: list[Any] = []
-        weakref.finalize(self, _close, self._process, self._free)
+        if not self._all:
+            atexit.register(self.close_all)
         self._all.add(self)
+
+    def __del__(self) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
+        """Close the simulators of a world that nobody uses."""
+        _close(self._process, self._free)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what makes an equal one, without its simulators."""
@@ -489,7 +492,7 @@ def _close(process: int, simulators: list[Any]) -> None:
         call_close(simulator.close, f"{type(simulator).__name__}.close", CLOSING)
 
 
-def _shown(values: Sequence[float]) -> str:
+def _shown(values: Sequence[Any]) -> str:
     return ", ".join(f"{name} = {value:.6g}" for (name, _), value in zip(STARTS, values, strict=False))
 
 
