@@ -28,7 +28,7 @@ from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
 from pytest_pafot.support.errors import OutOfTime, flag, page
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
@@ -144,6 +144,10 @@ class WorkerPool(Generic[TaskT, ResultT]):
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
         ended: a function that is called with the id of each process of the pool that has ended, or that one of them had
             started.
+        leave: a function that each process calls before it ends, also if it is interrupted in a task; not if it has to
+            be killed. None if there is nothing to do.
+        left: a function that is called with what ``leave`` has returned in a process.
+        farewell: the time that a process gets to end by itself [s].
         clock: a monotonic clock [s].
     """
 
@@ -156,6 +160,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
     memory: int | None = None
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
+    leave: Callable[[], Any] | None = None
+    left: Callable[[Any], None] = lambda said: None
+    farewell: float = FAREWELL
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -270,10 +277,16 @@ class WorkerPool(Generic[TaskT, ResultT]):
             tick(sum(worker.share for worker in self._busy))
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all processes; busy processes are killed, and with ``at_once`` idle ones, too."""
-        idle = [] if at_once else [worker for worker in self._workers if worker.task is None]
-        deadline = self.clock() + FAREWELL
-        for worker in [worker for worker in idle if worker.send(None)]:
+        """End all processes; busy processes are killed, and with ``at_once`` idle ones, too.
+
+        Processes with something to do before they end are not killed, but interrupted, and get the time for it.
+        """
+        has_leave = self.leave is not None
+        ending = [each for each in self._workers if (has_leave or not at_once) and each.leaves(interrupted=has_leave)]
+        deadline = self.clock() + self.farewell
+        for worker in ending:
+            if has_leave and (left := worker.farewell(deadline, self.clock)) is not None:
+                self.left(left.said)
             worker.process.join(max(0.0, deadline - self.clock()))
         for worker in list(self._workers):
             self._remove(worker)
@@ -309,7 +322,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle)
+                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle, self.leave)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -406,6 +419,7 @@ class _Worker(Generic[TaskT]):
         grace: float,
         memory: int | None,
         idle: float | None,
+        leave: Callable[[], Any] | None,
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
@@ -416,7 +430,7 @@ class _Worker(Generic[TaskT]):
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.gave_up, self.npc, grace, memory, idle)
+        arguments = (work, end, inherited, self._beats, self.gave_up, self.npc, grace, memory, idle, leave)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -445,6 +459,23 @@ class _Worker(Generic[TaskT]):
             return False
         return True
 
+    def leaves(self, *, interrupted: bool) -> bool:
+        """Ask the process to end, if it is idle or may be interrupted in its task; return False if it is not asked."""
+        if self.task is not None and not interrupted:
+            return False
+        is_asked = self.send(None)
+        if self.task is not None and sys.platform != "win32" and self.process.is_alive():
+            os.kill(self.pid, signal.SIGTERM)
+        return is_asked
+
+    def farewell(self, deadline: float, clock: Callable[[], float]) -> _Left | None:
+        """Return the last that the process says, until a time of the clock; None if it says nothing more."""
+        while self.connection.readable and self.connection.poll(max(0.0, deadline - clock())):
+            heard = self.hear()
+            if heard is None or isinstance(heard[1], _Left):
+                return heard and heard[1]
+        return None
+
     def hear(self) -> tuple[bool, Any] | None:
         """Receive a message of the process: (True, result) or (False, what it says); None if the process ended."""
         try:
@@ -471,6 +502,12 @@ class _Worker(Generic[TaskT]):
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGUSR2)
         return 0.0
+
+
+class _Left(NamedTuple):
+    """What a process says at its end."""
+
+    said: Any
 
 
 def ending(code: int | None) -> str:
@@ -509,17 +546,25 @@ def _serve(
     grace: float,
     memory: int | None,
     idle: float | None,
+    leave: Callable[[], Any] | None,
 ) -> None:
     """Run tasks in a process of the pool until there are no more, or until the session has ended.
 
     ``beats`` counts the start of the process and each signal that it answers.
     """
+    is_leaving = is_working = False
 
     def tell(said: object) -> None:
         connection.send_bytes(_sendable((False, said)))
 
     def beat(*signalled: object) -> None:
         beats.value += 1
+
+    def interrupt(*signalled: object) -> None:
+        nonlocal is_leaving
+        is_leaving = True
+        if is_working:  # else the process finds that it is to end, and no answer is cut in the middle
+            raise KeyboardInterrupt  # no run takes it for an error of its policy
 
     def end(why: int = STUCK) -> None:
         gave_up.value = why
@@ -536,6 +581,8 @@ def _serve(
     beat()
     if memory is not None:
         _limit_memory(memory)
+    if leave is not None:
+        signal.signal(signal.SIGTERM, interrupt)
     resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK), npc=npc)
     with last_resort(resort), suppress(EOFError, OSError):
         while connection.poll(idle):
@@ -543,13 +590,21 @@ def _serve(
             if task is None:
                 break
             try:
+                is_working = True
                 said = _sendable((True, work(task, tell)))
+                is_working = False
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
+                is_working = False
+                if is_leaving:
+                    break
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
+    if leave is not None:
+        with suppress(OSError):  # the session may have ended
+            tell(_Left(leave()))
 
 
 @dataclass(frozen=True, slots=True)

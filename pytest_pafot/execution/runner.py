@@ -41,6 +41,7 @@ from pytest_pafot.execution.scenario_pool import (
     ScenarioPool,
     Timed,
     capture_output,
+    closing_simulators,
     drivers_error,
     made_apart,
     made_from,
@@ -963,7 +964,9 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
             return "", repr(trace.actions)
         return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process", ""
 
-    pool = WorkerPool[str, tuple[str, str]](asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE)
+    pool = WorkerPool[str, tuple[str, str]](
+        asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE, **closing_simulators(job)
+    )
     with capture_output(), pool:
         answer = pool.fetch("the first run of the ADS")
     if isinstance(answer, ProcessLostError):

@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from typing import Any, Protocol, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
-from pytest_pafot.execution.pool import GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
@@ -29,8 +29,10 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.engines.simulation import CLOSING, Simulators
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.simulator_world import SimulatorWorld
 
 # The output of code in a different process: printed text, log records and warnings. The process of the test repeats it,
 # because pytest captures only the output of that process.
@@ -303,7 +305,21 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         grace=grace,
         memory=_memory(job, size),
         ended=partial(_forget, job),
+        **closing_simulators(job),
     )
+
+
+def closing_simulators(job: Job) -> dict[str, Any]:
+    """Return arguments of a pool whose processes close their simulators when they end; none in other worlds."""
+    if not isinstance(job.world, SimulatorWorld):
+        return {}
+    return {"leave": _close_simulators, "left": CapturedOutput.repeat, "farewell": FAREWELL + CLOSING}
+
+
+def _close_simulators() -> CapturedOutput:
+    with capture_output() as output:
+        Simulators.close_all()
+    return output
 
 
 def _memory(job: Job, size: int) -> int | None:

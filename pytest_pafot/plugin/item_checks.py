@@ -183,6 +183,11 @@ def _missing_ads(name: str, available: Sequence[str], width: int) -> str:
 class Execution:
     """Hooks that run the items of searches and saved scenarios."""
 
+    def pytest_sessionfinish(self) -> None:
+        """Close the simulators of this process, if any were made; their warnings are then in the summary."""
+        if (simulation := sys.modules.get("pytest_pafot.world.engines.simulation")) is not None:
+            simulation.Simulators.close_all()
+
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
         """Note that a search begins, or set the properties of a saved scenario, before the item can fail or be skipped.

@@ -424,7 +424,7 @@ def _stated(simulator: Any) -> _Stated:
         raise WorldError(field="simulator", expected=expected, received=f"{simulator!r:.200}")
     name = type(simulator).__name__
     metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
-    unit = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
+    speed = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
 
     def is_on(field: str) -> bool:
         value = getattr(simulator, field)
@@ -432,10 +432,11 @@ def _stated(simulator: Any) -> _Stated:
             raise WorldError(field=f"{name}.{field}", expected="True or False", received=f"{value!r:.100}")
         return value
 
-    def in_si(field: str, low: float, high: float, of: float) -> float | None:
+    def in_si(field: str, low: float, high: float, unit: str) -> float | None:
         """Return a value in SI units; None if the simulator states none."""
-        value = getattr(simulator, field)
-        return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of) * of
+        value, of = getattr(simulator, field), {"metres": metres, "metres_per_second": speed}[unit]
+        why = f", as {name}.{unit} is {of:.6g}"
+        return None if value is None else number_within(f"{name}.{field}", value, low / of, high / of, why) * of
 
     def several(field: str, of: str) -> Sequence[Any]:
         """Return a list or tuple; a text, whose letters would count, is none."""
@@ -462,18 +463,18 @@ def _stated(simulator: Any) -> _Stated:
     found = _Stated(
         maker=type(simulator),
         metres=metres,
-        metres_per_second=unit,
+        metres_per_second=speed,
         y_is_left=is_on("y_is_left"),
         degrees=is_on("degrees"),
         headings=simulator.headings,
         at_front=is_on("at_front"),
         hz=whole_within(f"{name}.hz", simulator.hz, *PHYSICS_HZ),
-        lane_width=in_si("lane_width", 2.0, 10.0, metres) or LANE_WIDTH,
-        speed_limit=in_si("speed_limit", 5.0, TOP_SPEED, unit) or PAPER_SPEED_LIMIT,
-        length=in_si("length", LEAST_LENGTH, 1e6, metres),
+        lane_width=in_si("lane_width", 2.0, 10.0, "metres") or LANE_WIDTH,
+        speed_limit=in_si("speed_limit", 5.0, TOP_SPEED, "metres_per_second") or PAPER_SPEED_LIMIT,
+        length=in_si("length", LEAST_LENGTH, 1e6, "metres"),
         start_lane=whole_within(f"{name}.start_lane", simulator.start_lane, 0, MOST_LANES - 1),
-        start_speed=in_si("start_speed", 0.0, TOP_SPEED, unit),
-        start_at=in_si("start_at", 0.0, 1e6, metres),
+        start_speed=in_si("start_speed", 0.0, TOP_SPEED, "metres_per_second"),
+        start_at=in_si("start_at", 0.0, 1e6, "metres"),
         follows_recordings=is_on("follows_recordings"),
         moves_ego_only=is_on("moves_ego_only"),
         drivers=drivers,

@@ -377,11 +377,32 @@ def _is_running(pid):
         return False
 
 
-def test_closing_pool_does_not_wait_for_unfetched_answers(pool_of, monkeypatch):
-    monkeypatch.setattr(execution_pool, "FAREWELL", 600.0)
-    with pool_of(lambda number: time.sleep(600)) as pool:
+def test_closing_pool_does_not_wait_for_unfetched_answers(pool_of):
+    with pool_of(lambda number: time.sleep(600), farewell=600.0) as pool:
         pool.expect(TASKS[:2])
         started = time.monotonic()
+    assert time.monotonic() - started < 300
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("at_once", [False, True])
+def test_each_process_does_what_it_has_to_before_it_ends(pool_of, at_once):
+    """One is in a task that does not return, and the other waits for one."""
+    left = []
+    pool = pool_of(lambda number: time.sleep(600 * number), leave=os.getpid, left=left.append, farewell=600.0)
+    pool.expect([1, 0])
+    pool.fetch(0)
+    pids = {worker.pid for worker in pool._workers}
+    pool.close(at_once=at_once)
+    assert (len(pids), {*left}, len(left)) == (2, pids, 2)
+
+
+def test_process_that_does_not_end_in_time_is_killed(pool_of):
+    pool = pool_of(lambda number: None, leave=lambda: time.sleep(600), farewell=0.2)
+    pool.expect([0])
+    pool.fetch(0)
+    started = time.monotonic()
+    pool.close()
     assert time.monotonic() - started < 300
 
 

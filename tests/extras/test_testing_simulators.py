@@ -251,7 +251,7 @@ def limited(self, controls):
         (Toy, {"wheels": lambda self, each: each.steering + 0.02}, "the heading is steady without steering"),
         (Toy, {"states": lambda self: [(x, y, -heading, v) for x, y, heading, v in self.cars]}, "its heading points"),
         (Toy, {"way": lambda self, heading: (-math.cos(heading), math.sin(heading))}, "fits with headings = '-x to y'"),
-        (Late, {}, "likely states returns what was before the step"),
+        (Late, {}, "states() has to return the states after the last step"),
         (Delayed, {}, "an acceleration that begins a tick late"),
         (Delayed, {"ticks": 7}, "an acceleration that begins 7 ticks late; or write moves_ego_only = True"),
         (Toy, {"states": lambda self: [(x - 2.5, *rest) for x, *rest in self.cars]}, "ego behind where start put it"),

@@ -351,7 +351,7 @@ def test_decision_that_hangs_in_own_world_is_a_finding(project, options):
 
 @pytest.mark.processes
 def test_own_world_that_hangs_itself_is_ended_with_isolate(project, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.world.guard.own_worlds.LEAST_FOR_WORLD", 0.3)
+    monkeypatch.setattr("pytest_pafot.world.guard.hang_guard.LEAST_FOR_WORLD", 0.3)
     sleeping(project, stuck="time.sleep(60)")
     result = project.run("--pafot-isolate", generations=1)
     result.stdout.fnmatch_lines(

@@ -3,6 +3,8 @@
 import math
 import os
 import pickle
+import time
+import warnings
 from functools import partial
 
 import numpy as np
@@ -33,6 +35,7 @@ from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
+from pytest_pafot.world.engines.simulation import Simulators
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.roads.lines import network_of, straight_along
 from tests.helpers.tables import table
@@ -556,23 +559,23 @@ def raising(self, controls):
         ),
         "degrees": (
             {"states": lambda self: [(*car[:2], math.degrees(car[2]) + 90.0, car[3]) for car in self.cars]},
-            r"Broken.states, tick 0 after start: expected heading = 0.00 of the ego, .* do units and axes fit\?",
+            r"states, tick 0 after start: expected heading = 0.00 of the ego, .* states has .*, heading = 90,",
         ),
         "headings from y": (
             {"states": lambda self: [(*car[:2], math.pi / 2 - car[2], car[3]) for car in self.cars]},
-            r"expected heading = 0.00 of the ego, .* received 1.57; states fits headings = 'y to x': if this is so",
+            r"expected heading = 0.00 of the ego, .* received 1.57; .* start received .* heading = 0, .* = 1.5708,",
         ),
         "km/h": (
             {"states": lambda self: [(*car[:3], car[3] * 3.6) for car in self.cars]},
-            r"expected speed = 22.00 of the ego, .* states fits metres_per_second = 1 / 3.6: if this is so",
+            r"expected speed = 22.00 of the ego, .* start received .* = 22, and states has .* = 79.2. pytest",
         ),
         "front bumper": (
             {"states": lambda self: [(car[0] + 2.5, *car[1:]) for car in self.cars]},
-            r"expected x = 200.00 of the ego, .* received 202.50; states fits at_front = True: if this is so",
+            r"expected x = 200.00 of the ego, .* received 202.50; .* received x = 200, .* states has x = 202.5,",
         ),
         "y to the left": (
             {"states": lambda self: [(x, -y, heading, speed) for x, y, heading, speed in self.cars]},
-            r"tick 0 after start: expected y = 4.00 of the ego, .* states fits y_is_left = True: if this is so",
+            r"expected y = 4.00 of the ego, .* start received x = 200, y = 4, .* states has x = 200, y = -4,",
         ),
     }.values(),
 )
@@ -600,19 +603,19 @@ def before(self, controls):
 @table(
     ("members", "received"),
     {
-        "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; likely headings = 'y to x'"),
+        "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; do hz, units and axes fit"),
         "x to the north": (
             {"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
-            r"90 degrees away from it; likely headings = 'x to -y'",
+            r"90 degrees away from it; do hz, units and axes fit",
         ),
         "km/h": (
             {"step": along(lambda _: 1 / 3.6, math.sin)},
-            r"0.41 m, 0 degrees away from it; likely metres_per_second = 1 / 3.6 or a tick of it lasts 0.0185 s",
+            r"0.41 m, 0 degrees away from it; do hz, units and axes fit",
         ),
-        "other ticks": ({"hz": 20}, r"0 degrees away from it; likely a tick of it lasts 0.0667 s, which is hz = 15"),
+        "other ticks": ({"hz": 20}, r"0 degrees away from it; do hz, units and axes fit"),
         "old states": (
             {"step": before, "states": lambda self: getattr(self, "last", self.cars)},
-            r"0.00 m, .* likely states returns what was before the step",
+            r"0.00 m, .* does states have what is after the step\? pytest_pafot.testing.check_world\(world\) looks",
         ),
     }.values(),
 )
@@ -631,7 +634,7 @@ def test_exception_of_a_simulator_names_its_method_and_its_tick():
 
 
 def test_method_that_does_not_return_is_ended(monkeypatch):
-    monkeypatch.setattr("pytest_pafot.world.engines.simulation.LEAST_PATIENCE", 0.2)
+    monkeypatch.setattr("pytest_pafot.world.guard.hang_guard.LEAST_FOR_WORLD", 0.2)
 
     def wait(self, controls):
         while True:
@@ -697,6 +700,27 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
     assert Counted.closed == ["own"]
     world.rollout(scenarios()[0], Batch)
     assert len(Counted.made) == 2
+
+
+@table(
+    ("close", "message"),
+    {
+        "raises": (raising, r"Counted.close: expected no exception, received TypeError"),
+        "hangs": (lambda self: time.sleep(60), r"Counted.close: expected a return within the hang limit of 0.2 s"),
+    }.values(),
+)
+def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, message):
+    monkeypatch.setattr("pytest_pafot.world.engines.simulation.CLOSING", 0.2)
+    world = SimulatorWorld(partial(type("Counted", (Bicycle,), {"close": close})), duration=1.0)
+    world.rollout(scenarios()[0], Batch)
+    with pytest.warns(RuntimeWarning, match=message):
+        Simulators.close_all()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Simulators.close_all()
+        world.rollout(scenarios()[0], Batch)
+    with pytest.warns(RuntimeWarning, match=message):  # the run made another one
+        Simulators.close_all()
 
 
 def test_world_that_is_sent_to_a_process_makes_its_own_simulator():

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import load
+from pytest_pafot import Outcome, load
 from pytest_pafot.extending import WorldData, add_world_arguments, ads_factory, chosen_world
 from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
 from pytest_pafot.extras.resumable import written_into
@@ -55,6 +55,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if drivers and hasattr(world, "with_drivers"):  # a world of the user's own need not have it
         world = world.with_drivers(drivers)
     driven = saved.replay(ads_factory(arguments.ads), world=world)
+    error = driven.trace.error
+    if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
+        expected = f"a policy that drives in {'the world of the file' if made is None else arguments.world}"
+        fix = "give the policy of the test" + ("" if made is None else ", and its world, or no --world if that is data")
+        raise ExportError(field="--ads", expected=expected, received=error.text, fix=fix)
     files = export(saved.finding, driven.trace)
     with postponed():  # one of several files is worth nothing alone, such as a scenario without its road
         for name, content in files.items():

@@ -11,7 +11,7 @@ The tolerances are for other models of a vehicle: with a distance of its own bet
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
@@ -61,13 +61,19 @@ INFLUENCE = 0.5
 """The largest change of the place [m] or the speed [m/s] of a vehicle by the controls of others."""
 ON_TRACK = 0.05
 """The largest distance of a recorded vehicle from its track [m]."""
+AT_ONCE = "step moves vehicles by the controls that it receives"
+ADVICE = "or write moves_ego_only = True and put NPCs where their controls say"
 AXES = {
     "y_is_left": (True, False),
     "degrees": (True, False),
     "at_front": (True, False),
-    "headings": ("x to y", "y to x", "x to -y", "-x to y"),
+    "headings": ("x to y", "y to x", "x to -y", "-x to y", "-x to -y", "y to -x", "-y to x", "-y to -x"),
 }
 """What a simulator may state of its axes."""
+VECTORS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -1.0)}
+"""The directions in :attr:`Simulator.headings`."""
+UNITS = {1 / 3.6: "1 / 3.6, as in km/h", 0.44704: "0.44704, as in mph", 0.3048: "0.3048, as in feet"}
+"""The usual units of length and speed in m and m/s, as messages show them."""
 
 
 class _Watched(Simulator):
@@ -199,27 +205,38 @@ class _Bench:
         return self._scenario
 
     def start(self) -> Promises:
-        """Yield that vehicles start where they are asked to."""
+        """Yield that vehicles start where they are asked to, with the cause if they do not."""
         try:
             self._driven(self._fast, (0.0, 0.0))
         except WorldError as error:
-            watched = self._driven(self._fast, (0.0, 0.0), moved=0)[1]
-            ego, real = watched.vehicles[0], self._real
-            rows = self._raw(real, [ego], [each[:1] for each in watched.controls], 0)[:, 0]
-            shift = rows[0, :2] - (ego.x, ego.y)
-            fix = ""
-            if 0.45 < math.hypot(*shift) / ego.length < 0.55:
-                side = "ahead of" if shift @ (rows[-1, :2] - rows[0, :2]) > 0 else "behind"
-                fix = self._fits({"at_front": not real.at_front}) or (
-                    f"; states() has it half the length of the ego {side} where start put it, but both are places of "
-                    "the centre, or with at_front = True of the front"
-                )
-            elif "fits" not in str(error):  # else it has a cause
-                driven = float(np.hypot(*np.diff(rows[:, :2], axis=0).T).sum()) * real.metres
-                by_speed = float(np.abs(rows[1:, 3]).sum()) * real.metres_per_second / real.hz
-                causes = self._causes({"driven": driven / by_speed} if by_speed > 1.0 else {})
-                fix = next(filter(None, map(self._fits, causes)), "")
-            yield False, "vehicles start where they are asked to, and drive where they head", f"{error}{fix}"
+            promise = "vehicles start where they are asked to, and drive where they head"
+            seen = f"{error.field}: expected {error.expected}, received {error.received}"
+            yield False, promise, f"{seen}{self._astray()}"
+
+    def _astray(self) -> str:
+        """Return in words why the ego is not where it has to be at its start or after its first tick."""
+        ego, rows, real = *self._alone_in_own_units(), self._real
+        steps = np.diff(rows[:, :2], axis=0)
+        driven, shift = np.hypot(*steps.T), rows[0, :2] - (ego.x, ego.y)
+        if 0.45 < math.hypot(*shift) / ego.length < 0.55:
+            side = "ahead of" if shift @ (rows[-1, :2] - rows[0, :2]) > 0 else "behind"
+            return self._fits({"at_front": not real.at_front}) or (
+                f"; states() has it half the length of the ego {side} where start put it, but both are places of "
+                "the centre, or with at_front = True of the front"
+            )
+        if driven[0] < PART * driven[-1]:
+            return "; the first step moves no vehicle: states() has to return the states after the last step"
+        by_speed = float(np.abs(rows[1:, 3]).sum()) * real.metres_per_second / real.hz
+        felt = {"driven": float(driven.sum()) * real.metres / by_speed} if by_speed > 1.0 else {}
+        return self._cause(felt, rows) or (
+            f"; start received x, y, heading and speed {_shown(ego[:4])} of it, and states() then has {_shown(rows[0])}"
+        )
+
+    def _alone_in_own_units(self) -> tuple[Any, FloatArray]:
+        """Return the ego at its start, and its states as it drives straight ahead, as the simulator states them."""
+        watched = self._driven(self._fast, (0.0, 0.0), moved=0)[1]
+        ego = watched.vehicles[0]
+        return ego, self._raw(self._real, [ego], [each[:1] for each in watched.controls], 0)[:, 0]
 
     def motion(self) -> Promises:
         """Yield that the ego moves as its controls and its state say, with the cause if it does not."""
@@ -230,19 +247,27 @@ class _Bench:
             wrong = [(False, "the ego drives where it heads in each experiment", str(error))]
         if wrong:
             _, promise, received = wrong[0]
-            yield False, promise, received + next(filter(None, map(self._fits, self._causes(felt))), "")
+            yield False, promise, received + self._cause(felt, self._alone_in_own_units()[1])
 
     def _moves(self, felt: dict[str, float], **changed: Any) -> Promises:
         """Yield how the ego moves in each experiment; ``felt`` receives multiples of what it was asked to do."""
-        real, length = self._real, self._world.ego.length
-        dt = 1 / changed.get("hz", real.hz)
-        is_free = self._world.moves_ego_only  # then its controls may take effect late or in part
         rows, watched = self._driven(self._fast, (0.0, 0.0), **changed)
         if len(rows) < LEAST_ROWS:  # the road bends too much to go straight ahead; other statements would be unproven
             yield not changed, "the ego stays on the road", f"{len(rows)} rows"
             return
+        yield from self._straight_ahead(rows, watched, felt, **changed)
+        for acceleration in (FASTER, max(SLOWER, -rows[0, SPEED] / 3)):
+            yield from self._accelerates(acceleration, felt, **changed)
+        for side in (1.0, -1.0):
+            speed = max(float(rows[0, SPEED]), 1.0) if self._world.road_start else self._slow
+            slip = math.asin(min(ASIDE * self._world.ego.length / 2 / speed**2, 0.15))
+            yield from self._turns(side * math.atan(2 * math.tan(slip)), felt, **changed)
+
+    def _straight_ahead(self, rows: FloatArray, watched: _Watched, felt: dict[str, float], **changed: Any) -> Promises:
+        """Yield that an ego without acceleration and steering goes straight on, as fast and where its states say."""
+        real, dt = self._real, 1 / changed.get("hz", self._real.hz)
         (driven, course, _), by_speed, seconds = _steps(rows), _by_speed(rows, dt), (len(rows) - 1) * dt
-        if by_speed.sum() > dt:
+        if by_speed.sum() > dt:  # else it stands, and shows nothing of distances and directions
             promise = "states() has the states after the last step"
             yield not _late(driven, by_speed, dt), promise, "those before it: the first step moves no vehicle"
             felt["driven"] = ratio = float(driven.sum() / by_speed.sum())
@@ -263,57 +288,63 @@ class _Bench:
         promise = "the heading is steady without steering"
         received = f"a turn by {turned - asked:.2f} rad in {seconds:.1f} s"
         yield abs(turned - asked) <= STEADY[1] + (TURNED[1] - 1) * abs(asked), promise, received
-        late = "step moves vehicles by the controls that it receives"
-        advice = "or write moves_ego_only = True and put NPCs where their controls say"
-        for acceleration in (FASTER, max(SLOWER, -rows[0, SPEED] / 3)):
-            gains, wanted = self._driven(self._fast, (acceleration, 0.0), **changed)[1].gains()
-            ticks = _late(gains, wanted, dt)
-            yield is_free or not ticks, late, f"an acceleration that begins {_many(ticks)} late; {advice}"
-            since = _since(gains, dt)
-            felt["acceleration"] = ratio = _ratio(gains[since:], wanted[since:])
-            promise = "the speed changes by control.acceleration, which is in the simulator's speeds per second"
-            received = f"{ratio:.3g} times an acceleration of {acceleration:.3g} m/s^2"
-            yield (PART if is_free else GAINED[0]) <= ratio <= GAINED[1], promise, received
-        for side in (1.0, -1.0):
-            speed = max(float(rows[0, SPEED]), 1.0) if self._world.road_start else self._slow
-            slip = math.asin(min(ASIDE * length / 2 / speed**2, 0.15))
-            turning, watched = self._driven(self._slow, (0.0, side * math.atan(2 * math.tan(slip))), **changed)
-            (turns, wanted), since = watched.turns(), _since(turning[1:], dt)
-            if abs(wanted[since:].sum()) < LEAST_TURN:  # the road bends to the other side
-                continue
-            driven, course, own = _steps(turning)
-            away, whole = float(course[-1]), float(own.sum())
-            promise = "a vehicle that turns moves where its heading points, in the axes of y_is_left and degrees"
-            received = f"{away:.2f} rad beside it after a turn by {whole:.2f} rad"
-            yield abs(away) <= SLIP[0] * abs(whole) + SLIP[1], promise, received
-            ticks = _late(turns, wanted, dt)
-            yield is_free or not ticks, late, f"a steering that begins {_many(ticks)} late; {advice}"
-            felt["steering"] = ratio = _ratio(turns[since:], wanted[since:])
-            promise = f"control.steering to the {'right' if side > 0 else 'left'} turns a vehicle as wheels do"
-            received = f"{ratio:.3g} times the turn of a vehicle of its length"
-            yield (PART if is_free else TURNED[0]) <= ratio <= TURNED[1], promise, received
-            behind = _ratio((driven * np.sin(course))[since:], own[since:]) / length
-            spare = float(turning[-1, SPEED]) * dt / 2 / length  # a step may have the heading before or after it
-            at_front = changed.get("at_front", real.at_front)
-            is_there = behind + spare >= CENTRE[0] if at_front else behind - spare <= CENTRE[1]
-            promise = "a vehicle turns about its rear, so that at_front says whether its place is that of its front"
-            received = f"a turn about {behind * length:.1f} m behind the centre of its box"
-            yield is_there, promise, f"{received} with at_front = {at_front}"
 
-    def _causes(self, felt: dict[str, float]) -> Iterator[dict[str, Any]]:
-        """Yield what may be otherwise than stated, the simplest first."""
+    def _accelerates(self, acceleration: float, felt: dict[str, float], **changed: Any) -> Promises:
+        """Yield that the ego changes its speed at once and as much as an acceleration [m/s^2] says."""
+        is_free, dt = self._world.moves_ego_only, 1 / changed.get("hz", self._real.hz)
+        gains, wanted = self._driven(self._fast, (acceleration, 0.0), **changed)[1].gains()
+        ticks, since = _late(gains, wanted, dt), _since(gains, dt)
+        yield is_free or not ticks, AT_ONCE, f"an acceleration that begins {_many(ticks)} late; {ADVICE}"
+        felt["acceleration"] = ratio = _ratio(gains[since:], wanted[since:])
+        promise = "the speed changes by control.acceleration, which is in the simulator's speeds per second"
+        received = f"{ratio:.3g} times an acceleration of {acceleration:.3g} m/s^2"
+        yield (PART if is_free else GAINED[0]) <= ratio <= GAINED[1], promise, received
+
+    def _turns(self, steering: float, felt: dict[str, float], **changed: Any) -> Promises:
+        """Yield that the ego turns at once and as its wheels [rad] say, about a place near its rear axle."""
+        is_free, dt = self._world.moves_ego_only, 1 / changed.get("hz", self._real.hz)
+        length, at_front = self._world.ego.length, changed.get("at_front", self._real.at_front)
+        turning, watched = self._driven(self._slow, (0.0, steering), **changed)
+        (turns, wanted), since = watched.turns(), _since(turning[1:], dt)
+        if abs(wanted[since:].sum()) < LEAST_TURN:  # the road bends to the other side
+            return
+        driven, course, own = _steps(turning)
+        away, whole = float(course[-1]), float(own.sum())
+        promise = "a vehicle that turns moves where its heading points, in the axes of y_is_left and degrees"
+        received = f"{away:.2f} rad beside it after a turn by {whole:.2f} rad"
+        yield abs(away) <= SLIP[0] * abs(whole) + SLIP[1], promise, received
+        ticks = _late(turns, wanted, dt)
+        yield is_free or not ticks, AT_ONCE, f"a steering that begins {_many(ticks)} late; {ADVICE}"
+        felt["steering"] = ratio = _ratio(turns[since:], wanted[since:])
+        promise = f"control.steering to the {'right' if steering > 0 else 'left'} turns a vehicle as wheels do"
+        received = f"{ratio:.3g} times the turn of a vehicle of its length"
+        yield (PART if is_free else TURNED[0]) <= ratio <= TURNED[1], promise, received
+        behind = _ratio((driven * np.sin(course))[since:], own[since:]) / length
+        spare = float(turning[-1, SPEED]) * dt / 2 / length  # a step may have the heading before or after it
+        is_there = behind + spare >= CENTRE[0] if at_front else behind - spare <= CENTRE[1]
+        promise = "a vehicle turns about its rear, so that at_front says whether its place is that of its front"
+        received = f"a turn about {behind * length:.1f} m behind the centre of its box"
+        yield is_there, promise, f"{received} with at_front = {at_front}"
+
+    def _cause(self, felt: dict[str, float], rows: FloatArray) -> str:
+        """Return in words what is otherwise than stated, the simplest first; empty if nothing alone explains all.
+
+        ``rows`` has the ego's states as it drives straight ahead, in the simulator's own units. They exclude most axes.
+        """
         real, driven = self._real, felt.get("driven", 1.0)
         stated = {name: getattr(real, name) for name in AXES}
-        given = [dict(zip(AXES, each, strict=True)) for each in product(*AXES.values())]
-        other = [{name: value for name, value in each.items() if value != stated[name]} for each in given]
-        yield from sorted(filter(None, other), key=len)
+        given: list[dict[str, Any]] = [dict(zip(AXES, each, strict=True)) for each in product(*AXES.values())]
+        other = [{name: value for name, value in each.items() if value != stated[name]} for each in given
+                 if _heads(rows, each["headings"], each["degrees"])]  # fmt: skip
+        causes: list[dict[str, Any]] = sorted(filter(None, other), key=len)
         if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
-            yield {"hz": round(real.hz / driven)}
-            yield {"metres_per_second": real.metres_per_second * driven}
-            yield {"metres": real.metres / driven}
-        yield {"scaled": ("steering", -1.0)}
+            causes.append({"hz": round(real.hz / driven)})
+            causes.append({"metres_per_second": real.metres_per_second * driven})
+            causes.append({"metres": real.metres / driven})
+        causes.append({"scaled": ("steering", -1.0)})
         names = [name for name in ("acceleration", "steering") if abs(felt.get(name, 0.0)) > 1e-3]
-        yield from ({"scaled": (name, 1 / felt[name])} for name in names)
+        causes += [{"scaled": (name, 1 / felt[name])} for name in names]
+        return next(filter(None, map(self._fits, causes)), "")
 
     def _fits(self, cause: dict[str, Any]) -> str:
         """Return in words that the experiments go well with a cause taken out; nothing if they do not."""
@@ -323,8 +354,7 @@ class _Bench:
         except (WorldError, ScenarioError):  # the road is none then, or the start
             return ""
         if "scaled" not in cause:
-            shown = {name: f"{value:.6g}" if isinstance(value, float) else repr(value) for name, value in cause.items()}
-            return "; all fits with " + ", ".join(f"{name} = {value}" for name, value in shown.items())
+            return "; all fits with " + ", ".join(f"{name} = {_unit(value)}" for name, value in cause.items())
         name, factor = cause["scaled"]
         if factor < 0:
             return f"; all fits with the opposite sign of control.{name}, which is positive where headings grow"
@@ -425,6 +455,26 @@ def _ends() -> Callable[[Any], Any]:
         raise ValueError
 
     return decide
+
+
+def _heads(rows: FloatArray, headings: str, degrees: bool) -> bool:
+    """Return whether an ego drives where its headings point, if they are such; also if it stands."""
+    steps, angles = np.diff(rows[:, :2], axis=0), rows[:-1, 2] * (math.pi / 180 if degrees else 1.0)
+    zero, quarter = (np.array(VECTORS[axis]) for axis in headings.split(" to "))
+    ahead = steps[:, 0] * (np.cos(angles) * zero[0] + np.sin(angles) * quarter[0])
+    ahead += steps[:, 1] * (np.cos(angles) * zero[1] + np.sin(angles) * quarter[1])
+    return bool(np.median(ahead - np.hypot(*steps.T) * math.cos(2 * STEADY[1])) >= 0.0)
+
+
+def _unit(value: Any) -> str:
+    """Return a value of an attribute in words: a unit by its name if it is a usual one."""
+    if not isinstance(value, float):
+        return repr(value)
+    return next((name for unit, name in UNITS.items() if abs(value / unit - 1) < 0.01), f"{value:.6g}")
+
+
+def _shown(values: Sequence[float]) -> str:
+    return ", ".join(f"{each:.6g}" for each in values)
 
 
 def _late(done: FloatArray, asked: FloatArray, dt: float) -> int:

@@ -7,27 +7,27 @@ decides, observes, records and compares is the same as in the other worlds, and 
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+from pytest_pafot.world.guard.failure import call_close
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import TrackedNpc
 from pytest_pafot.world.kernel.loop import GivenDriver
 
-PATIENCE, LEAST_PATIENCE = 10.0, 60.0
-"""The time that a method of a simulator may take: a multiple of the world's ``hang_limit``, and at least this time [s].
-A simulator may need long to start, but hardly as long as ten decisions that are too slow."""
+CLOSING = 10.0
+"""The time that ``close`` of a simulator may take [s]."""
 STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 """The largest difference of a vehicle's first state from the one that was asked for [m, m, rad, m/s]."""
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
@@ -35,23 +35,14 @@ STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
 this share of the way and what a change of speed makes [m/s^2]; whatever its engine and its wheels do."""
 QUARTERS = ("x", "y", "-x", "-y")
 """The axes by quarter turns from x towards y."""
+CAUSE = "pytest_pafot.testing.check_world(world) looks for the cause"
+"""What finds the attribute that is wrong, by experiments; one run only shows that something is."""
 HEADINGS = {
     f"{QUARTERS[zero]} to {QUARTERS[(zero + sense) % 4]}": (zero, sense) for zero in range(4) for sense in (1, -1)
 }
 """The quarter turn at which headings are 0, and 1 if they grow as from x to y, by what :class:`Simulator` states."""
-LIKELY: tuple[tuple[str, Any], ...] = (
-    ("y_is_left", True),
-    ("y_is_left", False),
-    ("at_front", True),
-    ("at_front", False),
-    ("degrees", True),
-    ("degrees", False),
-    *(("headings", each) for each in ("y to x", "x to -y", *HEADINGS)),
-    *((name, unit) for name in ("metres_per_second", "metres") for unit in (1 / 3.6, 0.44704, 0.3048, 0.01, 1.0)),
-)
-"""What a simulator may have stated wrongly, the most likely first."""
 ON_TRACK = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
-"""The same for a vehicle that drives as recorded, whose simulator may state a speed of its own."""
+"""The same as :data:`STARTS` for a vehicle that drives as recorded, whose simulator may state a speed of its own."""
 
 
 class Vehicle(NamedTuple):
@@ -161,7 +152,10 @@ class Simulator(ABC):
         """Return x, y, heading and speed of each vehicle, the ego first; shape [vehicles, 4]."""
 
     def close(self) -> None:  # noqa: B027  (most simulators hold nothing)
-        """Release what the simulator holds, such as a process. The object is not used afterwards."""
+        """Release what the simulator holds, such as a process. The object is not used afterwards.
+
+        It is called once, at the end of the session or of the process, or when the simulator has failed.
+        """
 
     def to_dict(self) -> dict[str, Any]:
         """Return the arguments with which the class makes this simulator again, as plain data for a file."""
@@ -188,19 +182,6 @@ class Frame:
         x, y, heading = origin
         self._x, self._y, self._heading = x, y, heading
         self._cos, self._sin = math.cos(heading), math.sin(heading)
-
-    def others(self) -> Iterator[tuple[str, Frame]]:
-        """Yield what a simulator may have stated wrongly, and the units and axes that it then has."""
-        names = ("y_is_left", "headings", "degrees", "at_front", "metres", "metres_per_second")
-        stated = {name: getattr(self.stands_for, name) for name in names}
-        for name, value in LIKELY:
-            if value != stated[name]:
-                frame = Frame(SimpleNamespace(**{**stated, name: value}))
-                unit, side = frame.metres / self.metres, frame.side * self.side
-                x, y, heading = self.origin
-                origin = (x * unit, side * y * unit, side * heading)
-                given = f"1 / {1 / value:g}" if value == 1 / 3.6 else repr(value)
-                yield f"{name} = {given}", Frame(frame.stands_for, origin)
 
     def point(self, x: float, y: float) -> tuple[float, float]:
         """Return x and y of a run [m] of a place in the simulator."""
@@ -291,20 +272,20 @@ class Simulation:
         self._simulator: Any = simulators.take()
         self._is_sound = False  # until all that it has stated was right
         try:
-            starts = self._starts(vehicles)
+            self._starts = self._vehicles(vehicles)
             with self._called("start"):
-                self._simulator.start(starts, seed)
+                self._simulator.start(self._starts, seed)
             self._rows = self._read()
-            self._check(self._in_run(self._rows), range(len(starts)), STARTS, "start")
+            self._check(self._in_run(self._rows), range(len(self._starts)), STARTS, "start")
         except BaseException:
             self.close()
             raise
         self._speeds = [body.speed for body in self._bodies]
         self._puts_all = self._simulator.moves_ego_only
-        self._own = {number for number, each in enumerate(starts) if each.driver}
+        self._own = {number for number, each in enumerate(self._starts) if each.driver}
         self._is_sound = True
 
-    def _starts(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
+    def _vehicles(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
         frame, rules, scenario = self._frame, vehicles.rules, vehicles.scenario
         kinds = [rules.ego, *scenario.all_vehicles]
         names = ["", *(getattr(chain[0], "driver", "") for chain in scenario.npcs)]
@@ -372,10 +353,9 @@ class Simulation:
         stated: list[list[float]] = rows.tolist()
         return stated
 
-    def _in_run(self, rows: Any, frame: Frame | None = None) -> list[tuple[float, float, float, float]]:
-        """Return the states of a run that the simulator states, in its units and axes or in others."""
-        frame = frame or self._frame
-        return [frame.state(row, body.length, body.heading) for row, body in zip(rows, self._bodies, strict=True)]
+    def _in_run(self, rows: Any) -> list[tuple[float, float, float, float]]:
+        """Return the states of a run that the simulator states."""
+        return [self._frame.state(row, body.length, body.heading) for row, body in zip(rows, self._bodies, strict=True)]
 
     def _check(self, states: Any, numbers: Sequence[int], most: Any, method: str) -> None:
         """Refuse states that are not those of the bodies."""
@@ -385,13 +365,10 @@ class Simulation:
         number, name, wanted, value = wrong
         place = f"{self._place('states')} after {method}"
         expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
-        fix = "put each vehicle where it is asked to be, in the order given; do units and axes fit?"
+        fix = "put each vehicle where it is asked to be, in the order given"
         if method == "start":
-            for likely, frame in self._frame.others():
-                if self._wrong(self._in_run(self._rows, frame), numbers, most) is None:
-                    fix = f"states fits {likely}: if this is so, state it, and let start read its vehicles so, too"
-                    break
-        raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=fix)
+            fix += f"; start received {_shown(self._starts[number])}, and states has {_shown(self._rows[number])}"
+        raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
 
     def _wrong(self, states: Any, numbers: Sequence[int], most: Any) -> tuple[int, str, float, float] | None:
         """Return the first vehicle that is not in the state of its body, with what is wrong, wanted and received."""
@@ -404,27 +381,21 @@ class Simulation:
 
     def _check_way(self, rows: list[list[float]]) -> None:
         """Refuse a first tick in which vehicles did not drive where they head, as far as their speeds say."""
-        strayed = self._strayed(rows, self._frame)
+        strayed = self._strayed(rows)
         if strayed is None:
             return
         number, way, wanted = strayed
-        dt, moved = 1.0 / self._hz, math.hypot(*way)
+        moved = math.hypot(*way)
         expected = f"that {_named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
         turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
         received = f"{moved:.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
-        likely = [each for each, frame in self._frame.others() if self._strayed(rows, frame) is None][:1]
-        share = moved / math.hypot(*wanted)
-        if moved < STRAYS * math.hypot(*wanted):
-            likely = ["states returns what was before the step"]
-        elif abs(share - 1.0) > STRAYS and math.cos(math.radians(turned)) > 1.0 - STRAYS:
-            likely.append(f"a tick of it lasts {share * dt:.3g} s, which is hz = {self._hz / share:.3g}")
-        fix = f"likely {' or '.join(likely)}" if likely else "do units and axes, above all headings, fit?"
+        fix = f"do hz, units and axes fit, and does states have what is after the step? {CAUSE}"
         raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
 
-    def _strayed(self, rows: Any, frame: Frame) -> Any:
+    def _strayed(self, rows: Any) -> Any:
         """Return a vehicle that did not drive where it heads, its way and the one expected [m]; None if all did."""
         dt = 1.0 / self._hz
-        starts, ends = self._in_run(self._rows, frame), self._in_run(rows, frame)
+        starts, ends = self._in_run(self._rows), self._in_run(rows)
         for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(zip(starts, ends, strict=True)):
             body, way = self._bodies[number], (to_x - x, to_y - y)
             wanted = (speed * math.cos(heading) * dt, speed * math.sin(heading) * dt)
@@ -441,7 +412,7 @@ class Simulation:
     def _called(self, method: str) -> Iterator[None]:
         """Call a method of the simulator, with a time limit of its own and its name in each error."""
         guard = self._guard
-        limit, guard.limit = guard.limit, max(PATIENCE * guard.limit, LEAST_PATIENCE)
+        limit, guard.limit = guard.limit, patience_with_world(guard.limit)
         try:
             try:
                 guard.decision_starts()
@@ -473,11 +444,19 @@ class Simulators:
         make: makes a simulator.
     """
 
+    _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
+
     def __init__(self, make: Callable[[], Any]) -> None:
         self._make = make
         self._process = os.getpid()
         self._free: list[Any] = []
-        weakref.finalize(self, _close_all, self._process, self._free)
+        if not self._all:
+            atexit.register(self.close_all)
+        self._all.add(self)
+
+    def __del__(self) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
+        """Close the simulators of a world that nobody uses."""
+        _close(self._process, self._free)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what makes an equal one, without its simulators."""
@@ -494,13 +473,24 @@ class Simulators:
         if is_sound and self._process == os.getpid():
             self._free.append(simulator)
         else:
-            simulator.close()
+            _close(os.getpid(), [simulator])
+
+    @classmethod
+    def close_all(cls) -> None:
+        """Close all simulators of this process that are not in use. Later runs make others."""
+        for each in tuple(cls._all):
+            _close(each._process, each._free)
 
 
-def _close_all(process: int, simulators: list[Any]) -> None:
-    if process == os.getpid():
-        for each in simulators:
-            each.close()
+def _close(process: int, simulators: list[Any]) -> None:
+    """Close simulators of a process, each once, if it is this one; another one still uses them."""
+    while simulators and process == os.getpid():
+        simulator = simulators.pop()
+        call_close(simulator.close, f"{type(simulator).__name__}.close", CLOSING)
+
+
+def _shown(values: Sequence[Any]) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for (name, _), value in zip(STARTS, values, strict=False))
 
 
 def _named(number: int) -> str:

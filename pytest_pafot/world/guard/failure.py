@@ -121,10 +121,12 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
     finally:
         close = None if isinstance(ads, type) else getattr(ads, "close", None)
         if callable(close):
-            _close(close, HangGuard(hang_limit, is_limited=False))
+            call_close(close, "ads.close", hang_limit)
 
 
-def _close(close: Callable[[], Any], guard: HangGuard) -> None:
+def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
+    """Call a method ``close`` of the user's; warn if it raises, or takes longer than ``limit`` [s]."""
+    guard = HangGuard(limit, is_limited=False)
     try:
         with guard:
             guard.decision_starts()
@@ -137,5 +139,5 @@ def _close(close: Callable[[], Any], guard: HangGuard) -> None:
         failed = error_of(error, 0, guard)
         what = f"a return within the hang limit of {guard.limit:g} s" if failed.interrupted else "no exception"
         received = "no return, so it was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
-        text = f"ads.close: expected {what}, received {received}; this does not change the result of the run"
+        text = f"{name}: expected {what}, received {received}; this does not change the result of the run"
         warnings.warn(text, RuntimeWarning, stacklevel=2)

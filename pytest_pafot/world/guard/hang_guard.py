@@ -32,6 +32,10 @@ LONGEST_TIMER = 1e6
 """The longest timer [s]; systems refuse much longer timers, and no session lasts that long."""
 SWALLOWING = frozenset({"weakref", "_weakrefset"})
 """The modules whose functions Python calls when an object goes; what these raise is printed, and reaches nobody."""
+WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
+"""The time that a user's world may take between two decisions, before the first and after the last, and that a method
+of a simulator may take: a multiple of the world's ``hang_limit``, and at least this time [s]. A simulator may need long
+to start, but hardly as long as ten decisions that are too slow."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
 """The modules that have a function on the stack while pdb, or an editor's debugger, waits for its user."""
 
@@ -56,6 +60,11 @@ class LastResort:
     file: int | None = None
     end_world: Callable[[], None] | None = None
     npc: Any = None
+
+
+def patience_with_world(hang_limit: float) -> float:
+    """Return how long the code of a world may take, by the limit of a decision [s]."""
+    return max(WORLD_SHARE * hang_limit, LEAST_FOR_WORLD)
 
 
 @contextmanager

@@ -22,18 +22,13 @@ from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.chance import GENERATORS, is_unseeded
 from pytest_pafot.world.guard.failure import error_of
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, unending
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world, unending
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.road import Meeting
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.simulator_world import SimulatorWorld
-
-WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
-"""The time that a world may take between two decisions, before the first and after the last, before a process that can
-be spared is ended: a multiple of the world's ``hang_limit``, and at least this time [s]. A simulator may need long to
-start, but hardly as long as ten decisions that are too slow."""
 
 
 class Hang(Exception):  # noqa: N818  (a world that records the name of the exception then names what happened)
@@ -346,7 +341,7 @@ class _WorldGuard(HangGuard):
     def __init__(self, limit: float) -> None:
         super().__init__(limit)
         self.turned = self.clock()
-        self._patience = max(WORLD_SHARE * limit, LEAST_FOR_WORLD)
+        self._patience = patience_with_world(limit)
 
     def is_stuck(self) -> bool:
         """Return whether the world has neither asked the ADS nor ended its run for too long."""

@@ -121,7 +121,8 @@ def _check_order(ways: Sequence[FloatArray], tangent: FloatArray, width: float, 
             expected = (
                 f"at most {apart:.2f} m, the distance between the centre lines of lanes {number - 1} and {number}"
             )
-            raise WorldError(field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m")
+            fix = "are lane_width and the points of lanes in the same unit, which metres states?"
+            raise WorldError(field=f"{name}.lane_width", expected=expected, received=f"{width:.2f} m", fix=fix)
 
 
 def _slopes(way: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ import signal
 import sys
 
 import pytest
+from gymnasium.wrappers import FlattenObservation
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
@@ -149,6 +150,34 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked
     told = capsys.readouterr().err
     assert told.startswith("export: collision-xfail was saved with collision at 6.3 s, but this run ended with ")
     assert told.endswith(f". Is this the policy of its test{asked}?\n")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ([], "the world of the file, received ValueError: no such observation; give the policy of the test\n"),
+        (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; give the "
+         "policy of the test, and its world, or no --world if that is data\n"),
+    ],
+)  # fmt: skip
+def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(tmp_path, capsys, given, expected):
+    path, data = tmp_path / "front-2-1f3a9c.pafot.yaml", wrong().to_dict() if given else pafot.Highway().to_dict()
+    path.write_text(text_of(plain_finding(world=data)))
+    out = tmp_path / "out"
+    assert export(path, "--to", "csv", "--out", out, "--ads", f"{__name__}:raising", *given) == 2
+    assert capsys.readouterr() == ("", f"export: --ads: expected a policy that drives in {expected}")
+    assert not out.exists()
+
+
+def wrong():
+    return pafot.World("highway-v0", wrappers=[FlattenObservation])
+
+
+def raising():
+    def decide(seen):
+        raise ValueError("no such observation")
+
+    return decide
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world import Highway
-from pytest_pafot.world.guard import own_worlds
+from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, LastResort, last_resort, runs_end_in
 from pytest_pafot.world.guard.own_worlds import Hang, OwnWorld, rollout_of
 from tests.helpers.tables import table
@@ -325,7 +325,7 @@ def test_outer_guard_interrupts_inside_an_inner_one():
 
 
 def test_world_that_never_asks_again_ends_its_process(monkeypatch):
-    monkeypatch.setattr(own_worlds, "LEAST_FOR_WORLD", 0.2)
+    monkeypatch.setattr(hang_guard, "LEAST_FOR_WORLD", 0.2)
     ended = threading.Event()
 
     class Stuck(Calls):

@@ -1,0 +1,91 @@
+"""Sessions with a simulator of the user's: each one that was made is closed once, in whatever process and way."""
+
+import sys
+
+import pytest
+
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone"),
+]
+
+CONFTEST = """
+import os
+import signal
+import time
+
+import pytest_pafot as pafot
+
+SESSION = os.getpid()
+
+
+class Placing(pafot.Simulator):
+    def __init__(self):
+        open(f"made-{os.getpid()}-{id(self)}", "x").close()
+
+    def start(self, vehicles, seed):
+        self.cars = vehicles
+
+    def step(self, controls):
+        self.cars = controls
+
+    def states(self):
+        return [(each.x, each.y, each.heading, each.speed) for each in self.cars]
+
+    def close(self):
+        open(f"closed-{os.getpid()}-{id(self)}", "x").close()  # an error if it is there
+        CLOSE
+
+
+def planner():
+    def decide(seen):
+        time.sleep(0.0005)
+        if seen.time > 5.0 and len([each for each in os.listdir() if each.startswith("made")]) >= MADE:
+            os.kill(SESSION, signal.SIGINT)
+        return 0.0, 0.0
+
+    return decide
+"""
+SEARCH = """
+from conftest import Placing, planner
+
+@pafot.search(ads=planner, world=pafot.SimulatorWorld(Placing, duration=10.0), runs=8)
+def test_anything(run):
+    assert run.duration > 0
+"""
+WORKERS = "--pafot-workers=2"
+
+
+def session(project, *options, made=99, close="pass"):
+    """Return the result of a session, and which simulators were made and closed in it: of what process."""
+    project.pytester.makeconftest(CONFTEST.replace("MADE", str(made)).replace("CLOSE", close))
+    project.write(SEARCH)
+    result = project.run(*options, generations=None, apart=True)
+    made, closed = (
+        sorted(each.name.partition("-")[2] for each in project.path.glob(f"{what}-*")) for what in ("made", "closed")
+    )
+    return result, made, closed
+
+
+@pytest.mark.parametrize(
+    ("options", "processes"), [((), 1), ((WORKERS,), 3), (("--pafot-isolate", WORKERS), 3), (("-n1",), 1)]
+)
+def test_each_simulator_is_closed_once_at_the_end(project, options, processes):
+    result, made, closed = session(project, *options)
+    assert result.ret == 0
+    assert (len(made), closed) == (processes, made)
+
+
+@pytest.mark.parametrize(("options", "processes"), [((), 1), ((WORKERS,), 3), (("--pafot-isolate",), 2)])
+def test_each_simulator_is_closed_once_after_an_interrupt(project, options, processes):
+    result, made, closed = session(project, *options, made=processes)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    assert (len(made), closed) == (processes, made)
+
+
+def test_close_that_raises_in_each_process_is_a_warning(project):
+    result, made, closed = session(project, WORKERS, close="raise OSError('no server')")
+    assert result.ret == 0
+    assert (len(made), closed) == (3, made)
+    result.stdout.fnmatch_lines(["*RuntimeWarning: Placing.close: expected no exception, received OSError: no server*"])
+    result.assert_outcomes(passed=1, warnings=3)
