@@ -129,11 +129,11 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
         pafot.check(3.0, name="jerk", unit="m/s^3", at_most=2.5)
     check, collided = failed.value.check, view_of(trace)
     view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
-    assert collided.deadline is not None
-    assert view.deadline is None
+    assert collided.deadline.startswith("brake by ")
+    assert view.deadline == ""
     assert view.sentences == ()
     assert view.besides.startswith("Also in this run: collision after ")
-    assert view.besides.endswith(", both at fault")
+    assert view.besides.endswith(f", both at fault; {collided.deadline}")
     title, words, _ = view.happened[0]
     assert title == "The collision"
     assert words.startswith("Collision after ")
@@ -142,6 +142,23 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     assert article.index('class="figures"') < article.index(view.besides) < article.index('class="player"')
     assert article.index('class="player"') < article.index("The collision.")
     assert "for the collision" not in article
+
+
+@pytest.mark.parametrize(("name", "unit"), [("min_ttc", "s"), ("min_distance", "m")])
+def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it_fails(name, unit):
+    trace = cut_in_trace()
+    run, bound = Run(trace), 1.5
+    with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
+        pafot.check(getattr(run, name), name="room", unit=unit, at_least=bound)
+    check = failed.value.check
+    view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
+    least = np.nanmin([npc.ttc if name == "min_ttc" else npc.gap for npc in run.npcs], axis=0)
+    begin = np.flatnonzero(least < bound)[0] / 15
+    assert view.headline.startswith(f"ego fails the check from {begin:.1f} s: room ")
+    assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
+    assert len(view.check.values) == len(view.times)
+    other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.25))
+    assert (other.check.values, other.check.time) == ((), None)
 
 
 def test_list_calls_it_failed_check_and_blames_none():
@@ -155,7 +172,7 @@ def test_list_calls_it_failed_check_and_blames_none():
 def test_a_collision_of_the_run_is_told_besides():
     view = replace(shown(peaks(t61=35.1), at_most=20), responsibility="npc")
     assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
-    assert "<li>NPC responsible for the collision</li>" in finding_article(view, 0)
+    assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)
 
 
 def test_embedded_frame_has_room_for_the_check_curve():

@@ -62,13 +62,33 @@ function show(index, time) {
 
 function reveal(link) {
   // Scroll only inside the list, so that the page itself stays where the reader is.
-  const list = document.querySelector("#list .rows");
   const place = link.getBoundingClientRect();
-  const frame = list.getBoundingClientRect();
+  const frame = rows.getBoundingClientRect();
   const heading = link.closest(".rows > .group")?.firstChild.offsetHeight ?? 0;
   const bottom = Math.max(Math.min(frame.bottom, innerHeight), frame.top + heading + place.height);
-  if (place.top < frame.top + heading) list.scrollTop -= frame.top + heading - place.top;  // the heading stays on top
-  else if (place.bottom > bottom) list.scrollTop += place.bottom - bottom;
+  if (place.top < frame.top + heading) rows.scrollTop -= frame.top + heading - place.top;  // the heading stays on top
+  else if (place.bottom > bottom) rows.scrollTop += place.bottom - bottom;
+  countHidden();
+}
+
+// Lines above and below the list say how many findings are out of sight there, if it is longer than its place.
+const rows = document.querySelector("#list .rows");
+const ends = rows ? ["beforebegin", "afterend"].map((place) => {
+  const line = document.createElement("p");
+  line.className = "more";
+  rows.insertAdjacentElement(place, line);
+  return line;
+}) : [];
+
+function countHidden() {
+  const frame = rows.getBoundingClientRect();
+  const places = listed().map((each) => each.getBoundingClientRect());
+  const counts = [places.filter((each) => each.top < frame.top - 1).length, places.filter((each) => each.bottom > frame.bottom + 1).length];
+  ends.forEach((line, place) => {
+    line.classList.toggle("needed", rows.scrollHeight > rows.clientHeight + 1);
+    line.classList.toggle("shown", counts[place] > 0);
+    line.textContent = `${place ? "\u25be" : "\u25b4"} ${counts[place]} more ${place ? "below" : "above"}`;
+  });
 }
 
 const listed = () => [...document.querySelectorAll("#list li:not([hidden]) a[data-index]")];
@@ -95,6 +115,7 @@ function applyFilter() {
   document.getElementById("nothing").hidden = left.length > 0;
   document.querySelector("#list h2 .count").textContent = left.length === links.length ? `${links.length}` : `${left.length} of ${links.length}`;
   announce(`${left.length} of ${links.length} findings`);
+  countHidden();
   if (left.length && !left.includes(links[current])) { show(links.indexOf(left[0]), null); writeLink(); }
 }
 
@@ -186,3 +207,8 @@ addEventListener("hashchange", () => {
 });
 const link = readLink();
 show(link.index < 0 ? 0 : link.index, link.index < 0 ? null : link.time);
+if (rows) {
+  reveal(links[current]);  // again, in the place that is left beside these lines
+  rows.addEventListener("scroll", countHidden);
+  addEventListener("resize", countHidden);
+}
