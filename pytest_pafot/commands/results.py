@@ -107,7 +107,7 @@ class Session:
 
 def _are_entries(entries: object) -> bool:
     """Return whether the entries of results have the types that are read of them, and numbers that can be counts."""
-    counts = ("runs", "random_failing", "random_runs", "given")
+    counts = ("runs", "random_failing", "random_otherwise", "random_runs", "given")
     types: dict[str, tuple[type, ...]] = {
         **dict.fromkeys(("node_id", "test", "id", "status", "result", "message"), (str,)),
         **dict.fromkeys(("title", "owner", "responsible"), (str,)),
@@ -122,6 +122,6 @@ def _are_entries(entries: object) -> bool:
         and all(isinstance(entry[name], kinds) for name, kinds in types.items() if name in entry)
         and all(isinstance(id_, str) for id_ in entry.get("requirements", ()))
         and all(type(entry.get(name, 0)) is int and 0 <= entry.get(name, 0) <= MOST_RUNS for name in counts)
-        and entry.get("random_failing", 0) <= entry.get("random_runs", 0)
+        and entry.get("random_failing", 0) + entry.get("random_otherwise", 0) <= entry.get("random_runs", 0)
         for entry in entries
     )

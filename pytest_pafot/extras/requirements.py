@@ -493,7 +493,7 @@ class Course:
                 open=len(failing),
                 fixed=len(fixed),
                 drifted=sum(state == DRIFTED and key in before for key, state in seen.items()),
-                random_failing=sum(each.get("random_failing", 0) for each in drawn),
+                random_failing=sum(each.get("random_failing", 0) + each.get("random_otherwise", 0) for each in drawn),
                 random_runs=sum(each.get("random_runs", 0) for each in drawn),
             )
 

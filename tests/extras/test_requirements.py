@@ -182,6 +182,13 @@ def test_random_failures_are_those_of_the_last_search_without_given_scenarios():
     assert "0 of 20, 0 % (95 %: at most 16.8 %) failed then" in "\n".join(text_lines(table_of(*course), course=False))
 
 
+def test_random_failures_are_collisions_and_failed_checks():
+    (requirement,) = table_of(
+        night(20, searches=[search(random_runs=20, random_failing=3, random_otherwise=2)])
+    ).requirements
+    assert (requirement.searched.random_failing, requirement.searched.random_runs) == (5, 20)
+
+
 def test_requirements_without_a_test_and_tests_without_one_are_named(tmp_path):
     file = tmp_path / "all.csv"
     file.write_text("id,title,owner\nR1,One,\nR9,Nine,law\n")
@@ -308,6 +315,7 @@ def test_each_day_counts_what_fails_then_and_did_not_before(nights):
         ('{"pafot_json": 1, "searches": [{"node_id": "a", "random_runs": -5}]}', "other JSON"),
         ('{"pafot_json": 1, "searches": [{"node_id": "a", "runs": 1e400}]}', "other JSON"),
         ('{"pafot_json": 1, "searches": [{"node_id": "a", "random_runs": 2, "random_failing": 10}]}', "other JSON"),
+        ('{"pafot_json": 1, "searches": [{"node_id": "a", "random_runs": 2, "random_otherwise": 3}]}', "other JSON"),
         ('{"pafot_json": 1, "day": "tomorrow"}', "day 'tomorrow'"),
         ("\udcff", "UnicodeDecodeError"),
     ],

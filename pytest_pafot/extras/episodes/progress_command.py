@@ -529,7 +529,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures for programs")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
     of_exit = "worse: exit with 1 if any line is worse; not-better: exit with 1 unless the new version is better "
-    of_exit += "(default: exit with 0 whatever the verdict)"
+    of_exit += "or has the same policy (default: exit with 0 whatever the verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
 
 
