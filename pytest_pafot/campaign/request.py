@@ -270,16 +270,18 @@ def drivers_of(
 
     ``fixture`` returns the value of a fixture, and ``revision`` the factory of a driver by the policy of a revision.
     """
-    own = {name: each for name, each in request.drivers.items() if name not in BUILT_IN_DRIVERS and each != ""}
     given = request.settings.against
     if isinstance(given, str) and given.startswith(REVISION) and set(request.drivers) - {"idm", "mobil"}:
         problem = f"only idm and mobil with against={given!r}, whose process has none of these policies, received"
         raise request.error("drivers=...", f"expected {problem} {', '.join(request.drivers)}")
-    named = {"policy": policy} if "policy" in request.drivers else {}
-    for name, each in own.items():
-        if isinstance(each, str):
-            own[name] = revision(each) if each.startswith(REVISION) else fixture(each)
-    return named | own
+    made: dict[str, Any] = {"policy": policy} if "policy" in request.drivers else {}
+    for name, each in request.drivers.items():
+        if name in BUILT_IN_DRIVERS or each == "":
+            continue
+        made[name] = (
+            each if not isinstance(each, str) else revision(each) if each.startswith(REVISION) else fixture(each)
+        )
+    return made
 
 
 def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:

@@ -23,7 +23,6 @@ from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import (
     SearchSpace,
     changed,
-    checked_instruction,
     fresh_seed,
     one_more,
     repaired,
@@ -137,7 +136,7 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         npc = asked[int(rng.integers(len(asked)))]
         here = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
         before = scenario.npcs[npc][0]
-        new_one = checked_instruction(before.varied(here, rng), type(before), "varied")
+        new_one = before.varied(here, rng)
         return _child(scenario, with_chain(scenario.npcs, npc, (new_one,)), rng)
     if draw < starts + sizes + vehicles + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
@@ -146,7 +145,7 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
     chain, choices = scenario.npcs[npc], space.choices
     new = chain[gene]
     while new == chain[gene]:
-        new = checked_instruction(chain[gene].varied(choices, rng), type(chain[gene]), "varied")
+        new = chain[gene].varied(choices, rng)
         if new.on_grid:
             on_grid = _on_grid(scenario).index(npc)
             new = _fitted(scenario.positions, on_grid, gene, new, bool(rng.integers(2)))

@@ -44,7 +44,7 @@ from pytest_pafot.searching import crossing_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.patterns import chain_of_patterns
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
-from pytest_pafot.support.text import plural, shown
+from pytest_pafot.support.text import plural
 
 FREE = 0.5
 """Share of free NPCs if there are any: the others provoke what neither the ego nor a free NPC does by itself."""
@@ -447,18 +447,10 @@ def _free(space: SearchSpace, others: Sequence[Chromosome], rng: Generator) -> I
 
 def _registered(space: SearchSpace, others: Sequence[Chromosome], rng: Generator) -> Instruction:
     kind = space.kinds[int(rng.integers(len(space.kinds)))]
-    return checked_instruction(kind.drawn(space.choices, others, rng), kind, "drawn")
-
-
-def checked_instruction(made: Any, kind: type[Instruction], method: str) -> Instruction:
-    """Return what a method of a kind has made; the kind may be somebody else's.
-
-    Raises:
-        ScenarioError: if it is no instruction.
-    """
-    if not isinstance(made, Instruction):
+    made = kind.drawn(space.choices, others, rng)
+    if made is None:
         expected, fix = "an instruction", "return one in each case, or leave the method out"
-        raise ScenarioError(field=f"{kind.__name__}.{method}", expected=expected, received=shown(made), fix=fix)
+        raise ScenarioError(field=f"{kind.__name__}.drawn", expected=expected, received="None", fix=fix)
     return made
 
 
@@ -495,7 +487,7 @@ def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
     for _ in range(TRIES):
         npc = int(rng.integers(len(scenario.npcs)))
         before = scenario.npcs[npc][0]
-        new = checked_instruction(before.varied(choices, rng), type(before), "varied")
+        new = before.varied(choices, rng)
         found = replace(scenario, npcs=(*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :]))
         if starts_apart(found, npc, space):
             return found

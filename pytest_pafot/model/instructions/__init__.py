@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
+from functools import wraps
+from inspect import isfunction
+from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.model.instructions.cell import PositionInstruction as PositionInstruction
@@ -52,6 +55,67 @@ KINDS: list[type[Instruction]] = [
 
 GROUP = "pytest_pafot.instructions"
 """The group of entry points for modules of installed packages that register kinds when they are imported."""
+
+
+def _all(kind: type, value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and all(isinstance(each, kind) for each in value)
+
+
+RETURNS: Mapping[str, tuple[str, Callable[[Any], bool]]] = MappingProxyType(
+    {
+        "str": ("a text", lambda value: isinstance(value, str)),
+        "int": ("a whole number", lambda value: type(value) is int),
+        "list[Any]": ("a list of texts and numbers", lambda value: isinstance(value, list)),
+        "dict[str, Any]": ("a dict of its fields", lambda value: isinstance(value, dict)),
+        "Sequence[Any]": ("a list or tuple of pafot.Step(...)", lambda value: _all(Step, value)),
+        "Sequence[Instruction]": ("a list or tuple of instructions", lambda value: _all(Instruction, value)),
+        "Instruction | None": ("an instruction or None", lambda value: value is None or isinstance(value, Instruction)),
+        **dict.fromkeys(
+            ("Instruction", "Self", "Iterator[Instruction]"),
+            ("an instruction", lambda value: isinstance(value, Instruction)),
+        ),
+    }
+)
+"""What :class:`Instruction` says that its properties and methods return, in words and as a check."""
+
+
+def check_returns(kind: type[Instruction]) -> None:
+    """Let the properties and methods of somebody else's kind refuse to return what :class:`Instruction` does not allow.
+
+    A wrong value would otherwise come up much later, in a file, a report or a shrunk scenario, without the kind's name.
+    """
+    for name, promised in vars(Instruction).items():
+        returns: str = getattr(_function(promised), "__annotations__", {}).get("return", "")
+        owner = next(each for each in kind.__mro__ if name in vars(each))
+        given = vars(owner)[name]
+        if returns not in RETURNS or owner.__module__.startswith(__name__) or not isfunction(_function(given)):
+            continue  # of this package, or a field
+        checked = _checked(_function(given), f"{kind.__name__}.{name}", returns)
+        setattr(kind, name, checked if isfunction(given) else type(given)(checked))
+
+
+def _function(member: Any) -> Any:
+    """Return the function of a property, a class method or a static method; else the member itself."""
+    return member.fget if isinstance(member, property) else getattr(member, "__func__", member)
+
+
+def _checked(function: Callable[..., Any], name: str, returns: str) -> Callable[..., Any]:
+    expected, is_fit = RETURNS[returns]
+
+    def fitting(value: Any) -> Any:
+        if is_fit(value):
+            return value
+        fix = "correct this property or method of the kind"
+        raise ScenarioError(field=name, expected=expected, received=f"{value!r:.100}", fix=fix)
+
+    @wraps(function)
+    def checked(*arguments: Any, **named: Any) -> Any:
+        value = function(*arguments, **named)
+        if returns.startswith("Iterator"):
+            return map(fitting, value if isinstance(value, Iterable) else (value,))
+        return fitting(value)
+
+    return checked
 
 
 def load_registered() -> None:

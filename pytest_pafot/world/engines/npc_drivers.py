@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -22,7 +20,7 @@ from pytest_pafot.model.instructions import (
     PositionInstruction,
     Recorded,
     ScenarioError,
-    Step,
+    check_returns,
     kind_of,
     required_keys,
 )
@@ -316,57 +314,6 @@ WAYS: Mapping[str, tuple[type[Instruction], frozenset[str]]] = MappingProxyType(
 package that drives so, and what is read of an instruction in addition to its speed; a flag among it must be true."""
 
 
-_TEXT, _NUMBER = ("a text", lambda value: isinstance(value, str)), ("a whole number", lambda value: type(value) is int)
-_KIND = ("an instruction", lambda value: isinstance(value, Instruction))
-RETURNS: Mapping[str, tuple[str, Callable[[Any], bool]]] = MappingProxyType(
-    {
-        **dict.fromkeys(("goal", "text", "short", "place", "remark"), _TEXT),
-        **dict.fromkeys(("roughness", "size", "weight"), _NUMBER),
-        **dict.fromkeys(("with_speed", "beside_others", "for_lane", "moved", "changed", "paced"), _KIND),
-        **dict.fromkeys(("passing", "plainer"), _KIND),  # each that they yield
-        "steps": (
-            "a list or tuple of pafot.Step(...)",
-            lambda value: isinstance(value, (list, tuple)) and all(isinstance(each, Step) for each in value),
-        ),
-        "plain": ("a list of texts and numbers", lambda value: isinstance(value, list)),
-        "in_file": ("a dict of its fields", lambda value: isinstance(value, dict)),
-    }
-)
-"""What properties and methods of a registered kind must return: in words, and a check."""
-
-
-CHECKED = "_pafot_checks_what_it_returns"
-"""The attribute of a function that is checked already."""
-
-
-def _check_returns(kind: type[Instruction], name: str) -> None:
-    """Let a property or method of a kind, if it is of no class of this package, refuse to return what it must not."""
-    owner = next(each for each in kind.__mro__ if name in vars(each))
-    given, (expected, is_fit) = vars(owner)[name], RETURNS[name]
-    if owner.__module__.startswith(f"{__package__.partition('.')[0]}."):
-        return
-    function = given.fget if isinstance(given, property) else getattr(given, "__func__", given)
-    if not inspect.isfunction(function) or hasattr(function, CHECKED):  # a field, or a kind that is registered again
-        return
-
-    def fitting(value: Any) -> Any:
-        if is_fit(value):
-            return value
-        fix = "correct this property or method of the kind"
-        raise ScenarioError(field=f"{kind.__name__}.{name}", expected=expected, received=f"{value!r:.100}", fix=fix)
-
-    @functools.wraps(function)
-    def checked(*arguments: Any, **named: Any) -> Any:
-        value = function(*arguments, **named)
-        if name not in ("passing", "plainer"):
-            return fitting(value)
-        return map(fitting, value if isinstance(value, Iterable) else (value,))
-
-    setattr(checked, CHECKED, True)
-    made: Any = property(checked) if isinstance(given, property) else checked
-    setattr(kind, name, classmethod(checked) if isinstance(given, classmethod) else made)
-
-
 def register(kind: Any, drives: str, mover: Callable[..., OwnMover] | None = None) -> None:
     """Let scenarios, files, searches and reports have instructions of a kind, as those of this package.
 
@@ -403,8 +350,7 @@ def register(kind: Any, drives: str, mover: Callable[..., OwnMover] | None = Non
             expected, received = "keys of files that tell it from each other kind", f"{', '.join(sorted(kind.marks))}"
             fix = f"a {each.__name__} would be read as a {read.__name__}; list all keys that each file of the kind has"
             raise ScenarioError(field=f"{kind.__name__}.marks", expected=expected, received=received, fix=fix)
-    for each in RETURNS:
-        _check_returns(kind, each)
+    check_returns(kind)
     KINDS[:] = [*others, kind]
     DRIVES[kind] = DRIVES[WAYS[drives][0]]
     if kind.drives_itself:
