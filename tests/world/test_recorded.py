@@ -1,5 +1,7 @@
 """NPCs that drive as recorded: where they are, who hands them over, and what they do then."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,10 @@ from pytest_pafot import (
     Track,
     World,
 )
+from pytest_pafot.attribution.responsibility import rss_rule
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, SPEED, Outcome, X, Y
+from tests.helpers.pencil_and_paper import judge
+from tests.helpers.reasons import numbers
 from tests.helpers.run_cases import differences
 from tests.report.builders import view_of
 
@@ -94,6 +99,33 @@ def test_vehicle_behind_an_ego_that_brakes_otherwise_is_handed_over_and_brakes()
     assert away(trace, 0)[: left + 1].max() < 1e-9
     assert (trace.outcome, trace.states[-1, 1, SPEED]) == (Outcome.SAFE, pytest.approx(15.0, abs=0.5))
     assert trace.states[:, 1, ACCELERATION].min() > -6.5
+
+
+def test_nobody_is_blamed_if_the_recording_itself_comes_so_close():
+    """The gap is 1.0 m, and 0.6 m after 4 s; the ego loses 0.5 m/s, so it is 0.75 m behind the recorded one then."""
+    close = track(-6.0, 0, 25.1)
+    run = Run(drive(scenario(close), [(2.0, -0.5), (3.0, 0.0)]))
+    assert (run.collision.npc, run.trace.handed_over, run.responsibility) == (0, (None,), None)
+    assert run.collision.time == pytest.approx(3.8, abs=0.1)
+    sentence = "NPC 0 drove as recorded, the ego within 0.6 m of it: the recording itself comes so close."
+    assert run.attribution.sentences[-1] == sentence
+    assert "Neither the ego nor NPC 0 is responsible." in run.explain()
+    assert numbers(run.trace, run.attribution)[0] == numbers(run.trace, run.attribution)[1]
+    farther = replace(run.trace, scenario=scenario(close, ego=track(0.5, 0, 25.0)))
+    for trace, responsibility in (
+        (run.trace, "none"),
+        (replace(run.trace, handed_over=(40,)), "npc"),
+        (replace(run.trace, scenario=scenario(Recorded(track=close, later=0.1))), "npc"),
+        (replace(run.trace, scenario=scenario(close, ego=None)), "npc"),
+        (farther, "npc"),
+    ):
+        assert rss_rule(trace).responsibility == judge(trace).responsibility == responsibility
+
+
+def test_ego_that_runs_into_a_recorded_leader_is_blamed_however_near_it_is_to_the_recorded_one():
+    ahead = track(6.0, 0, 24.9)
+    run = Run(drive(scenario(ahead), [(2.0, 0.5), (3.0, 0.0)]))
+    assert (run.collision.npc, run.trace.handed_over, run.responsibility) == (0, (None,), "ego")
 
 
 def test_without_the_recorded_ego_each_ego_counts_as_another_one():

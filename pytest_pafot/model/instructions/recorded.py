@@ -43,6 +43,8 @@ RATES = {f"rate {rate}": rate for rate in range(USUAL, 16)}
 FARTHEST, HEADING = 5000.0, 1.0
 """The largest distance from the ego's start [m], and the largest angle to the road [rad]."""
 
+APART = 0.9
+"""The distance from the recorded ego up to which the ego drives as recorded [m]."""
 LATEST, SLOWEST, FASTEST, SHIFTED = 5.0, 0.8, 1.2, 30.0
 """How far a track may be changed: by how much time [s], by which factors of the speed, and by how far ahead [m]. A
 factor of 1.2 makes accelerations 1.44 times as large, which a car can do that has not braked hard before."""

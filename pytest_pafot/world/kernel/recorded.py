@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_pafot.model.instructions.recorded import APART
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director, Npc, Start, TrackedNpc
@@ -31,8 +32,6 @@ from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.road_directors import NetworkDirector
 from pytest_pafot.world.limits import NpcLimits
 
-APART = 0.9
-"""The distance from the recorded ego up to which the ego drives as recorded [m]."""
 ALONG, ACROSS = 2.0, 0.3
 """The gaps between two boxes that are near, along the road and across it [m]."""
 SECONDS, SAMPLE, ASIDE = 3.0, 0.2, 1.0
