@@ -73,11 +73,13 @@ def recorded(
         RecordingError: if the file cannot be read; the message names the place, what was expected, and the way out.
         RequestError: if there is no such vehicle.
     """
+    _check(path, between, vehicles, without, lane_width)
     file = Path(path)
-    _check(between, vehicles, without, lane_width)
     try:
         if not file.is_file():
-            raise RequestError(f"recorded: expected a file, received {str(file)!r:.200}; correct the path")
+            what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "does not exist"
+            received = f"received {str(file)!r:.200}, which {what}"
+            raise RequestError(f"recorded: expected a file, {received}; correct the path")
         with file.open("rb") as content:
             # Byte order marks come first, and in UTF-16 there is a zero at each letter.
             is_xml = content.read(200).replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n").startswith(b"<")
@@ -101,8 +103,9 @@ def recorded(
                 expected = "the columns of " + ", or ".join(
                     f"{each.name} ({', '.join(each.columns)})" for each in TABLES
                 )
+                is_text = len(table.columns) > 1 and not any("\0" in name for name in table.columns)
                 names = "rename the columns to those of one of them"
-                fix = names if len(table.columns) > 1 else "save it with commas between the cells, in UTF-8"
+                fix = names if is_text else "save it with commas between the cells, in UTF-8"
                 raise RecordingError(file, expected, ", ".join(table.columns)[:200] or "none", fix, line=1)
             found = known[0].read(file, between)
     except OSError as error:
@@ -111,8 +114,10 @@ def recorded(
     return found if ego is None else found.seen_from(ego)
 
 
-def _check(between: object, vehicles: object, without: object, lane_width: object) -> None:
+def _check(path: object, between: object, vehicles: object, without: object, lane_width: object) -> None:
     """Refuse arguments that would be misread: a text is a sequence of letters, and a width below 0 swaps the sides."""
+    if not isinstance(path, str | os.PathLike):
+        raise RequestError(f"recorded: expected the path of a file, received {shown(path)}; write its name as a text")
     times = [*map(plain_number, between)] if isinstance(between, Sequence) and not isinstance(between, str) else []
     if between is not None and (len(times) != 2 or times[0] is None or times[1] is None or times[0] > times[1]):
         raise RequestError(

@@ -39,8 +39,8 @@ class Table:
         size = path.stat().st_size
         if size > MOST_BYTES:
             raise self.error(None, "", f"at most {MOST_BYTES} bytes", f"{size}", "cut it into several files")
-        names: Sequence[str] = next((row for _, row in self._rows()), [])
-        self.columns = {name.strip().lower(): index for index, name in enumerate(names)}
+        self._names = [name.strip().lower() for name in next((row for _, row in self._rows()), [])]
+        self.columns = {name: index for index, name in enumerate(self._names)}
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the cells of each row that is not empty, from the header on, and the line in which it ends."""
@@ -68,18 +68,24 @@ class Table:
         """Yield of each row its line, the texts in some columns, and the finite numbers in others.
 
         Raises:
-            RecordingError: if a column is missing, a row is too short, or a cell has no number.
+            RecordingError: if a column is missing or there twice, a row has too few cells or too many, or a cell has no
+                number.
         """
         for name in (*texts, *numbers):
             if name.lower() not in self.columns:
                 fix = "take the file as the data set has it"
                 raise self.error(1, name, "this column", f"{', '.join(self.columns)[:200]}", fix)
+            if self._names.count(name.lower()) > 1:
+                raise self.error(1, name, "one column of this name", "several", "rename those that are something else")
         words = [self.columns[name.lower()] for name in texts]
         places = [self.columns[name.lower()] for name in numbers]
         longest = max([*words, *places])
         for line, row in islice(self._rows(), 1, None):
             if len(row) <= longest:
                 raise self.error(line, "", f"at least {longest + 1} cells", f"{len(row)}", "the file may be cut off")
+            if any(row[len(self._names) :]):  # a comma too many shifts all cells behind it
+                fix = "write numbers with decimal points, and names with commas in quotes"
+                raise self.error(line, "", f"{len(self._names)} cells, as in the first line", f"{len(row)}", fix)
             values = []
             for name, place in zip(numbers, places, strict=True):
                 number = _number(row[place])
@@ -154,7 +160,8 @@ class Tracks:
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
             twice = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
             if len(twice):
-                received, fix = f"two of vehicle {name}", "data of several places or days may be in one file: split it"
+                received = f"two of vehicle {name}"
+                fix = "remove one, or split a file with data of several places or days"
                 raise self._table.error(None, "", f"one row of a vehicle at {rows[twice[0], 0]:g} s", received, fix)
             yield name, rows
 

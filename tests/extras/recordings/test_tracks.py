@@ -3,6 +3,7 @@
 import csv
 import importlib.util
 import math
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +22,7 @@ from tests.helpers.traces import trace_of, vehicle
 
 FINDING = SimpleNamespace(id="run")
 NUMBERS = st.floats(-1e6, 1e6, width=64)
+HEAD = "time,vehicle,x,y,heading,speed,length,width"
 
 
 def written(folder, name, rows, columns=None):
@@ -319,6 +321,13 @@ def test_run_that_commonroads_library_has_written_is_read_as_driven(tmp_path):
         ("a,b\n1,2\n", r":1: expected the columns of export --to csv \(time, vehicle, .* received a, b; rename"),
         ("<a>" * 70, r"expected at most 5000000 elements, 60 deep, received more"),
         ("", r"received none"),
+        (
+            f"{HEAD}\n0,ego,0,0,0,20,4,2\n0,5,ego,1,0,0,20,4,2\n",
+            r":3: expected 8 cells, as in the first line, received 9; w",
+        ),
+        (f"{HEAD},x\n0,ego,0,0,0,20,4,2,0\n", r":1: x: expected one column of this name, received several; rename"),
+        (f"{HEAD}\n0,ego,0,0,0,20,4,2,,\n0,ego,1,0,0,20,4,2\n", r"at 0 s, received two of vehicle ego; remove one, or"),
+        ("t\0i\0,x\0\n", r"save it with commas between the cells, in UTF-8"),
         ("time;vehicle\n1;2\n", r"received time;vehicle; save it with commas between the cells, in UTF-8"),
         ('time,"vehicle\n', r":1: expected cells between commas, received unexpected end of data; save it as plain"),
         ("\n\n" + "e" * 100_000, r":3: expected lines below 100000 characters, received a longer one"),
@@ -395,8 +404,16 @@ def test_argument_that_would_be_misread_is_refused(highd, arguments, message):
 
 
 def test_file_that_is_not_there_and_vehicle_that_is_not_in_it_are_refused(highd):
-    with pytest.raises(RequestError, match=r"recorded: expected a file, received 'nothing.csv'; correct the path"):
-        pafot.recorded("nothing.csv")
+    os.mkfifo(highd.parent / "pipe.csv")  # opening it would wait for somebody who writes
+    for path, what in (
+        ("nothing.csv", "does not exist"),
+        (highd.parent, "is a folder"),
+        (highd.parent / "pipe.csv", "is no regular file"),
+    ):
+        with pytest.raises(RequestError, match=rf"expected a file, received '{path}', which {what}; correct the path"):
+            pafot.recorded(path)
+    with pytest.raises(RequestError, match=r"recorded: expected the path of a file, received None; write its name"):
+        pafot.recorded(None)
     with pytest.raises(RequestError, match=r"a file that can be read, received 'n+'?.*: File name too long; correct"):
         pafot.recorded("n" * 300)
     with pytest.raises(RequestError, match=r"expected one of the vehicles 1, 2, received 3"):
