@@ -40,6 +40,9 @@ def git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProxy
         )
     except FileNotFoundError:
         raise RequestError("expected the program git, received none on the PATH; install it") from None
+    except ValueError:  # a text that no command line can have
+        given = next(each for each in arguments if "\0" in each)
+        raise RequestError(f"expected texts for git without a zero byte, received {given!r:.200}; remove it") from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
         raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")
@@ -55,4 +58,5 @@ def repository_of(folder: Path) -> Path:
     try:
         return Path(os.path.realpath(git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
     except RequestError as error:
-        raise RequestError(f"expected a folder in a git repository, received {folder} ({error})") from None
+        fix = "run in a clone, or copy the other version to a module of another name and give its factory"
+        raise RequestError(f"expected a folder in a git repository, received {folder} ({error}); {fix}") from None

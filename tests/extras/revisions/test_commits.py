@@ -272,6 +272,13 @@ def test_object_that_is_no_commit_is_named(repository):
         history.named("HEAD^{tree}")
     with pytest.raises(RequestError, match="received 'nothing', which does not exist in"):
         history.named("nothing")
+    with pytest.raises(RequestError, match=r"received 'a\\x00b', which does not exist in"):
+        history.named("a\0b")
+
+
+def test_folder_without_a_repository_has_a_way_out(tmp_path):
+    with pytest.raises(RequestError, match=r"received .*not a git repository.*; run in a clone, or copy the other"):
+        History.of([], tmp_path)
 
 
 def test_file_replaces_a_pointer_of_git_lfs_on_request(repository):
