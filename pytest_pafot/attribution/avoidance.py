@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.trace import FloatArray
 
@@ -143,7 +144,8 @@ class Pursuit:
     def is_avoided_by_braking(self, since: int, rate: float = HARDEST) -> bool:
         """Return whether braking at a rate [m/s^2] to a standstill from a tick on avoids a hit.
 
-        The braking begins with the recorded speed at that tick.
+        The braking begins with the recorded speed at that tick. If the two move apart sideways at the impact, they go
+        on to do so as far as the other drives on, and do not touch any more when the other has left the way.
         """
         hz, end = self.hz, len(self.ahead) - 1
         steps = end - since + math.ceil(max(HORIZON, float(self.speeds[0][since]) / rate) * hz)
@@ -155,7 +157,15 @@ class Pursuit:
         slowing = max(float(self.speeds[1][end - 1] - self.speeds[1][end]), 0.0) if self.goes_on else 0.0
         other = np.maximum(self.speeds[1][end] - np.arange(len(after)) * slowing, 0.0)
         gap = self.ahead[end] - (self.sizes[0][0] + self.sizes[1][0]) / 2 + lost[-1]
-        return bool((gap + np.cumsum(other - after) / hz > 0).all())
+        aside = self.right[end] - self.right[end - 1]
+        if aside * self.right[end] <= 0 or abs(aside) * hz < DRIFTING:
+            return bool((gap + np.cumsum(other - after) / hz > 0).all())
+        beside = np.abs(self.right[end] + aside * np.cumsum(other) / max(other[0], abs(aside) * hz))
+        widths = sum(
+            length * abs(float(sin[end])) + width * abs(float(cos[end]))
+            for (cos, sin), (length, width) in zip(self.directions, self.sizes, strict=True)
+        )
+        return bool(((gap + np.cumsum(other - after) / hz > 0) | (beside > widths / 2)).all())
 
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
         """Return whether the responder is no further ahead at the impact than a reference that responds to a tick."""
