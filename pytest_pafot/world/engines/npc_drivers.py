@@ -105,20 +105,33 @@ class TrafficDriver(ModelDriver):
         others: the other NPCs and the objects on the road.
         rules: the rules of the road that it obeys; None if there are none.
         dt: physics tick [s].
+        kind: what vehicle it is, if that limits what it does; else None.
     """
 
-    def __init__(self, npc: GoalVehicle, ego: Body, others: list[Any], rules: EgosRoadRules | None, dt: float) -> None:
+    def __init__(
+        self,
+        npc: GoalVehicle,
+        ego: Body,
+        others: list[Any],
+        rules: EgosRoadRules | None,
+        dt: float,
+        kind: VehicleType | None,
+    ) -> None:
         self._ego, self._seen = ego, Body(ego.length, ego.width)
         super().__init__(npc, [self._seen, *others])
         self._yielding = rules
         self._dt = dt
+        self._kind = kind
 
     def actuate(self) -> None:
         """Apply the vehicle's own model, but brake to a standstill at most; then apply the rules of the road."""
         ego = self._ego
         self._seen.place(ego.x, ego.y, ego.heading, ego.speed)
         super().actuate()
-        self.ego.acceleration = without_reversing(self.ego.acceleration, self.ego.speed, self._dt)
+        npc = self.ego
+        if self._kind is not None:
+            npc.acceleration, npc.steering = self._kind.limited(npc.acceleration, npc.steering, npc.speed)
+        npc.acceleration = without_reversing(npc.acceleration, npc.speed, self._dt)
         if self._yielding is not None:  # as highway-env's road does, while all are where they were
             self._yielding.apply_to_ego()
 
@@ -253,10 +266,11 @@ class FreeNpc:
     def driver(self, places: Places, record: Any, guard: HangGuard) -> EgoDriver:
         """Return the driver of the NPC; its decisions are under the same guard as the ego's."""
         rules, road, ads = self._rules, self._rules.road, self._ads
-        seat = places.seat(self._npc + 1)
+        seat, vehicle = places.seat(self._npc + 1), self._scenario.vehicle_of(self._npc)
+        kind, dt = vehicle if vehicle.has_limits else None, 1 / rules.physics_hz
         if isinstance(self.body, GoalVehicle):
             others = [*places.vehicles[1:], *self._objects]
-            return TrafficDriver(self.body, places.vehicles[0], others, self._yields(seat), 1 / rules.physics_hz)
+            return TrafficDriver(self.body, places.vehicles[0], others, self._yields(seat), dt, kind)
         assert ads is not None  # noqa: S101  (all other bodies are GoalVehicles)
         rates = rules.physics_hz, rules.physics_hz // (rules.drivers_hz or rules.ads_hz)
         seeded = replace(self._scenario, seed=self._seed)
@@ -264,7 +278,7 @@ class FreeNpc:
         own = np.empty_like(rows)
         sensor = road.sensor(seat, own.reshape(-1), seeded, rates, ads.sight, rules.ego, self._npc + 1)
         common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
-        common |= {"every": rates[1], "dt": 1 / rules.physics_hz}
+        common |= {"every": rates[1], "dt": dt, "kind": kind}
         decides = ads.decides if is_pure(ads.given) else _drawing(ads.decides, self._draws)
         planner = decides, guard, (), self.body, seat.bodies[0], sensor
         return SeatedDriver(rows, own, self._npc, *planner, **common)

@@ -17,10 +17,12 @@ from pytest_pafot import (
     Free,
     Highway,
     LaneInstruction,
+    Manoeuvre,
     Outcome,
     PositionInstruction,
     Run,
     Scenario,
+    Step,
     World,
     strategies,
 )
@@ -274,10 +276,24 @@ def test_idm_in_a_truck_stops_behind_another_one():
     trace = WORLD.rollout(scenario, lambda: steady)
     assert trace.outcome is Outcome.SAFE
     assert trace.states[-1, 1, SPEED] < 0.5
-    assert 3.0 < trace.states[-1, 2, X] - trace.states[-1, 1, X] - TRUCK.length < 8.0
+    assert 2.0 < trace.states[-1, 2, X] - trace.states[-1, 1, X] - TRUCK.length < 8.0
 
 
 # Failures of drivers.
+
+
+@pytest.mark.parametrize("driver", ["idm", "mobil", "own"])
+def test_free_truck_keeps_the_limits_of_a_truck(driver):
+    """The vehicle ahead brakes it, and then goes off; the own planner asks for more than a car can do."""
+    world = Highway(duration=20.0).with_drivers({"own": lambda: lambda seen: (8.0 if seen.time < 15.0 else -12.0, 0.0)})
+    away = Step(after=5.0, speed=25.0, acceleration=4.0)
+    leader = (Manoeuvre(beside=1, ahead=75.0 if driver != "own" else 300.0, speed=10.0, steps=(away,)),)
+    trace = run(free(driver, beside=1, speed=22.0), leader, world=world, vehicles=("truck", "car"))
+    assert trace.outcome is Outcome.SAFE
+    npc = trace.npcs[:, 0]
+    assert npc[:, ACCELERATION].max() == pytest.approx(TRUCK.acceleration)
+    assert npc[:, ACCELERATION].min() >= -TRUCK.braking - 1e-9
+    assert npc[:, SPEED].max() <= TRUCK.top_speed + 1e-6
 
 
 def raising(observation):
