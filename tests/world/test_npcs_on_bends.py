@@ -23,7 +23,7 @@ STARTS = (-60, -30, 25, 55, 85)
 
 def hurrying(seen):
     """Follow the lane as fast as possible, by a pair, which is of the same class for both kernels."""
-    return 5.0 if seen.ego.speed < 9.0 else -8.0, -0.1 * (seen.ego.y - 5.0 * seen.ego.lane) - 0.3 * seen.ego.heading
+    return 5.0 if seen.ego.speed < 9.0 else -6.0, -0.1 * (seen.ego.y - 5.0 * seen.ego.lane) - 0.3 * seen.ego.heading
 
 
 def npc(kind, ahead, speed, beside, gain, changes):
