@@ -200,6 +200,8 @@ def here(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "500")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
+    monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     return folder
 
 

@@ -105,7 +105,8 @@ def test_search_ends_all_that_it_began(tmp_path, tmp_path_factory, name):
 def check_that_all_ends(folder, places, words, name):
     """Send a signal to a command; nothing is left of its processes, and in its folder for temporary files."""
     (folder / "slow.py").write_text(SLOW)
-    environ, number = {**os.environ, "TMPDIR": str(places)}, getattr(signal, name)
+    own = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_PLUGINS": "pytest_pafot.plugin", "TMPDIR": str(places)}
+    environ, number = {**os.environ, **own}, getattr(signal, name)
     command = [*INTERRUPTIBLE, *words]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with begun(command, cwd=folder, env=environ, **quiet) as process:

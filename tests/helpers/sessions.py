@@ -278,6 +278,7 @@ class Copy(subprocess.Popen):
         if found is None:
             return super()._execute_child(args, *given)
         asked = dict(zip(ASKED, given, strict=True))
+        asked["without"] = _modules_of_the_project()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # a thread of a worker of pytest-xdist only waits
             self.pid = os.fork()
@@ -304,6 +305,26 @@ def _call_of(command):
     return None
 
 
+INSTALLED = set()
+"""The names of modules that were found to be installed."""
+
+
+def _modules_of_the_project():
+    """Return the names of the modules that a copy must import itself.
+
+    The copy cannot look for them: it gets its own page of memory for each object that it touches, even to read, and all
+    modules together take longer than the fork.
+    """
+    names = []
+    for name in {*sys.modules} - INSTALLED:
+        file = getattr(sys.modules[name], "__file__", None)
+        if file and file.startswith(OF_ALL):
+            INSTALLED.add(name)
+        elif file:
+            names.append(name)
+    return names
+
+
 def _end_with(call, asked):
     """End this process with the exit code that a call returns, in the surroundings that `subprocess` is asked for."""
     status = 1
@@ -322,7 +343,7 @@ def _end_with(call, asked):
             os._exit(status)
 
 
-def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_session, **_):
+def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_session, without, **_):
     """Give a copy of this process what a new interpreter has: its own streams, signals, variables, folder, modules."""
     if start_new_session:
         os.setsid()
@@ -348,9 +369,8 @@ def _settle(*, p2cread, c2pwrite, errwrite, pass_fds, cwd, env, start_new_sessio
     sys.dont_write_bytecode |= bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
     os.chdir(cwd or ".")
     sys.path[:0] = [str(Path.cwd()), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    for name, module in [*sys.modules.items()]:
-        if not (getattr(module, "__file__", None) or sys.prefix).startswith(OF_ALL):
-            del sys.modules[name]
+    for name in without:
+        del sys.modules[name]
     importlib.invalidate_caches()
     subprocess.Popen = Copy
     gc.freeze()  # or the end of a session would search all that it shares with this process
