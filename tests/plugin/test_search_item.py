@@ -30,7 +30,7 @@ def test_finding_is_announced_during_search_with_its_file(project):
     result.stdout.fnmatch_lines(
         [
             f"pafot: found test_it.py::test_collides[[]saved-{project.only_id}[]]",
-            "  collision after *.? s at *.? m/s: NPC ? ahead, * at fault",
+            "  collision after *.? s, closing at *.? m/s: NPC ? ahead, * at fault",
             "FF*",
             f"saved as   {project.files[0]}",
         ]
