@@ -192,8 +192,8 @@ class Conduct:
             set_off = due - len(recent) + 1 + int(stood[-1])
             return fact._replace(what=What.SHOULD_HAVE_WAITED, due_s=due / hz, later_s=set_off / hz)
         if not helps:
-            rose = any(each.doing is Doing.SPED_UP and each.until_s > fact.time_s for each in phases)
-            return fact._replace(what=What.SHOULD_NOT_HAVE_SPED_UP) if rose else fact
+            rose = [each.time_s for each in phases if each.doing is Doing.SPED_UP and each.until_s > fact.time_s]
+            return fact._replace(what=What.SHOULD_NOT_HAVE_SPED_UP, later_s=rose[0]) if rose else fact
         braking = float(speeds[due] - speeds[due + 1]) * hz
         return fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=due / hz, braking_m_per_s2=max(0.0, braking))
 

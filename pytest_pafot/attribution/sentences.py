@@ -5,7 +5,9 @@ Each text is at most 97 characters long, so that it fits on one line of an expla
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from pytest_pafot.model.crossings import Zone
@@ -52,6 +54,27 @@ class What(Enum):
 
 ANSWERS = (What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED, What.SHOULD_NOT_HAVE_SPED_UP, What.DROVE)
 """The facts on what a vehicle should have done in a danger, and what it did. Their sentences depend on its phases."""
+ADVICE: Mapping[What, str] = MappingProxyType(
+    {
+        What.CROSSED_LINE: "do not change lanes at {at}",
+        What.MOVED_FURTHER: "do not change lanes at {at}",
+        What.CAME_IN: "do not change lanes at {at}",
+        What.BOTH_CROSSED: "do not change lanes at {at}",
+        What.CAME_SIDEWAYS: "do not move sideways at {at}",
+        What.BRAKED_FOR_NOTHING: "do not brake at {at}",
+        What.BRAKED_ON: "stop braking by {at}",
+        What.STOPPED_FOR_NOTHING: "do not stop at {at}",
+        What.ENTERED: "do not drive in at {at}",
+        What.IGNORED: "brake by {due}",
+        What.SPED_UP: "do not speed up at {at}",
+        What.LET_BRAKES_GO: "keep braking at {at}",
+        What.BRAKED_LESS: "keep braking at {at}",
+        What.SHOULD_HAVE_BRAKED: "brake by {due}",
+        What.SHOULD_HAVE_WAITED: "do not set off at {later}",
+        What.SHOULD_NOT_HAVE_SPED_UP: "do not speed up at {later}",
+    }
+)
+"""What the ego should have done by when, in a few words for a headline, by the fact that says it."""
 BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
 LONGEST = 97
@@ -97,7 +120,7 @@ class Fact(NamedTuple):
         other: index of the other vehicle that the fact mentions.
         time_s: time at which the event happened or began [s].
         later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone; time at
-            which a vehicle that should have waited set off [s].
+            which a vehicle that should have waited set off, or one that should not have sped up began to [s].
         due_s: latest time at which the vehicle should have begun to brake hard [s]; None if that does not help.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
             is behind, 0 side by side.
@@ -197,6 +220,15 @@ def _lines(fact: Fact) -> list[str]:
     return lines
 
 
+def advice(reason: Reason) -> str:
+    """Return in a few words what the ego should have done by when; empty if the facts on the ego do not say it.
+
+    It is what the last of these facts says: the first says what happened, the last what should have happened instead.
+    """
+    facts = [fact.in_full for fact in reversed(reason) if not fact.vehicle]
+    return next((_filled(ADVICE[fact.what], fact) for fact in facts if fact.what in ADVICE), "")
+
+
 def responsible_sentence(responsibility: str, npc: int | None) -> str:
     """Return the sentence that says who is responsible for a collision with an NPC, or with a fixed object (None)."""
     if npc is None:
@@ -208,7 +240,11 @@ def responsible_sentence(responsibility: str, npc: int | None) -> str:
 
 
 def _sentence(fact: Fact) -> str:
-    text = fact.what.value.format(
+    return capitalised(_filled(fact.what.value, fact))
+
+
+def _filled(template: str, fact: Fact) -> str:
+    return template.format(
         it=fact,
         at=f"{fact.time_s:.1f} s",
         later=f"{fact.later_s:.1f} s",
@@ -223,7 +259,6 @@ def _sentence(fact: Fact) -> str:
         place=_place(fact),
         entered=_entered(fact),
     )
-    return capitalised(text)
 
 
 def _answer(fact: Fact) -> list[str]:
@@ -299,6 +334,11 @@ def _entered(fact: Fact) -> str:
     return f"{entered}. {capitalised(holders[zone.priority])} had priority."
 
 
-def avoidance_sentence(time: float, braking: float) -> str:
-    """Return the sentence that braking at a rate [m/s^2] from a time [s] on avoids the collision."""
+def avoidance_sentence(time: float, braking: float | None) -> str:
+    """Return the sentence that braking at a rate [m/s^2] from a time [s] on avoids the collision.
+
+    Without a rate, it is that a careful driver does who keeps the lane.
+    """
+    if braking is None:
+        return f"A careful driver who keeps the lane from {time:.1f} s on avoids the collision."
     return f"Braking at {braking:.0f} m/s^2 from {time:.1f} s on avoids the collision."

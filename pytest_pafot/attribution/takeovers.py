@@ -18,6 +18,8 @@ from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace
 
 STEADY_BRAKING = "steady-braking"
 """The driver that brakes with 6 m/s^2 down to a standstill, and keeps its lane."""
+CAREFUL = "careful-human"
+"""The driver that keeps its lane, and its distance to vehicles ahead."""
 
 ANSWERED_BY_BRAKING: tuple[Fault, ...] = (
     "leader-unanswered",
@@ -58,12 +60,12 @@ If it can be called only with some names, its attribute ``drivers`` has them. If
 """
 
 
-def _may_brake(take_over: TakeOver) -> bool:
-    """Return whether ``steady-braking`` can take over: unless the function, or its world, declares other drivers."""
+def _may_drive(name: str, take_over: TakeOver) -> bool:
+    """Return whether a driver can take over: unless the function, or its world, declares other drivers."""
     world: Any = getattr(take_over, "__self__", None)  # of a bound method
     if hasattr(world, "reference_drivers"):
-        return STEADY_BRAKING in (*world.reference_drivers, *getattr(world, "takes_over", ()))
-    return STEADY_BRAKING in getattr(take_over, "drivers", (STEADY_BRAKING,))
+        return name in (*world.reference_drivers, *getattr(world, "takes_over", ()))
+    return name in getattr(take_over, "drivers", (name,))
 
 
 def _lasting(take_over: TakeOver, seconds: float) -> TakeOver | None:
@@ -78,19 +80,20 @@ def _lasting(take_over: TakeOver, seconds: float) -> TakeOver | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Avoidance:
-    """The last decision of the ego from which braking in its lane avoids a collision.
+    """The last decision of the ego from which braking in its lane, or else a driver who keeps it, avoids a collision.
 
     Attributes:
         time: time of the decision [s], to milliseconds.
-        braking: deceleration to a standstill [m/s^2].
+        braking: deceleration to a standstill [m/s^2]; None if not braking avoids it, but ``careful-human``, who keeps
+            the lane.
     """
 
     time: float
-    braking: float
+    braking: float | None = None
 
     @property
     def sentence(self) -> str:
-        """A sentence with the braking that avoids the collision, and the time from which on it does."""
+        """A sentence with what avoids the collision, and the time from which on it does."""
         return avoidance_sentence(self.time, self.braking)
 
 
@@ -110,7 +113,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         take_over: function that simulates the run again with a driver that takes over, see
             :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
     """
-    if trace.collision is None or fault not in ANSWERED_BY_BRAKING or not _may_brake(take_over):
+    if trace.collision is None or fault not in ANSWERED_BY_BRAKING or not _may_drive(STEADY_BRAKING, take_over):
         return None
     first, ticks = max(trace.ticks - round(SCANNED * trace.physics_hz), 0), trace.decision_ticks
     for tick in reversed(ticks[bisect_left(ticks, first) : bisect_left(ticks, trace.ticks)]):
@@ -118,24 +121,54 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         if not repeats(taken, trace, tick):
             return None
         # Driving on takes another run, so it is done only after braking that helps as far as the run goes.
-        driven = _driven_on(taken, trace, tick, take_over) if brakes_untouched(taken, tick) else None
+        driven = _driven_on(taken, trace, tick, take_over, STEADY_BRAKING) if brakes_untouched(taken, tick) else None
         if driven is not None and (driven is taken or brakes_untouched(driven, tick)):
             return Avoidance(time=round(tick / trace.physics_hz, 3), braking=FOLLOWING.deceleration)
     return None
 
 
+def keeping_lane(trace: Trace, tick: int, take_over: TakeOver) -> Avoidance | None:
+    """Return that ``careful-human``, who takes over at a decision of the ego and keeps the lane, avoids the collision.
+
+    None if that driver leaves the lane or touches a vehicle in the 12 s after the decision, if two NPCs touch, and for
+    the other reasons for which :func:`avoidance` returns None.
+
+    Args:
+        trace: trace of the run.
+        tick: tick of the decision with which the ego began to change lanes.
+        take_over: as for :func:`avoidance`.
+    """
+    if trace.collision is None or not _may_drive(CAREFUL, take_over):
+        return None
+    taken = take_over(trace, tick, CAREFUL)
+    if not (repeats(taken, trace, tick) and keeps_untouched(taken, tick)):
+        return None
+    driven = _driven_on(taken, trace, tick, take_over, CAREFUL)
+    is_free = driven is not None and (driven is taken or keeps_untouched(driven, tick))
+    return Avoidance(time=round(tick / trace.physics_hz, 3)) if is_free else None
+
+
 def brakes_untouched(trace: Trace, tick: int) -> bool:
     """Return whether the ego brakes with 6 m/s^2 in its lane from a tick on, until it stands, and touches no NPC."""
-    until = min(tick + round(FREE_FOR * trace.physics_hz), trace.ticks) + 1
-    speed, rate = trace.ego[tick:until, SPEED], FOLLOWING.deceleration / trace.physics_hz
+    speed, rate = trace.ego[_free_time(trace, tick), SPEED], FOLLOWING.deceleration / trace.physics_hz
     wanted = np.maximum(speed[0] - rate * np.arange(len(speed)), 0.0)
     is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + BRAKING_TICKS * rate
-    lane, depths = trace.ego[tick:until, LANE], depth(Encounters(trace).pairs)[:, tick:until]
-    return bool(is_braking.all() and (lane == lane[0]).all() and not (depths > TOUCHING).any())
+    return bool(is_braking.all()) and keeps_untouched(trace, tick)
 
 
-def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver) -> Trace | None:
-    """Return the run in which braking takes over at a tick, to beyond the 12 s after it; None if it ends before.
+def keeps_untouched(trace: Trace, tick: int) -> bool:
+    """Return whether the ego stays in its lane from a tick on, and touches no NPC."""
+    ticks = _free_time(trace, tick)
+    lane, depths = trace.ego[ticks, LANE], depth(Encounters(trace).pairs)[:, ticks]
+    return bool((lane == lane[0]).all() and not (depths > TOUCHING).any())
+
+
+def _free_time(trace: Trace, tick: int) -> slice:
+    return slice(tick, min(tick + round(FREE_FOR * trace.physics_hz), trace.ticks) + 1)
+
+
+def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver, driver: str) -> Trace | None:
+    """Return the run in which a driver takes over at a tick, to beyond the 12 s after it; None if it ends before.
 
     ``taken`` is that run as long as the world makes it, and ``trace`` is the run of the ego. If ``taken`` ends before
     without an event, it is simulated again and lasts longer, if the world can go on.
@@ -148,7 +181,7 @@ def _driven_on(taken: Trace, trace: Trace, tick: int, take_over: TakeOver) -> Tr
     longer = None
     if taken.outcome not in (Outcome.COLLISION, *UNSAID):
         longer = _lasting(take_over, (until + LEEWAY) / trace.physics_hz)
-    driven = None if longer is None else longer(trace, tick, STEADY_BRAKING)
+    driven = None if longer is None else longer(trace, tick, driver)
     is_longer = driven is not None and driven.ticks > until and repeats(driven, taken, taken.ticks)
     return driven if is_longer else None
 

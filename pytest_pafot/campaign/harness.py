@@ -13,13 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.takeovers import Avoidance, avoidance
+from pytest_pafot.attribution.takeovers import Avoidance, avoidance, keeping_lane
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
+from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.instructions import ScenarioError
@@ -228,10 +229,13 @@ class Harness:
         return "" if self.against is None else self.against.shown
 
     def avoidance(self, run: Run, verdict: Verdict) -> Avoidance | None:
-        """Find by simulation the last moment at which braking avoids the collision; None for any other failure."""
+        """Find by simulation when braking, or staying in the lane, avoids the collision; None for any other failure."""
         failure = verdict.failure
         if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
             return None
+        number = moved_over(run)
+        if number is not None:
+            return keeping_lane(run.trace, run.trace.decision_ticks[number], run.take_over)
         return avoidance(run.trace, run.attribution.fault, run.take_over)
 
     def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:

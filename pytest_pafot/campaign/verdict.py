@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -226,7 +227,7 @@ def headline(run: Run, verdict: Verdict) -> str:
     line = collision_in_short(run) or run.explain().splitlines()[0]
     first = verdict.failure.message.partition("\n")[0].strip() if verdict.failure is not None else ""
     is_bare = run.collision is not None and first.startswith("assert ")
-    if is_bare or not first or line.partition(":")[0].partition(" at ")[0] in first:
+    if is_bare or not first or re.split(r":|, | at ", line)[0] in first:
         return line
     kind = "" if isinstance(verdict.exception, AssertionError) else f"{type(verdict.exception).__name__}: "
     return f"{kind}{first[:120]} ({line})"
@@ -245,7 +246,7 @@ def collision_in_short(run: Run) -> str:
         place = "" if zone is None else f" {zone.whence}"
     who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "neither")
     what = "a fixed object" if hit.npc is None else f"NPC {hit.npc}"
-    return f"collision after {hit.time:.1f} s at {hit.closing_speed:.1f} m/s: {what}{place}, {who} at fault"
+    return f"collision after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s: {what}{place}, {who} at fault"
 
 
 FAILING = ("failed", "unpreventable", "common")

@@ -174,10 +174,8 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
     values = asdict(expect)  # in the order of the dataclass
-    if expect.check is not None:
-        values["check"] = {name: value for name, value in values["check"].items() if value not in (None, "")}
-    if expect.departure is not None:
-        values["departure"] = {name: value for name, value in values["departure"].items() if value is not None}
+    for part in filter(values.get, ("check", "departure", "avoided_by")):
+        values[part] = {name: value for name, value in values[part].items() if value not in (None, "")}
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}

@@ -11,6 +11,7 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.attribution.responsibility import Fault, frame_of
+from pytest_pafot.attribution.sentences import advice
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
@@ -174,8 +175,8 @@ def deciding(run: Run, expect: Expect) -> int | None:
         return None
     if run.collision is None or expect.check is not None:
         return None if expect.check is None else at(expect.time)
-    if attribution.fault == "entered-lane":
-        return _begun(trace, attribution.tick or 0, at(attribution.time or 0.0))
+    if (number := moved_over(run)) is not None:
+        return number
     if attribution.fault in NEEDLESS:
         return at(attribution.time or 0.0)
     due = due_of(run) if expect.avoided_by is None else expect.avoided_by.time
@@ -186,6 +187,35 @@ def due_of(run: Run) -> float | None:
     """Return the time by which the ego had to respond, by the rules [s]; None if they know none."""
     facts = [fact.in_full for fact in run.attribution.facts if not fact.vehicle]
     return max((fact.due_s for fact in facts if fact.due_s is not None), default=None)
+
+
+def moved_over(run: Run) -> int | None:
+    """Return the number of the decision that began a change of lanes by which the ego is at fault; None without one.
+
+    On a bent road it is the last decision before the ego crossed the line.
+    """
+    trace, attribution = run.trace, run.attribution
+    if attribution.fault != "entered-lane" or not trace.decision_ticks:
+        return None
+    last = max(bisect_right(trace.decision_ticks, attribution.tick or 0) - 1, 0)
+    return _begun(trace, attribution.tick or 0, last)
+
+
+def advice_on(run: Run) -> str:
+    """Return in a few words what the ego should have done by when to avoid the collision; empty if it is not at fault.
+
+    It is what a simulation has found, else what the rules say. A change of lanes has the time of the decision that
+    began it, by :func:`moved_over`.
+    """
+    if run.collision is None or run.responsibility not in ("ego", "both"):
+        return ""
+    if run.avoided_by is not None and run.avoided_by.braking is not None:
+        return f"brake by {run.avoided_by.time:.1f} s"
+    facts, number = run.attribution.facts, moved_over(run)
+    if number is not None:
+        began = run.trace.decision_ticks[number] / run.trace.physics_hz
+        facts = (facts[0].in_full._replace(time_s=began),)
+    return advice(facts)
 
 
 def _begun(trace: Trace, tick: int, number: int) -> int:

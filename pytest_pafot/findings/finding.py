@@ -18,6 +18,7 @@ import numpy as np
 
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
+from pytest_pafot.attribution.sentences import ANSWERS, sentences
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality.asked import Departure, departures
 from pytest_pafot.findings.failure_rate import FailureRate
@@ -130,7 +131,8 @@ class Expect:
         departure: where the NPC of the failure, or else the first that did, left its recording: ``npc``, ``time`` [s],
             ``gap`` and ``recorded_gap`` [m] (negative: behind). None if no NPC did.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
-        avoided_by: the last decision from which braking avoids the collision in simulation; None if there is none.
+        avoided_by: the last decision from which braking, or staying in the lane, avoids the collision in simulation;
+            None if there is none.
         against: the reference that passed the scenario, such as ``module:factory`` or ``rev:main (1a2b3c4)``; empty
             without a reference, or if it has no such name.
         traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
@@ -218,7 +220,11 @@ class Expect:
         known = self.known_of(run)
         if known.avoided_by is None:
             return known.sentences
-        return known.sentences[0], known.avoided_by.sentence, known.sentences[-1]
+        told = known.sentences[:1]
+        if known.avoided_by.braking is None:  # the rules also say what gap the change of lanes had to leave
+            facts = (fact for fact in known.attribution.facts if fact.vehicle or fact.in_full.what not in ANSWERS)
+            told = sentences(tuple(facts))
+        return *told, known.avoided_by.sentence, known.sentences[-1]
 
     @classmethod
     def of(

@@ -259,7 +259,7 @@ def finding_article(finding: RunView, index: int) -> str:
     sentences = "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences)
     tags += [finding.traffic] if finding.traffic else []
     mark = f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
-    deadline = "" if finding.deadline is None else f'; <span class="deadline">brake by {finding.deadline:.1f} s</span>'
+    deadline = f'; <span class="deadline">{text(finding.deadline)}</span>' if finding.deadline else ""
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p>',

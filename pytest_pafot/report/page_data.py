@@ -237,7 +237,8 @@ class RunView:
         sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision, and
             for a failed check, whose run may have had a collision besides.
         besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
-        deadline: time by which the ego had to brake [s]; None if unknown, if it did not have to, or of a failed check.
+        deadline: what the ego should have done by when, in a few words; empty if unknown, if it is not at fault, or of
+            a failed check, of which ``besides`` has it.
         happened: what else is known of the run and of the finding, in prose.
         found: the scenario as the search found it, if shrinking has replaced it by a simpler one; otherwise None.
         shrunk: the scenario of the run, to compare it with ``found``; None without that.
@@ -280,7 +281,7 @@ class RunView:
     grid: tuple[tuple[Pose | None, ...], ...] = ()
     plans: tuple[PlanView, ...] = ()
     name: str = ""
-    deadline: float | None = None
+    deadline: str = ""
     happened: tuple[Paragraph, ...] = ()
     found: Chains | None = None
     shrunk: Chains | None = None

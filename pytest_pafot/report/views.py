@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
-from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.campaign.verdict import collision_in_short
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import jerk
-from pytest_pafot.findings.decisions import due_of, is_si
+from pytest_pafot.findings.decisions import advice_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
@@ -262,10 +261,11 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     sentences = () if run is None else expect.sentences_on(run)
     first, *others = [""] if run is None else _explained(run, sentences)
     besides, collision = "", ""
+    deadline = "" if run is None else _deadline(run, action_names(finding.world))
     if check is not None and run is not None:
         headline = headline.replace(str(check), _check_in_short(check, run.trace))
         if sentences:  # they are on the collision, and would read as the check's
-            besides = f"Also in this run: {collision_in_short(run)}"
+            besides = "; ".join(filter(None, [f"Also in this run: {collision_in_short(run)}", deadline]))
             collision, sentences = _prose([first, *sentences]), ()
     if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
         headline = f"ego's policy failed at {run.event_time:.1f} s: {headline}"
@@ -275,7 +275,7 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         headline=headline or first or expect.message or expect.failure,
         sentences=sentences,
         besides=besides,
-        deadline=_deadline(run, expect.avoided_by) if check is None else None,
+        deadline=deadline if check is None else "",
         happened=(*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
         found=None if found is None else _chains(found, finding.longest_run),
         shrunk=None if found is None else _chains(finding.scenario, finding.longest_run),
@@ -308,7 +308,7 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
         headline=headline,
         happened=(("", _prose(others), ()),) if others else (),
         sentences=run.sentences,
-        deadline=_deadline(run, None),
+        deadline=_deadline(run, ()),
         responsibility=run.responsibility or "none",
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
         vehicles=(),
@@ -365,13 +365,12 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
     return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)
 
 
-def _deadline(run: Run | None, avoided: Avoidance | None) -> float | None:
-    """Return the time by which the ego had to brake [s]: by simulation if that was tried, else by the rules."""
-    if avoided is not None:
-        return avoided.time
-    if run is None or run.collision is None or run.responsibility not in ("ego", "both"):
-        return None
-    return due_of(run)
+def _deadline(run: Run, names: Sequence[str]) -> str:
+    """Return what the ego should have done by when, with the action that began a change of lanes if it has a name."""
+    words, number = advice_on(run), moved_over(run)
+    action = None if number is None else run.trace.actions[number]
+    name = "" if action is None or not names else _decided(action, names)
+    return f"{words} ({name})" if words and name in names else words
 
 
 def _chains(scenario: Scenario, longest_run: float) -> Chains:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.takeovers import Avoidance, avoidance
+from pytest_pafot import Drive
+from pytest_pafot.attribution.takeovers import Avoidance, avoidance, keeping_lane
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -195,6 +196,44 @@ class Declares:
 )
 def test_only_drivers_that_world_declares_take_over(world, brakes):
     assert (avoidance(crash(), "leader-unanswered", world.take_over) is not None) is brakes
+
+
+@table(
+    ("taken", "is_free"),
+    [
+        (braked(), True),
+        (braked(rate=1.0), True),  # this driver need not brake
+        (braked(lane=0), False),
+        (braked(hit=27 + 180), False),
+        (braked(ticks=60), False),  # it ends before 12 s are over
+        (crash(), False),
+        (trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=300), vehicle(90.0, 4.0, speed=10.0, ticks=300)), False),
+    ],
+)
+def test_a_careful_driver_who_keeps_the_lane_avoids_only_untouched(taken, is_free):
+    names = []
+
+    def take_over(trace, tick, name):
+        names.append((tick, name))
+        return taken
+
+    assert keeping_lane(crash(), 27, take_over) == (Avoidance(time=1.8) if is_free else None)
+    assert names == [(27, "careful-human")]
+    take_over.drivers = ("steady-braking",)
+    assert keeping_lane(crash(), 27, take_over) is None
+    assert keeping_lane(crash(outcome=Outcome.SAFE), 27, lambda *_: pytest.fail("simulated")) is None
+
+
+@table(("cell", "is_free"), [(Cell.LEFT, True), (Cell.FRONT, True), (Cell.REAR, False)])
+def test_keeping_the_lane_avoids_a_vehicle_beside_or_ahead_but_not_one_that_comes_from_behind(cell, is_free):
+    """The ego begins to move to the left at 4 s. A vehicle from behind that does not brake hits it in its lane."""
+    world = Highway(clearance=30.0 if cell is Cell.REAR else 3.0)
+    speed = 26.0 if cell is Cell.REAR else 14.0
+    scenario = Scenario(npcs=[[PositionInstruction(int(cell), speed)]], ego_speed=18.0, gene_seconds=30.0)
+    trace = world.rollout(scenario, lambda: lambda seen: Drive(lane=int(seen.time < 4.0), acceleration=0.0))
+    hit = replace(trace, outcome=Outcome.COLLISION, collision=trace.collision or collision_at(trace.ticks))
+    found = keeping_lane(hit, round(4.0 * trace.physics_hz), world.take_over)
+    assert found == (Avoidance(time=4.0) if is_free else None)
 
 
 @table("fault", [None, "entered-lane", "braked-for-nothing", "stopped-for-nothing"])

@@ -265,12 +265,12 @@ def test_mistake_is_one_of_those_of_a_lane_change(path, fault_and_mistake):
     ("avoided", "field"),
     [
         ("6.0", ""),
-        ("{time: 9.8}", ""),
+        ("{braking: 6.0}", ""),
         ("{time: -1.0, braking: 6.0}", ".time"),
         ("{time: 9.8, braking: x}", ".braking"),
     ],
 )
-def test_avoided_by_requires_a_time_and_a_braking(path, avoided, field):
+def test_avoided_by_requires_a_time_and_numbers(path, avoided, field):
     error = fault(path, swapped(DRIVERS, f"{DRIVERS}, avoided_by: {avoided}"))
     assert (error.line, error.field) == (14, f"expect.avoided_by{field}")
 

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.attribution.sentences import Fact, What, advice
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
+    advice_on,
     counted,
     deciding,
     differ,
@@ -472,8 +474,10 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     hz = run.trace.ads_hz
     due = run.attribution.facts[-1].in_full.due_s
     assert deciding(run, expecting(run)) == int(due * hz + 1e-6)
+    assert advice_on(run) == f"brake by {due:.1f} s"
     avoided = Avoidance(time=3.0, braking=6.0)
     assert deciding(run, expecting(run, avoided_by=avoided)) == round(3.0 * hz)
+    assert advice_on(replace(run, avoided_by=avoided)) == "brake by 3.0 s"
     assert vehicle_of(run, expecting(run)) == 0
     since, until = window(run, expecting(run))
     assert (since, until) == (run.attribution.time, run.event_time)
@@ -525,6 +529,29 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     run = pafot.Run(WORLD.rollout(scenario, planner(*plan)))
     assert run.attribution.fault == "entered-lane"
     assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
+    kept = Avoidance(time=moment)
+    assert advice_on(run) == advice_on(replace(run, avoided_by=kept)) == f"do not change lanes at {moment:.1f} s"
+    told = replace(expecting(run, avoided_by=kept), time=round(run.collision.time, 3)).sentences_on(run)
+    assert told[0] == run.sentences[0]
+    assert told[-2] == f"A careful driver who keeps the lane from {moment:.1f} s on avoids the collision."
+    assert [each for each in told if each.startswith("The ego drove")] == []
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.SHOULD_HAVE_BRAKED, 0, 1.0, due_s=4.0)], "brake by 4.0 s"),
+        ([Fact(What.ENTERED, 0, 3.0), Fact(What.SHOULD_HAVE_WAITED, 0, 2.0, later_s=2.5)], "do not set off at 2.5 s"),
+        ([Fact(What.ENTERED, 0, 3.0), Fact(What.DROVE, 0, 2.0)], "do not drive in at 3.0 s"),
+        ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.SPED_UP, 0, 2.0)], "do not speed up at 2.0 s"),
+        ([Fact(What.CROSSED_LINE, 1, 1.0), Fact(What.LET_BRAKES_GO, 0, 2.0)], "keep braking at 2.0 s"),
+        ([Fact(What.BRAKED_FOR_NOTHING, 0, 6.0)], "do not brake at 6.0 s"),
+        ([Fact(What.CROSSED_LINE, 1, 1.0), Fact(What.SHOULD_HAVE_BRAKED, 2, 2.0, due_s=4.0)], ""),
+        ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.DROVE, 0, 1.0)], ""),
+    ],
+)
+def test_advice_is_what_the_last_fact_on_the_ego_says(facts, words):
+    assert advice(tuple(facts)) == words
 
 
 def test_a_failed_check_has_the_last_decision_up_to_it():

@@ -129,11 +129,11 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
         pafot.check(3.0, name="jerk", unit="m/s^3", at_most=2.5)
     check, collided = failed.value.check, view_of(trace)
     view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
-    assert collided.deadline is not None
-    assert view.deadline is None
+    assert collided.deadline.startswith("brake by ")
+    assert view.deadline == ""
     assert view.sentences == ()
     assert view.besides.startswith("Also in this run: collision after ")
-    assert view.besides.endswith(", both at fault")
+    assert view.besides.endswith(f", both at fault; {collided.deadline}")
     title, words, _ = view.happened[0]
     assert title == "The collision"
     assert words.startswith("Collision after ")

@@ -462,5 +462,5 @@ def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
     monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "world": None, "policy": []}))
     replayed(saved, "slow", plugins=["pytest_pafot.extras.revisions.bisect_session"])
     assert json.loads(told.read_text())["why"] == (
-        "collision after 6.5 s at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
+        "collision after 6.5 s, closing at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
     )

@@ -69,7 +69,7 @@ def test_each_kind_arises_and_is_explained():
 
     assert only(keeps_speed, 0) == (
         "unavoidable",
-        "collision after 2.1 s at 6.1 m/s: NPC 0 on the right, NPC at fault; no reference driver avoids it",
+        "collision after 2.1 s, closing at 6.1 m/s: NPC 0 on the right, NPC at fault; no reference driver avoids it",
     )
     kind, words = only(keeps_speed, 30)
     assert (kind, words.endswith("NPC 0 ahead, ego at fault; careful-human avoids it")) == ("preventable", True)
