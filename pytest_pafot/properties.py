@@ -89,7 +89,7 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
     beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
     is_judged = (~(frame.ahead < 0) | (frame.gap_along.T <= 0)) & frame.is_on_way
-    _check_worst(run, np.where(is_judged, beyond, np.inf), name="RSS margin", at_least=0.0)
+    _check_worst(run, np.where(is_judged, beyond, np.inf), name="gap minus safe distance", at_least=0.0)
 
 
 def comfort(
@@ -142,7 +142,7 @@ def gives_way(run: Run, *, seconds: float = 1.0) -> None:
         if passage.zone.priority == "npc" and passage.ego_enters <= min(passage.npc_enters, run.duration):
             at, npc = passage.ego_enters, passage.npc
             left = run.npcs[npc].time_advantage[round(at * run.trace.physics_hz)]
-            check(left, name="gap at a zone", at_least=seconds, unit="s", at=at, npc=npc, scale=1.0)
+            check(left, name="time ahead of crossing traffic", at_least=seconds, unit="s", at=at, npc=npc, scale=1.0)
 
 
 def stays_on_road(run: Run) -> None:

@@ -314,8 +314,8 @@ def _place(fact: Fact) -> str:
         leader = capitalised(_name(fact.vehicle or fact.other))
         return f"{place}. {leader} braked at up to {fact.leader_m_per_s2:.1f} m/s^2"
     if abs(faster) < 0.05:
-        return f"{place}. Both were equally fast"
-    return f"{place}. {capitalised(whom)} was {abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}"
+        return f"{place}. Both were equally fast then"
+    return f"{place}. {capitalised(whom)} was {abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'} then"
 
 
 def _entered(fact: Fact) -> str:

@@ -91,10 +91,10 @@ They differ at a glance, even without colour.
 """
 
 WHO = {
-    "ego": "ego responsible",
-    "npc": "NPC responsible",
-    "both": "both responsible",
-    "none": "nobody responsible",
+    "ego": "ego at fault",
+    "npc": "NPC at fault",
+    "both": "both at fault",
+    "none": "nobody at fault",
     "check": "failed check",
     "error": "policy error",
 }
@@ -164,11 +164,12 @@ def finding_list(findings: Sequence[RunView]) -> str:
 
 
 def _brief(finding: RunView) -> str:
-    """Return when and what, so short that it fits under a finding's name: ``4.2 s: NPC 3 ahead, ego at fault``."""
+    """Return when and what, so short that it fits under a finding's name: ``4.2 s: NPC 3 ahead``. Its mark says who."""
     if finding.check is None and finding.event.kind not in ("collision", "ads_error", "hang"):
         return finding.headline
     time = finding.event.time if finding.check is None else finding.check.begin
-    return f"{'' if time is None else f'{time:.1f} s: '}{finding.headline.partition(': ')[2] or finding.headline}"
+    what = (finding.headline.partition(": ")[2] or finding.headline).removesuffix(f", {WHO.get(_who(finding))}")
+    return f"{'' if time is None else f'{time:.1f} s: '}{what}"
 
 
 def further_section(findings: Sequence[RunView], whole: int) -> str:

@@ -154,7 +154,7 @@ class InstructionView:
         arrived: time at which the NPC reached the cell, the lane or the zone; None if it did not.
         lane: ``keep``, ``left`` or ``right`` if the NPC drove to a lane; otherwise empty.
         zone: entry and exit of the NPC's way if it crosses the ego's way; otherwise empty.
-        slot: when a crossing NPC is to be in the zone, relative to the ego, such as ``+0.5 s`` or ``together``.
+        slot: when a crossing NPC is to be in the zone, relative to the ego, such as ``0.5 s after the ego``.
         words: the instruction for a lane or for crossing in words.
     """
 
@@ -234,8 +234,8 @@ class RunView:
     """A run, as the report page shows it, and the finding that it shows, if any.
 
     Attributes:
-        sentences: who did what, what was due or what avoids it, and who is responsible; empty without a collision, and
-            for a failed check, whose run may have had a collision besides.
+        sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it;
+            empty without a collision, and for a failed check, whose run may have had a collision besides.
         besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
         deadline: what the ego should have done by when, in a few words; empty if unknown, if it is not at fault, or of
             a failed check, of which ``besides`` has it.

@@ -271,6 +271,8 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         headline = f"ego's policy failed at {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
     found = None if finding.original is None or finding.shrunk is None else finding.original
+    if headline.endswith("at fault") and run is not None and run.event_npc is not None:
+        sentences = sentences[:-1]  # the headline says who is responsible
     view = RunView(
         headline=headline or first or expect.message or expect.failure,
         sentences=sentences,

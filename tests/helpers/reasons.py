@@ -13,7 +13,10 @@ from tests.helpers.stories import entry_of, stories_of
 
 NUMBER = r"(-?\d+\.\d\d?)"
 WHO = r"(?:the ego|The ego|NPC #)"
-PACE = rf"(?:{WHO} was {NUMBER} m/s (?:faster|slower)|Both were equally fast|NPC # braked at up to {NUMBER} m/s\^2)"
+PACE = (
+    rf"(?:{WHO} was {NUMBER} m/s (?:faster|slower) then|Both were equally fast then"
+    rf"|NPC # braked at up to {NUMBER} m/s\^2)"
+)
 PLACE = rf"(?:next to {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}\. {PACE})"
 
 

@@ -155,7 +155,7 @@ def test_list_calls_it_failed_check_and_blames_none():
 def test_a_collision_of_the_run_is_told_besides():
     view = replace(shown(peaks(t61=35.1), at_most=20), responsibility="npc")
     assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
-    assert "<li>NPC responsible for the collision</li>" in finding_article(view, 0)
+    assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)
 
 
 def test_embedded_frame_has_room_for_the_check_curve():

@@ -100,7 +100,7 @@ def test_instructions_are_in_words():
     crosses, merges, ahead = mixed().instructions
     assert (crosses.zone, crosses.slot, crosses.words) == (
         CROSSES,
-        "+0.5 s",
+        "0.5 s after the ego",
         "from the left, 0.5 s after the ego leaves",
     )
     assert (crosses.cell, crosses.requested, crosses.arrived) == (0, 0, 5.6)
@@ -176,16 +176,16 @@ in_a_browser = pytest.mark.skipif(
 @in_a_browser
 def test_the_page_draws_ways_zones_and_labels(browser, tmp_path):
     page = opened(browser, tmp_path, mixed(), 3.4)
-    assert texts(page, ".zone-label") == ["o3>o1 +0.5 s", "o2>o4 +0.5 s"]
-    assert texts(page, ".zone title") == ["zone o3>o1 of NPC 0", "zone o2>o4 of NPC 1"]
+    assert texts(page, ".zone-label") == ["0.5 s after the ego"] * 2
+    assert texts(page, ".zone title") == ["zone of NPC 0, o3>o1", "zone of NPC 1, o2>o4"]
     assert len(texts(page, "path.way")) == 2
     rows = [text for text in texts(page, ".readout tbody tr") if "NPC" in text]
-    assert "22 m before o3>o1" in rows[0]
-    assert "o3>o1 from the left, 0.5 s after the ego leaves, 10.0 m/s" in rows[0]
-    assert "in the zone o2>o4" in rows[1]
+    assert "22 m before the zone" in rows[0]
+    assert "from the left, 0.5 s after the ego leaves, 10.0 m/s" in rows[0]
+    assert "in the zone" in rows[1]
     assert "2 front" in rows[2]
     page.evaluate(f"location.hash = 'finding={mixed().id}&t=7'")
-    page.until("document.querySelector('.readout').textContent.includes('past o3>o1')")
+    page.until("document.querySelector('.readout').textContent.includes('past the zone')")
     assert "; entered at 5.6 s" in texts(page, ".readout tbody tr")[1]
     assert "2 front" in texts(page, ".readout tbody tr")[2]  # it has merged
     titles = texts(page, ".charts text.label")

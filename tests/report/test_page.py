@@ -86,7 +86,7 @@ def test_everything_in_words_is_there_without_scripts(page):
         for part in (finding.id, finding.headline, finding.yaml, finding.command, finding.node_id):
             assert part in words
     assert "Runs by responsibility" in words
-    assert any(f"{who} responsible" in words for who in ("ego", "both"))
+    assert any(f"{who} at fault" in words for who in ("ego", "both"))
 
 
 def test_page_data_have_what_the_scripts_read_and_nothing_else(page):

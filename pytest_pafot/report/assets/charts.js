@@ -109,14 +109,14 @@ class Charts {
     const height = CHART.timeline - 4;
     const box = { x: px(left + 0.5), y: px(this.y), height, rx: 3 };
     const { zone } = this.finding.vehicles[npc + 1];
-    this.parts.push(svg("rect", { ...box, width: px(wide), class: "block" }, svg("title", {}, `NPC ${npc}: ${row.zone} ${row.words}, ${fixed(row.speed, 1)} m/s`)));
+    this.parts.push(svg("rect", { ...box, width: px(wide), class: "block" }, svg("title", {}, `NPC ${npc}: ${row.words}, ${fixed(row.speed, 1)} m/s`)));
     for (const [window, name, top] of [[zone && zone.of_ego, "block-ego", 0], [zone && zone.of_npc, `${fill(npc + 1)} block-zone`, 0.5]]) {
       if (!window) continue;
       const [x0, x1] = [this.x(window[0]), this.x(Math.min(window[1] === null ? this.duration : window[1], this.duration))];
       this.parts.push(svg("rect", { x: px(x0), y: px(this.y + top * height), width: px(Math.max(2, x1 - x0)), height: px(height / 2), class: name, "pointer-events": "none" }));
     }
     this.parts.push(svg("rect", { ...box, width: px(wide), class: `block-edge ${stroke(npc + 1)}`, "pointer-events": "none" }));
-    this.blockText([`${row.zone} ${row.words}, ${fixed(row.speed, 1)}`, `${goalName(row)}, ${fixed(row.speed, 1)}`, goalName(row), row.slot], left, wide);
+    this.blockText([`${row.words}, ${fixed(row.speed, 1)} m/s`, `${row.slot}, ${fixed(row.speed, 1)} m/s`, row.slot], left, wide);
   }
 
   curve(curve) {
@@ -191,12 +191,13 @@ class Charts {
   }
 
   ends(ends, lowest) {
-    // Labels at the ends of the curves, pushed apart where they would overlap, and up again from below the chart.
+    // Labels at the ends of the curves, pushed apart where they would overlap, and up again from below the chart. A line
+    // leads from the end of each curve to its label.
     ends.sort((a, b) => a.y - b.y);
     ends.forEach((end, place) => { end.label = place ? Math.max(end.y, ends[place - 1].label + 13) : end.y; });
     ends.forEach((end, place) => { end.label = Math.min(end.label, lowest + 4 - 13 * (ends.length - 1 - place)); });
-    for (const { label, index, name } of ends) {
-      this.parts.push(svg("line", { x1: px(this.right + 4), x2: px(this.right + 16), y1: px(label), y2: px(label), class: `curve ${stroke(index)}`, "stroke-dasharray": index ? dashes(index - 1) : null }));
+    for (const { y, label, index, name } of ends) {
+      this.parts.push(svg("line", { x1: px(this.right + 4), x2: px(this.right + 17), y1: px(y), y2: px(label), class: `curve leader ${stroke(index)}` }));
       this.parts.push(svg("text", { x: px(this.right + 20), y: px(label + 4), class: "small" }, name));
     }
   }

@@ -94,4 +94,4 @@ const COLUMNS = [0, -1, 0, 1, 1, 1, 0, -1, -1];
 const isCrossed = (finding) => finding.vehicles.some((vehicle) => vehicle.zone);
 const cellName = (cell) => `${cell} ${CELL_NAMES[cell]}`;
 // The goal of an instruction: a cell, or, without one, a zone, or a lane relative to the ego's.
-const goalName = (row) => row.zone ? `${row.zone} ${row.slot}` : row.lane ? row.words : cellName(row.cell);
+const goalName = (row) => row.zone ? row.slot : row.lane ? row.words : cellName(row.cell);

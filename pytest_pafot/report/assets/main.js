@@ -71,6 +71,26 @@ function reveal(link) {
   else if (place.bottom > bottom) list.scrollTop += place.bottom - bottom;
 }
 
+// Lines above and below the list say how many findings are out of sight there, if it is longer than its place.
+const rows = document.querySelector("#list .rows");
+const ends = rows ? ["beforebegin", "afterend"].map((place) => {
+  const line = document.createElement("p");
+  line.className = "more";
+  rows.insertAdjacentElement(place, line);
+  return line;
+}) : [];
+
+function countHidden() {
+  const frame = rows.getBoundingClientRect();
+  const places = listed().map((each) => each.getBoundingClientRect());
+  const counts = [places.filter((each) => each.top < frame.top - 1).length, places.filter((each) => each.bottom > frame.bottom + 1).length];
+  ends.forEach((line, place) => {
+    line.classList.toggle("needed", rows.scrollHeight > rows.clientHeight + 1);
+    line.classList.toggle("shown", counts[place] > 0);
+    line.textContent = `${place ? "\u25be" : "\u25b4"} ${counts[place]} more ${place ? "below" : "above"}`;
+  });
+}
+
 const listed = () => [...document.querySelectorAll("#list li:not([hidden]) a[data-index]")];
 
 function step(by) {
@@ -95,6 +115,7 @@ function applyFilter() {
   document.getElementById("nothing").hidden = left.length > 0;
   document.querySelector("#list h2 .count").textContent = left.length === links.length ? `${links.length}` : `${left.length} of ${links.length}`;
   announce(`${left.length} of ${links.length} findings`);
+  countHidden();
   if (left.length && !left.includes(links[current])) { show(links.indexOf(left[0]), null); writeLink(); }
 }
 
@@ -186,3 +207,9 @@ addEventListener("hashchange", () => {
 });
 const link = readLink();
 show(link.index < 0 ? 0 : link.index, link.index < 0 ? null : link.time);
+if (rows) {
+  countHidden();
+  reveal(links[current]);  // in the place that is left beside these lines
+  rows.addEventListener("scroll", countHidden);
+  addEventListener("resize", countHidden);
+}

@@ -98,14 +98,14 @@ function targetLane(finding, npc, row) {
 function placeName(state, zone) {
   // Returns the place of an NPC: a cell or, until it has left the zone in which it meets the ego's way, its place relative to that zone.
   const [enters, leaves] = zone ? zone.stretch : [null, null];
-  if (zone && state.onWay !== null && state.onWay < enters) return `${fixed(enters - state.onWay, 0)} m before ${zone.name}`;
-  if (zone && state.onWay !== null && state.onWay <= leaves) return `in the zone ${zone.name}`;
-  if (state.cell === null) return zone ? `past ${zone.name}` : "";
+  if (zone && state.onWay !== null && state.onWay < enters) return `${fixed(enters - state.onWay, 0)} m before the zone`;
+  if (zone && state.onWay !== null && state.onWay <= leaves) return "in the zone";
+  if (state.cell === null) return zone ? "past the zone" : "";
   return state.cell ? cellName(state.cell) : "the ego's own";
 }
 
 const PHASES = {
-  crossing: (row) => `${row.zone} ${row.words}, ${fixed(row.speed, 1)} m/s` + (row.phase === "arrived" ? `; entered at ${fixed(row.arrived, 1)} s` : ""),
+  crossing: (row) => `${row.words}, ${fixed(row.speed, 1)} m/s` + (row.phase === "arrived" ? `; entered at ${fixed(row.arrived, 1)} s` : ""),
   approach: (row) => (row.lane ? `${goalName(row)} at ${fixed(row.speed, 1)} m/s` : `drives to cell ${cellName(row.cell)}, then ${fixed(row.speed, 1)} m/s`),
   arrived: (row) => row.lane === "keep" ? PHASES.approach(row) : `reached ${row.lane ? "its lane" : `cell ${cellName(row.cell)}`} at ${fixed(row.arrived, 1)} s, keeps that lane at ${fixed(row.speed, 1)} m/s`,
   ended: () => "keeps its lane and speed, its instructions are over",
@@ -210,7 +210,7 @@ class Scene {
     // The way of each NPC that crosses, and the part of it that is in the ego's way.
     const line = (points) => linePath(points.map(([x, y]) => [x * this.scale, y * this.scale]));
     return this.finding.vehicles.flatMap(({ name, zone }, index) => (zone ? [
-      svg("path", { class: `zone ${stroke(index)}`, "stroke-width": px(zone.width * this.scale), d: line(zone.area) }, svg("title", {}, `zone ${zone.name} of ${name}`)),
+      svg("path", { class: `zone ${stroke(index)}`, "stroke-width": px(zone.width * this.scale), d: line(zone.area) }, svg("title", {}, `zone of ${name}, ${zone.name}`)),
       svg("path", { class: `way ${stroke(index)}`, d: line(zone.way) }),
     ] : []));
   }
@@ -237,8 +237,8 @@ class Scene {
     const body = svg("g", {}, [...parts, brake]);
     const label = svg("text", { class: `vehicle-label ${index ? "npc-label" : "ego-label"}` }, index ? `${index - 1}` : "E");
     const row = vehicle.zone ? this.finding.instructions.find((each) => each.npc === index - 1) : null;
-    const title = row ? `${vehicle.name}, ${row.zone} ${row.words}` : vehicle.name;
-    const slot = row ? [svg("text", { class: "zone-label halo", y: px(-length / 2 - 6) }, `${row.zone} ${row.slot}`)] : [];
+    const title = row ? `${vehicle.name}, ${row.words}` : vehicle.name;
+    const slot = row ? [svg("text", { class: "zone-label halo", y: px(-length / 2 - 6) }, row.slot)] : [];
     const group = svg("g", { "data-vehicle": vehicle.name }, [svg("title", {}, title), body, label, ...slot]);
     return { group, body, brake };
   }
@@ -278,7 +278,7 @@ class Scene {
     const offset = px((this.egoAlong * this.scale - this.middle) % (12 * this.scale));
     for (const dash of this.dashes) dash.setAttribute("stroke-dashoffset", offset);
     const wanted = this.drawTargets(states, time, frame);
-    this.drawCells(states, wanted, frame);
+    this.drawCells(states, wanted, frame, time);
     this.taken = [];
     this.texts = [];
     this.drawNames(states);
@@ -323,16 +323,19 @@ class Scene {
     });
   }
 
-  drawCells(states, wanted, frame) {
+  drawCells(states, wanted, frame, time) {
     const ego = states[0];
     this.numbers = [];
     const boxes = this.boxes(states);
     const isFree = ([x, y]) => boxes.every(([bx, by, wide, high]) => Math.abs(bx - x) > wide + 6 || Math.abs(by - y) > high + 6);
     const [length, width] = [ego.length * this.scale, this.finding.road.lane_width * this.scale - 6];
+    // At the contact only the cells that NPCs still drive to are of interest, and there is little room.
+    const isOver = this.finding.event.kind === "collision" && time >= this.finding.event.time - 1e-6;
     this.cells.forEach(([box, number], index) => {
       const cell = index + 1;
       const centre = cellCentre(this.finding, ego, cell, frame);
-      const visibility = centre.exists ? "visible" : "hidden";
+      const isDrawn = centre.exists && (!isOver || wanted.has(cell));
+      const visibility = isDrawn ? "visible" : "hidden";
       const [x, y] = [this.x(centre.along), this.y(centre.across)];
       change(box, { x: px(x - length / 2), y: px(y - width / 2), width: px(length), height: px(width), visibility });
       box.setAttribute("transform", turned(centre.heading, x, y));
@@ -344,7 +347,7 @@ class Scene {
       const [dx, dy, ...place] = free ?? placed[0];
       change(number, { x: px(x + dx), y: px(y + dy), visibility: free ? visibility : "hidden", class: `cell-number${wanted.has(cell) ? " wanted" : ""}` });
       number.textContent = cell;
-      if (centre.exists && free) this.numbers.push([...place, number]);
+      if (isDrawn && free) this.numbers.push([...place, number]);
     });
   }
 
@@ -428,7 +431,7 @@ class Scene {
     const away = Math.abs(state.along - this.egoAlong);
     const beside = Math.hypot(away, state.across - this.egoAcross);
     const where = this.isWorld ? `${beside.toFixed(0)} m away` : `${away.toFixed(0)} m ${isLeft ? "behind" : "ahead"}`;
-    label.textContent = `NPC ${index - 1}, ${where}`;
+    label.textContent = `NPC ${index - 1}, ${this.width < 600 ? where.replace(/ [a-z]+$/, "") : where}`;  // the arrow says where
     const half = 3.7 * label.textContent.length;
     change(plate, { x: px(Math.min(edge, edge + inward * (18 + 2 * half))), y: px(y - 8), width: px(18 + 2 * half) });  // keeps lines out of the text
     this.texts.push([edge + inward * (14 + half), y, half + 14, 9]);
