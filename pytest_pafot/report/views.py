@@ -263,7 +263,8 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     besides, collision = "", ""
     deadline = "" if run is None else _deadline(run, action_names(finding.world))
     if check is not None and run is not None:
-        headline = headline.replace(str(check), _check_in_short(check, run.trace))
+        written, check = str(check), _with_curve(check, run.trace)
+        headline = headline.replace(written, _check_in_short(check, run.trace))
         if sentences:  # they are on the collision, and would read as the check's
             besides = "; ".join(filter(None, [f"Also in this run: {collision_in_short(run)}", deadline]))
             collision, sentences = _prose([first, *sentences]), ()
@@ -323,6 +324,16 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
         traffic=run.scenario.traffic.described,
     )
     return _with_run(view, trace, clearance, None)
+
+
+def _with_curve(check: Check, trace: Trace) -> Check:
+    """Return a check of the least gap or time to contact of a whole run with that of each tick, which has a time."""
+    measure = {"s": ttc, "m": gap}.get(check.unit)
+    if measure is None or check.time is not None:
+        return check
+    values = np.fmin.reduce(measure(trace), axis=1, initial=np.inf)
+    is_it = values.min() == check.value
+    return replace(check, values=values, time=float(values.argmin()) / trace.physics_hz) if is_it else check
 
 
 def _check_in_short(check: Check, trace: Trace) -> str:

@@ -144,6 +144,23 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     assert "for the collision" not in article
 
 
+@pytest.mark.parametrize(("name", "unit"), [("min_ttc", "s"), ("min_distance", "m")])
+def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it_fails(name, unit):
+    trace = cut_in_trace()
+    run, bound = Run(trace), 1.5
+    with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
+        pafot.check(getattr(run, name), name="room", unit=unit, at_least=bound)
+    check = failed.value.check
+    view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
+    least = np.nanmin([npc.ttc if name == "min_ttc" else npc.gap for npc in run.npcs], axis=0)
+    begin = np.flatnonzero(least < bound)[0] / 15
+    assert view.headline.startswith(f"ego fails the check from {begin:.1f} s: room ")
+    assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
+    assert len(view.check.values) == len(view.times)
+    other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.25))
+    assert (other.check.values, other.check.time) == ((), None)
+
+
 def test_list_calls_it_failed_check_and_blames_none():
     view = shown(peaks(t61=35.1), at_most=20)
     listed = finding_list([view, as_seen(view, finding={"id": "other"})])

@@ -184,6 +184,17 @@ def test_the_selected_row_is_in_sight_below_the_filter(browser, tmp_path, width)
         )
         assert 0 < filter_bottom <= top < bottom <= window
         assert page.evaluate("scrollY") == 0
+        # What is out of sight is counted above and below the list.
+        told = page.evaluate(ALL.format(selector=".more.shown", what="each.textContent"))
+        assert [each.split(" more ")[1] for each in told] == {0: ["below"], 40: ["above", "below"], 59: ["above"]}[
+            chosen
+        ]
+        seen = page.evaluate(
+            "(() => { const frame = document.querySelector('.rows').getBoundingClientRect();"
+            " return [...document.querySelectorAll('#list a')].map(each => each.getBoundingClientRect())"
+            ".filter(each => each.top >= frame.top - 1 && each.bottom <= frame.bottom + 1).length; })()"
+        )
+        assert sum(int(each.split()[1]) for each in told) == 60 - seen
         marked = ALL.format(selector="#list a", what="getComputedStyle(each).borderLeftColor")
         page.press("k")
         colours = page.evaluate(marked)

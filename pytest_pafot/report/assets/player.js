@@ -104,7 +104,7 @@ class Player {
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
       (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
-      (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's; o2>o0 is the way from entry o2 to exit o0, +0.5 s is after the ego leaves, -0.5 s before it enters. " : "") +
+      (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's; the text at an NPC says when it is to be there. " : "") +
       (this.finding.plans.length ? "Thin line ahead of the ego: its plan at that time. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
