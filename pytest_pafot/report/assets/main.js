@@ -62,13 +62,13 @@ function show(index, time) {
 
 function reveal(link) {
   // Scroll only inside the list, so that the page itself stays where the reader is.
-  const list = document.querySelector("#list .rows");
   const place = link.getBoundingClientRect();
-  const frame = list.getBoundingClientRect();
+  const frame = rows.getBoundingClientRect();
   const heading = link.closest(".rows > .group")?.firstChild.offsetHeight ?? 0;
   const bottom = Math.max(Math.min(frame.bottom, innerHeight), frame.top + heading + place.height);
-  if (place.top < frame.top + heading) list.scrollTop -= frame.top + heading - place.top;  // the heading stays on top
-  else if (place.bottom > bottom) list.scrollTop += place.bottom - bottom;
+  if (place.top < frame.top + heading) rows.scrollTop -= frame.top + heading - place.top;  // the heading stays on top
+  else if (place.bottom > bottom) rows.scrollTop += place.bottom - bottom;
+  countHidden();
 }
 
 // Lines above and below the list say how many findings are out of sight there, if it is longer than its place.
@@ -208,8 +208,7 @@ addEventListener("hashchange", () => {
 const link = readLink();
 show(link.index < 0 ? 0 : link.index, link.index < 0 ? null : link.time);
 if (rows) {
-  countHidden();
-  reveal(links[current]);  // in the place that is left beside these lines
+  reveal(links[current]);  // again, in the place that is left beside these lines
   rows.addEventListener("scroll", countHidden);
   addEventListener("resize", countHidden);
 }
