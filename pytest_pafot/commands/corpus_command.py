@@ -196,8 +196,7 @@ def _list(files: Sequence[Path], arguments: argparse.Namespace) -> int:
     if arguments.json:
         sys.stdout.write(quiet_json(json.dumps([row.data for row in chosen], indent=2)) + "\n")
     else:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-        sys.stdout.write(text_of_table(chosen, width))
+        sys.stdout.write(text_of_table(chosen, shutil.get_terminal_size().columns))
     return int(any(each.finding is None for each in saved))
 
 

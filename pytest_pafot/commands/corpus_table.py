@@ -29,7 +29,7 @@ GAP = "  "
 """The space between two columns of text."""
 
 BELOW = ("what", "test", "since", "requirement", "owner", "who", "breadth", "state", "severity")
-"""The columns that move to a line of their own below a row that is too wide, in this order."""
+"""The columns that move to a line of their own below a row that is too wide. Those at the end stay if they fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,26 +226,27 @@ def holds(row: Row, conditions: Iterable[tuple[str, str]]) -> bool:
 # Writing.
 
 
-def text_of_table(rows: Sequence[Row], width: int | None) -> str:
-    """Return rows as a text, wrapped to a width if there is one."""
+def text_of_table(rows: Sequence[Row], width: int) -> str:
+    """Return rows as a text, wrapped to a width. A column that is empty in all rows is left out."""
     cells = [[row.cells[column] for column in COLUMNS] for row in rows]
     return "".join(f"{line}\n" for line in _lines(cells, width)) if rows else "no saved scenarios\n"
 
 
-def _lines(rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
+def _lines(rows: Sequence[Sequence[str]], width: int) -> Iterator[str]:
     """Yield the lines of a table: one for each row, and if that is too wide, the rest of the row below it."""
     texts = {name: list(map(ascii_text, cells)) for name, *cells in zip(COLUMNS, *rows, strict=True)}
-    widths = {name: max(map(len, (name, *cells))) for name, cells in texts.items()}
+    widths = {name: max(map(len, (name, *cells))) for name, cells in texts.items() if any(cells)}
     below: list[str] = []
-    if width is not None:  # a program that reads the text finds all columns
-        widths = {name: room for name, room in widths.items() if any(texts[name])}
-    order = [name for name in BELOW if name in widths]
-    while width is not None and order and sum(widths.values()) + len(GAP) * (len(widths) - 1) > width:
-        below.append(order.pop(0))
-        del widths[below[-1]]
+    left = width - widths["id"]
+    for name in (each for each in reversed(BELOW) if each in widths):
+        if widths[name] + len(GAP) <= left:
+            left -= widths[name] + len(GAP)
+        else:
+            below.insert(0, name)
+            del widths[name]
     for number in range(-1, len(rows)):
         cells = {name: name if number < 0 else texts[name][number] for name in COLUMNS}
         yield GAP.join(f"{cells[name]:{room}}" for name, room in widths.items()).rstrip()
         rest = [cells[name] if name in ("what", "test") else f"{name} {cells[name]}" for name in below if cells[name]]
-        if rest and number >= 0 and width is not None:
+        if rest and number >= 0:
             yield from wrapped_to(f"    {'; '.join(rest)}", width, phrases=True)

@@ -33,8 +33,6 @@ from pytest_pafot.support.text import (
 )
 from pytest_pafot.support.traced import Traced
 
-WIDTH = 100  # the width of the text if it does not go to a terminal [characters]
-
 HEADS = ("id", "requirement", "requirement id")
 """The names of the first column by which a list of requirements shows that its first line has none."""
 
@@ -572,7 +570,7 @@ def _course_cells(requirement: Requirement) -> Iterator[list[object]]:
 
 def text_lines(table: Table, *, course: bool) -> Iterator[str]:
     """Yield the lines of the table for people: a block for each requirement, the worst first."""
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDTH
+    width = shutil.get_terminal_size().columns
     states = [each.state for each in table.requirements]
     counts = [f"{states.count(state)} {state}" for state in dict.fromkeys(states)]
     yield f"{plural(len(states), 'requirement')}{': ' if counts else ''}{', '.join(counts)}"

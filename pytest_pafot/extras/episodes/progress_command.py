@@ -8,6 +8,7 @@ import io
 import json
 import math
 import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -55,7 +56,7 @@ from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionE
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
 from pytest_pafot.support.references import PLANNER, REVISION, described
-from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible
+from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible, wrapped_to
 from pytest_pafot.support.versions import installed_versions
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
@@ -201,8 +202,8 @@ def sentence_of(old: str, new: str, lines: Sequence[ComparedLine]) -> str:
     return f"{new} is {verdict_of(lines)} than {old}: {'; '.join(claims)}{others}"
 
 
-def text_of(old: str, new: str, rows: Sequence[PairRow]) -> str:
-    """Return the sentence on two policies, the table and the notes, as Markdown."""
+def text_of(old: str, new: str, rows: Sequence[PairRow], width: int | None = None) -> str:
+    """Return the sentence on two policies, the table and the notes, as Markdown; with a width, as lines for people."""
     lines = lines_of(rows)
     head = ["", "old", "new", "new better in", "new worse in", "of", "new - old, 95 %", "p, Holm", ""]
     table = [
@@ -227,7 +228,17 @@ def text_of(old: str, new: str, rows: Sequence[PairRow]) -> str:
     if errors:
         notes += [f"- errors in {plural(len(errors), 'episode')} count as crashes; seed {errors[0].name}: "]
         notes[-1] += ascii_text(errors[0].told)
-    return "\n\n".join([f"{sentence_of(old, new, lines)}.", markdown_table(head, table), "\n".join(notes)]) + "\n"
+    sentence = f"{sentence_of(old, new, lines)}."
+    if width is None:
+        return "\n\n".join([sentence, markdown_table(head, table), "\n".join(notes)]) + "\n"
+    differences = [
+        f"{what}: old {before}, new {after}; new better in {better}, worse in {worse} of {count}; "
+        f"new - old {interval} (95 %); p {p} (Holm); {verdict}"
+        for what, before, after, better, worse, count, interval, p, verdict in table
+    ]
+    parts = [[sentence], differences, notes]
+    wrapped = ([part for text in texts for part in wrapped_to(text, width, phrases=True)] for texts in parts)
+    return "\n\n".join(map("\n".join, wrapped)) + "\n"
 
 
 EPISODES = 300
@@ -564,12 +575,14 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
                 rows = [PairRow.of_data(json.loads(each["row"])) for each in csv.DictReader(table)]
         old = plan.old if plan.revision is None else plan.revision.label
         lines = lines_of(rows)
-        verdict, sentence, shown = verdict_of(lines), same_as, f"{same_as}\n"
+        verdict, sentence = verdict_of(lines), same_as
+        printed = page = f"{same_as}\n"
         if not same_as:
             sentence = sentence_of(old, plan.new, lines)
-            shown = f"{text_of(old, plan.new, rows)}{_hint(plan, rows, given.copy)}"
-        shown += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
-        sys.stdout.write(shown)
+            printed, page = (text_of(old, plan.new, rows, each) for each in (shutil.get_terminal_size().columns, None))
+        more = "" if same_as else _hint(plan, rows, given.copy)
+        more += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
+        sys.stdout.write(printed + more)
         if given.json is not None:
             data = {
                 **same,
@@ -585,7 +598,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
             write_whole(given.json, json.dumps(data, indent=1) + "\n")
         if given.report is not None:
             title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
-            write_whole(given.report, f"{title}\n\n{shown}{HOW_TO_READ}")
+            write_whole(given.report, f"{title}\n\n{page}{more}{HOW_TO_READ}")
     except OSError as error:
         if isinstance(error, ChildProcessError):
             raise

@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -31,7 +32,7 @@ from pytest_pafot.extras.resumable import AGAIN, printing_elsewhere, run_job, wo
 from pytest_pafot.support.errors import RequestError, command
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
-from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json
+from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json, wrapped_to
 from pytest_pafot.support.versions import installed_versions, versions_text
 
 HOW_TO_READ = """
@@ -258,7 +259,7 @@ def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, 
 
 
 def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
-    lines = []
+    lines: list[str] = []
     for rate in rates:
         hint = Policy(factory_of(rate.ads)[0]).loading_hint
         notes = [*rate.notes, *filter(None, [hint])]
@@ -271,6 +272,8 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
     if len(pairs) > 1:
         worst = sorted((rate for rate in rates if rate.episodes), key=lambda rate: -rate.share)
         lines.append(f"the worst first: {', '.join(f'{rate.ads} {percent(rate.share)}' for rate in worst)}")
+    width = shutil.get_terminal_size().columns
+    lines = [part for line in lines for part in wrapped_to(line, width, phrases=True)]
     crashed = next((rate for rate in rates if rate.crashed), None)
     if crashed is not None:
         config = [] if arguments.config is None else ["--config", arguments.config]

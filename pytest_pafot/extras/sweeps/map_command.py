@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Print the map, and write its files. Return the exit code."""
     if arguments.what is None:
-        sys.stdout.write(catalogue_text(ENTRIES))
+        sys.stdout.write(catalogue_text(ENTRIES, shutil.get_terminal_size().columns))
         return 0
     if not arguments.over and arguments.ads is None and not arguments.what.endswith(SUFFIX):
-        sys.stdout.write(catalogue_text(chosen((arguments.what,))))
+        sys.stdout.write(catalogue_text(chosen((arguments.what,)), shutil.get_terminal_size().columns))
         return 0
     if arguments.ads is None or not arguments.over:
         raise RequestError(
@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     )
     if is_watched:
         sys.stderr.write("\r\033[K")
-    width = min(shutil.get_terminal_size().columns, WIDTH) if sys.stdout.isatty() else WIDTH
+    width = shutil.get_terminal_size().columns
     try:
         for path, content in outputs.items():  # before a closed output can end the command
             _written(path, partial(write_whole, content=content(made)))
@@ -167,13 +167,13 @@ def _kept(path: str | None, saved: str) -> str:
     return "nothing was written, because there is a file already" if path is not None else "nothing was written"
 
 
-def catalogue_text(entries: Sequence[Entry]) -> str:
-    """Return entries with their sources and parameters, as the command prints them."""
+def catalogue_text(entries: Sequence[Entry], width: int = WIDTH) -> str:
+    """Return entries with their sources and parameters, as the command prints them, wrapped to a width."""
     lines = []
     for entry in entries:
-        lines += [entry.name, f"  {entry.about}", *wrapped_to(f"  after {entry.source}", WIDTH)]
+        lines += [entry.name, *wrapped_to(f"  {entry.about}", width), *wrapped_to(f"  after {entry.source}", width)]
         for name, each in entry.parameters.items():
             number = f"{short(each.default)} {each.unit}".rstrip()
-            lines.append(f"    {name:<15} {number:<12} {each.span:<18} {each.about}")
+            lines += wrapped_to(f"    {name:<15} {number:<12} {each.span:<18} {each.about}", width)
         lines.append("")
     return "\n".join(lines)

@@ -52,7 +52,7 @@ MEANINGS: dict[Kind, str] = {
 UNDRIVABLE = "cannot be driven: "
 """The beginning of the words on a point for which the world has no such scenario."""
 WIDTH = 100
-"""The width of a map in a terminal, unless it is narrower [columns]."""
+"""The width of a map, unless it goes to a terminal [columns]."""
 TOLD: tuple[Kind, ...] = ("avoided", "preventable", "ADS error")
 """The kinds of points that say something about the policy."""
 MOST_BYTES = 10_000_000
@@ -305,8 +305,10 @@ class Sweep:
         for row, name in reversed([*enumerate(heads)]):  # as in a picture, larger values are above
             points = [self.point(row, column) if rows else self.point(column) for column in range(len(labels))]
             lines.append(f"{name.rjust(head)} {''.join(point.mark.rjust(cell) for point in points)}")
-        legend = "  ".join(f"{MARKS[kind]} {meaning}" for kind, meaning in self.legend.items())
-        told = [part for note in (legend, *self.notes) for part in wrapped_to(note, width)]
+        kinds = [f"{MARKS[kind]} {meaning}" for kind, meaning in self.legend.items()]
+        legend = ["  ".join(kinds)]
+        notes = [*(legend if len(legend[0]) <= width else kinds), *self.notes]
+        told = [part for note in notes for part in wrapped_to(note, width)]
         return "\n".join(ascii_text(line).rstrip() for line in [*lines, "", *told])
 
     def __repr__(self) -> str:

@@ -144,6 +144,9 @@ def test_text_names_introduced_worsened_and_new_failures():
     ]
     text = text_of("before:make", "now:make", [*BETTER, *known])
     assert text.startswith("now:make is better than before:make: ")
+    lines = text_of("before:make", "now:make", [*BETTER, *known], 60).splitlines()
+    assert max(map(len, lines)) <= 60
+    assert lines[lines.index("") + 1].startswith("failures of its own: old 54, new 31; new better in 31,")
     assert "| failures of its own | 54 | 31 | 31 | 8 | 200 | -20.6 to -1.9 points | 0.00059 | better |\n" in text
     assert text.endswith(
         "- 3 saved scenarios: 2 common (both fail), 1 introduced (only the new fails)\n"

@@ -21,6 +21,12 @@ SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "durat
 ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
 
 
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch):
+    """Let lines be long, so that tests can compare them."""
+    monkeypatch.setenv("COLUMNS", "999")
+
+
 def rate(*arguments):
     return main(["rate", *SHORT, *arguments])
 
@@ -259,6 +265,11 @@ def test_several_policies_are_compared_with_the_first_and_the_worst_is_first(tmp
     rows = [line.split(" | ")[0] for line in (tmp_path / "report.md").read_text().splitlines() if line.startswith("| ")]
     assert rows[-3:] == ["| constant_speed", "| constant_speed@planner", "| idm_mobil"]
     assert "numpy==" in (tmp_path / "versions.txt").read_text()
+    monkeypatch.setenv("COLUMNS", "60")
+    assert rate(*names, "--episodes", "10") == 0
+    *narrow, last = capsys.readouterr().out.splitlines()
+    assert max(map(len, narrow)) <= 60
+    assert last.startswith("see a crash: ")  # a command is whole, to be copied
     assert rate(*names, "--against", "constant_speed") == 2
     assert "expected a different policy than --ads, received 'constant_speed' again" in capsys.readouterr().err
 

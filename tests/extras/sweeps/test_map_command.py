@@ -47,6 +47,12 @@ number = 3
 """
 
 
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch):
+    """Let lines be long, so that tests can compare them."""
+    monkeypatch.setenv("COLUMNS", "999")
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     (tmp_path / "policies.py").write_text(POLICIES)
@@ -75,7 +81,8 @@ CUT_IN = ("r157/cut-in", "--ads", "policies:keeps_speed")
 OVER = ("--over", "gap=0:60:3")
 
 
-def test_without_arguments_the_catalogue_is_listed(told):
+def test_without_arguments_the_catalogue_is_listed(told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "130")
     code, out, _ = told()
     assert code == 0
     assert [line for line in out.splitlines() if line in NAMES] == [*NAMES]
