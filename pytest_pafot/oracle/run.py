@@ -373,8 +373,10 @@ class Run(Shown):
     @cached_property
     def attribution(self) -> Attribution:
         """The cause of the collision: who, the time of what decides, and why."""
-        found = self._attributed
-        return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
+        found, avoided = self._attributed, self.avoided_by
+        if avoided is None or avoided.braking is None:  # the time to keep the lane is no time to brake
+            return found
+        return replace(found, facts=due_by(found.facts, avoided.time))
 
     @cached_property
     def _attributed(self) -> Attribution:

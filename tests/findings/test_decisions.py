@@ -478,6 +478,8 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     avoided = Avoidance(time=3.0, braking=6.0)
     assert deciding(run, expecting(run, avoided_by=avoided)) == round(3.0 * hz)
     assert advice_on(replace(run, avoided_by=avoided)) == "brake by 3.0 s"
+    kept = replace(run, avoided_by=Avoidance(time=3.0))  # keeping the lane from then on says nothing of braking
+    assert (kept.sentences, advice_on(kept)) == (run.sentences, advice_on(run))
     assert vehicle_of(run, expecting(run)) == 0
     since, until = window(run, expecting(run))
     assert (since, until) == (run.attribution.time, run.event_time)
