@@ -230,6 +230,12 @@ def advice(reason: Reason) -> str:
     return next((_filled(ADVICE[fact.what], fact) for fact in facts if fact.what in ADVICE), "")
 
 
+AT_FAULT: Mapping[str, str] = MappingProxyType(
+    {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "nobody at fault"}
+)
+"""Who is responsible for a collision, in the words of headlines and of the report page."""
+
+
 def responsible_sentence(responsibility: str, npc: int | None) -> str:
     """Return the sentence that says who is responsible for a collision with an NPC, or with a fixed object (None)."""
     if npc is None:
