@@ -39,7 +39,9 @@ class What(Enum):
     ENTERED = "{entered}"
     NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
     TOUCHED_ELSEWHERE = "{who} touched {whom} at {at}, outside the zone where their ways meet."
-    AS_RECORDED = "{who} drove as recorded, the ego within {it.gap_m:.1f} m of it: the recording itself comes so close."
+    AS_RECORDED = (
+        "{who} drove as recorded, the ego within {it.gap_m:.1f} m of the recorded ego: the recording comes so close."
+    )
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     IGNORED = "{who} {braked}. By the rules, 6 m/s^2 from {due} on avoids it."
     HARDLY_BRAKED = "{who} {braked}."

@@ -160,8 +160,8 @@ class Run(Shown):
         decision_limit: longest allowed decision of the ADS [s], or None for no limit.
         world: world of the run if it has reference drivers, else None.
         take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
-        avoided_by: last decision from which braking avoids the collision in simulation, which a search finds out for
-            its findings. The sentences then require no braking that would come later.
+        avoided_by: last decision from which braking, or staying in the lane, avoids the collision in simulation, which
+            a search finds out for its findings. The sentences require no braking later than a braking that avoids it.
         driver: name of the reference driver that drives the ego; None if the ADS does.
         facts: what the process that made the run has computed of its trace, or None if it has computed nothing.
     """
