@@ -171,7 +171,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from the ego's to the right), `ego_speed` and "
     "`npc_speed` [m/s] (of a leader, its lowest from then on). Where ways meet, the times to the zone `npc_enters` and "
     "`ego_enters` [s] replace `ahead` and `lane`.",
-    "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, and its `time` [s].",
+    "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, or without `braking` "
+    "staying in the lane, and its `time` [s].",
     "expect.mistake": "[What the ego did wrong](../explanation/findings.md#what-makes-two-failures-the-same), for "
     "`entered-lane`.",
     "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: those without which "

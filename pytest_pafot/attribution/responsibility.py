@@ -341,8 +341,9 @@ class ZoneConflict:
 
 
 Responsibility = Literal["ego", "npc", "both", "none"]
-"""The vehicles that are responsible for a collision. ``none`` without a collision, if the ways of the vehicles met and
-neither could have foreseen the other in time, or instead of an NPC that drove as recorded, as the ego did."""
+"""The vehicles that are responsible for a collision. It is ``none`` without a collision, if the ways of the vehicles
+met and neither could have foreseen the other in time, or if the rules blame only an NPC that drove as recorded, and the
+ego was near the recorded ego."""
 
 Fault = Literal[
     "entered-lane",
@@ -487,9 +488,9 @@ def rss_rule(trace: Trace) -> Attribution:
     ego is responsible, too, if a careful driver would have avoided a cut-in by braking. Without a lane change, the
     follower is responsible if braking with 6 m/s^2 after 1 s would have avoided the collision. An ego ahead is
     responsible only for braking hard, or stopping, with nothing in its way. If the NPC's way meets the ego's, right of
-    way is decided first. The ego is always responsible for touching a fixed object. Nobody is responsible instead of an
-    NPC that drove as recorded, if the ego was within 0.9 m of the recorded ego. The rules, their numbers and
-    their sources are in docs/explanation/verdicts.md.
+    way is decided first. The ego is always responsible for touching a fixed object. If these rules blame only an NPC
+    that drove as recorded, and the ego was within 0.9 m of the recorded ego, nobody is responsible. The rules, their
+    numbers and their sources are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
     arXiv:1708.06374 (distances, danger, blame, proper response); UN Regulations No. 79 (lane changes) and No. 157

@@ -39,7 +39,9 @@ class What(Enum):
     ENTERED = "{entered}"
     NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
     TOUCHED_ELSEWHERE = "{who} touched {whom} at {at}, outside the zone where their ways meet."
-    AS_RECORDED = "{who} drove as recorded, the ego within {it.gap_m:.1f} m of it: the recording itself comes so close."
+    AS_RECORDED = (
+        "{who} drove as recorded, the ego within {it.gap_m:.1f} m of the recorded ego: the recording comes so close."
+    )
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     IGNORED = "{who} {braked}. By the rules, 6 m/s^2 from {due} on avoids it."
     HARDLY_BRAKED = "{who} {braked}."
@@ -228,6 +230,12 @@ def advice(reason: Reason) -> str:
     """
     facts = [fact.in_full for fact in reversed(reason) if not fact.vehicle]
     return next((_filled(ADVICE[fact.what], fact) for fact in facts if fact.what in ADVICE), "")
+
+
+AT_FAULT: Mapping[str, str] = MappingProxyType(
+    {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "nobody at fault"}
+)
+"""Who is responsible for a collision, in the words of headlines and of the report page."""
 
 
 def responsible_sentence(responsibility: str, npc: int | None) -> str:

@@ -47,7 +47,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
-from pytest_pafot.findings.finding import Manner, of_failure
+from pytest_pafot.findings.finding import Expect, Manner, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
@@ -746,8 +746,7 @@ class SearchSession:
         # They may begin slower, and speed up.
         runs = [each.run.ego.speed for each in sightings if each.run is not None]
         was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
-        is_avoided = any(each.avoided_by or "avoids" in (each.reference_drivers or {}).values() for each in expected)
-        if speed <= 0 or was_slower or not is_avoided or self.harness.policy.drives_itself:
+        if speed <= 0 or was_slower or self.harness.policy.drives_itself or not any(map(_brakes_free, expected)):
             return ""
         return (
             f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
@@ -844,3 +843,10 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
         return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
     return harness
+
+
+def _brakes_free(expect: Expect) -> bool:
+    """Return whether a collision is avoided by braking, as far as is known; staying in the lane is no braking."""
+    if expect.avoided_by is not None:
+        return expect.avoided_by.braking is not None
+    return "avoids" in (expect.reference_drivers or {}).values()

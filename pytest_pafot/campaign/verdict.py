@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
+from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure, Signature
@@ -244,9 +245,9 @@ def collision_in_short(run: Run) -> str:
         place = f" on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else f" {place}"
     else:
         place = "" if zone is None else f" {zone.whence}"
-    who = {"ego": "ego", "npc": "NPC", "both": "both"}.get(run.responsibility or "", "neither")
     what = "a fixed object" if hit.npc is None else f"NPC {hit.npc}"
-    return f"collision after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s: {what}{place}, {who} at fault"
+    who = AT_FAULT[run.attribution.responsibility]
+    return f"collision after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s: {what}{place}, {who}"
 
 
 FAILING = ("failed", "unpreventable", "common")

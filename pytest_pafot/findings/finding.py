@@ -18,7 +18,7 @@ import numpy as np
 
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
-from pytest_pafot.attribution.sentences import ANSWERS, sentences
+from pytest_pafot.attribution.sentences import ANSWERS, AT_FAULT, sentences
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality.asked import Departure, departures
 from pytest_pafot.findings.failure_rate import FailureRate
@@ -203,7 +203,7 @@ class Expect:
         place = "" if self.zone is None else f" {self.zone}"
         place = place if self.cell is None else f" in cell {int(self.cell)} ({self.cell.label})"
         side = "" if self.side is None or is_brief else f" against the ego's {self.side}"
-        who = {"ego": ", ego at fault", "npc": ", NPC at fault", "both": ", both at fault"}.get(self.responsibility, "")
+        who = "" if self.responsibility == "none" else f", {AT_FAULT[self.responsibility]}"
         return f"{self.outcome} after {self.time:.1f} s{npc}{place}{side}{'' if is_brief else who}"
 
     def known_of(self, run: Run) -> Run:

@@ -160,8 +160,8 @@ class Run(Shown):
         decision_limit: longest allowed decision of the ADS [s], or None for no limit.
         world: world of the run if it has reference drivers, else None.
         take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
-        avoided_by: last decision from which braking avoids the collision in simulation, which a search finds out for
-            its findings. The sentences then require no braking that would come later.
+        avoided_by: last decision from which braking, or staying in the lane, avoids the collision in simulation, which
+            a search finds out for its findings. The sentences require no braking later than a braking that avoids it.
         driver: name of the reference driver that drives the ego; None if the ADS does.
         facts: what the process that made the run has computed of its trace, or None if it has computed nothing.
     """
@@ -373,8 +373,10 @@ class Run(Shown):
     @cached_property
     def attribution(self) -> Attribution:
         """The cause of the collision: who, the time of what decides, and why."""
-        found = self._attributed
-        return found if self.avoided_by is None else replace(found, facts=due_by(found.facts, self.avoided_by.time))
+        found, avoided = self._attributed, self.avoided_by
+        if avoided is None or avoided.braking is None:  # the time to keep the lane is no time to brake
+            return found
+        return replace(found, facts=due_by(found.facts, avoided.time))
 
     @cached_property
     def _attributed(self) -> Attribution:

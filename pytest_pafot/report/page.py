@@ -22,6 +22,7 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
+from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
@@ -90,14 +91,7 @@ SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013",
 They differ at a glance, even without colour.
 """
 
-WHO = {
-    "ego": "ego at fault",
-    "npc": "NPC at fault",
-    "both": "both at fault",
-    "none": "nobody at fault",
-    "check": "failed check",
-    "error": "policy error",
-}
+WHO = {**AT_FAULT, "check": "failed check", "error": "policy error"}
 
 
 def finding_keys(findings: Iterable[RunView]) -> tuple[str, ...]:

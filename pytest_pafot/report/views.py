@@ -380,9 +380,10 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
 
 def _deadline(run: Run, names: Sequence[str]) -> str:
     """Return what the ego should have done by when, with the action that began a change of lanes if it has a name."""
-    words, number = advice_on(run), moved_over(run)
-    action = None if number is None else run.trace.actions[number]
-    name = "" if action is None or not names else _decided(action, names)
+    words, number, actions = advice_on(run), moved_over(run), run.trace.actions
+    if not names or number is None or number >= len(actions):  # a vehicle class as the ADS has no actions
+        return words
+    name = _decided(actions[number], names)
     return f"{words} ({name})" if words and name in names else words
 
 

@@ -40,9 +40,9 @@ def git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProxy
         )
     except FileNotFoundError:
         raise RequestError("expected the program git, received none on the PATH; install it") from None
-    except ValueError:  # a text that no command line can have
-        given = next(each for each in arguments if "\0" in each)
-        raise RequestError(f"expected texts for git without a zero byte, received {given!r:.200}; remove it") from None
+    except ValueError as error:  # a text that no command line can have
+        given = next((each for each in (str(folder), *arguments) if not each.isprintable()), str(folder))
+        raise RequestError(f"expected a text for git, received {given!a:.200} ({error}); change it") from None
     if done.returncode:
         command = [each for each in arguments if not each.startswith("--")]
         raise RequestError(f"git {command[0]} in {folder}: {visible(os.fsdecode(done.stderr).strip())}")

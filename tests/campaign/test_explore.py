@@ -368,14 +368,32 @@ class Braked(gymnasium.Wrapper):
         return first
 
 
+FIRST = {"stop_after": 1, "neighbours": 0, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
+"""A search that ends with the first finding of an environment's policy."""
+
+
+@table("action, braking", [(1, 6.0), (0, None)])
+def test_lowest_speed_is_told_where_braking_avoids_the_collision(action, braking):
+    """An ego that idles has to brake; one that changes lanes has to stay."""
+
+    def make():
+        return lambda observation: action
+
+    world = pafot.World("highway-v0", {"policy_frequency": 5})
+    exploration = pafot.explore(make, world=world, holds=never_collides, blame="ego", seed=3, **FIRST)
+    (finding,) = exploration.findings
+    assert finding.expect.avoided_by.braking == braking
+    is_told = any("actions keep 20 m/s or more" in note for note in exploration.summary.notes)
+    assert is_told == (braking is not None)
+
+
 def test_lowest_speed_is_not_told_of_an_ego_that_drives_slower():
     def slows_down():
         actions = iter([4, 4])
         return lambda observation: next(actions, 1)
 
-    fields = {"stop_after": 1, "neighbours": 0, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
     world = pafot.World("highway-v0", {"policy_frequency": 5}, wrappers=[Braked])
-    exploration = pafot.explore(slows_down, world=world, holds=never_collides, blame="ego", seed=3, **fields)
+    exploration = pafot.explore(slows_down, world=world, holds=never_collides, blame="ego", seed=3, **FIRST)
     (finding,) = exploration.findings
     assert "avoids" in finding.expect.reference_drivers.values()
     assert not any("actions keep" in note for note in exploration.summary.notes)

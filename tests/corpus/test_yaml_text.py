@@ -142,8 +142,9 @@ def test_avoidance_contains_its_time_and_braking():
     avoided = Avoidance(time=9.8, braking=6.0)
     text = text_of(plain_finding(expect=replace(plain_finding().expect, avoided_by=avoided)))
     assert "avoided_by: {time: 9.8, braking: 6.0}}\n" in text
-    kept = replace(plain_finding().expect, avoided_by=Avoidance(time=9.8))
-    assert "avoided_by: {time: 9.8}}\n" in text_of(plain_finding(expect=kept))
+    kept = plain_finding(expect=replace(plain_finding().expect, avoided_by=Avoidance(time=9.8)))
+    assert "avoided_by: {time: 9.8}}\n" in text_of(kept)
+    assert parsed(Path(f"{kept.id}.pafot.yaml"), text_of(kept).encode()) == kept
 
 
 def test_failed_property_without_collision_names_its_worst_moment():

@@ -155,7 +155,7 @@ def scenarios(draw):
 
 
 def avoidances():
-    return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.floats(0, 1e3))
+    return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.none() | st.floats(0, 1e3))
 
 
 @st.composite

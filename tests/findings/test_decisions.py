@@ -478,6 +478,8 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     avoided = Avoidance(time=3.0, braking=6.0)
     assert deciding(run, expecting(run, avoided_by=avoided)) == round(3.0 * hz)
     assert advice_on(replace(run, avoided_by=avoided)) == "brake by 3.0 s"
+    kept = replace(run, avoided_by=Avoidance(time=3.0))  # keeping the lane from then on says nothing of braking
+    assert (kept.sentences, advice_on(kept)) == (run.sentences, advice_on(run))
     assert vehicle_of(run, expecting(run)) == 0
     since, until = window(run, expecting(run))
     assert (since, until) == (run.attribution.time, run.event_time)
@@ -534,7 +536,16 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     told = replace(expecting(run, avoided_by=kept), time=round(run.collision.time, 3)).sentences_on(run)
     assert told[0] == run.sentences[0]
     assert told[-2] == f"A careful driver who keeps the lane from {moment:.1f} s on avoids the collision."
-    assert [each for each in told if each.startswith("The ego drove")] == []
+
+
+def test_what_the_ego_did_is_not_said_where_keeping_the_lane_avoids_the_collision():
+    """The gap that its change of lanes had to leave is said."""
+    run = pafot.Run(lane_change(10.0, faster=8.0))
+    crossed, asked, drove, responsible = run.sentences
+    assert drove == "The ego kept 20.1 m/s from 0.4 s on. It changed into lane 1 at 3.1 s."
+    expect = replace(expecting(run, avoided_by=Avoidance(time=2.0)), time=round(run.collision.time, 3))
+    careful = "A careful driver who keeps the lane from 2.0 s on avoids the collision."
+    assert expect.sentences_on(run) == (crossed, asked, careful, responsible)
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,7 @@ SENTENCES = {
     rf"(?:{NUMBER} s (?:before|after)|together with) {WHO}(?: from [a-z ]+)?\. (?:{WHO}|Neither) had priority\.": (
         Reading.entered
     ),
-    rf"NPC # drove as recorded, the ego within {NUMBER} m of it: the recording itself comes so close\.": (
+    rf"NPC # drove as recorded, the ego within {NUMBER} m of the recorded ego: the recording comes so close\.": (
         lambda reading, said: [from_the_recording(reading.crash.trace, reading.crash.trace.collision.npc)]
     ),
     r"Neither could have foreseen the other in time, by the rules\.": lambda reading, said: [],

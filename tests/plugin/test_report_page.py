@@ -326,7 +326,7 @@ def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, 
     told = [each[1:] for each in told]  # a sentence of the page begins with a capital letter
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
     assert set(saved.expect.reference_drivers) == set(REFERENCES)
-    assert f"{saved.expect.responsibility} at fault" in page.read_text(encoding="utf-8")
+    assert finding.data["headline"].endswith(f", {saved.expect.responsibility} at fault")
     assert len(finding.data["vehicles"]) == 2
     project.run("--pafot-report=report.html", generations=0)
     (again,) = [each for each in read_page(page)[1] if each.id == finding.id]

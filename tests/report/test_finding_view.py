@@ -6,7 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from highway_env.vehicle.controller import ControlledVehicle
 
+import pytest_pafot as pafot
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
@@ -14,7 +16,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.views import frame_ticks
+from pytest_pafot.report.views import frame_ticks, run_view
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
 from tests.report.builders import (
@@ -174,6 +176,20 @@ def test_deadline_by_the_rules_is_that_of_a_responsible_ego():
     assert view_of(stopped).deadline == f"brake by {due:.1f} s"
     assert Run(rear_trace()).responsibility == "npc"
     assert view_of(rear_trace()).deadline == ""
+
+
+class MovingLeft(ControlledVehicle):
+    def act(self, action=None):
+        super().act("LANE_LEFT")
+
+
+def test_deadline_of_a_vehicle_class_that_changes_lanes_names_no_action():
+    world = pafot.World("highway-v0", duration=15.0)
+    trace = world.rollout(scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft)
+    assert (Run(trace).attribution.fault, trace.actions) == ("entered-lane", ())
+    deadline = "do not change lanes at 0.0 s"  # it moves from the first tick on
+    assert run_view(trace).deadline == deadline
+    assert view_of(trace, finding_of(trace, world=world.to_dict())).deadline == deadline
 
 
 def test_the_command_survives_a_shell():

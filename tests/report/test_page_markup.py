@@ -7,10 +7,13 @@ import re
 from dataclasses import replace
 
 from pytest_pafot.campaign.events import Ending, SearchSummary
+from pytest_pafot.campaign.verdict import collision_in_short
 from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import finding_article, finding_list, render_page, search_article
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import finding_view
+from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import TEST, as_seen, finding_of, scenario, seen_of, view_of
 
@@ -100,10 +103,13 @@ def test_a_label_is_said_once_where_all_have_it():
     assert said(new, other) == ["all new"]
 
 
-def test_a_row_says_when_and_what():
-    finding = replace(
-        hand_made_finding(), headline="collision after 3.5 s, closing at 9.0 m/s: NPC 0 ahead, ego at fault"
-    )
+@table("who", ["ego", "npc", "both", "none"])
+def test_a_row_says_when_and_what(who):
+    """Its mark says who, so the end of the headline is left out."""
+    run = Run(hand_made_trace())
+    run.__dict__["attribution"] = replace(run.attribution, responsibility=who)
+    finding = replace(hand_made_finding(), headline=collision_in_short(run), responsibility=who)
+    assert finding.headline.endswith(" at fault")
     assert '<span class="brief">3.5 s: NPC 0 ahead</span>' in finding_list([finding])
     safe = replace(finding, event=replace(finding.event, kind="safe"), headline="slow")
     assert '<span class="brief">slow</span>' in finding_list([safe])

@@ -107,7 +107,7 @@ def test_nobody_is_blamed_if_the_recording_itself_comes_so_close():
     run = Run(drive(scenario(close), [(2.0, -0.5), (3.0, 0.0)]))
     assert (run.collision.npc, run.trace.handed_over, run.responsibility) == (0, (None,), None)
     assert run.collision.time == pytest.approx(3.8, abs=0.1)
-    sentence = "NPC 0 drove as recorded, the ego within 0.6 m of it: the recording itself comes so close."
+    sentence = "NPC 0 drove as recorded, the ego within 0.6 m of the recorded ego: the recording comes so close."
     assert run.attribution.sentences[-1] == sentence
     assert "Neither the ego nor NPC 0 is responsible." in run.explain()
     assert numbers(run.trace, run.attribution)[0] == numbers(run.trace, run.attribution)[1]

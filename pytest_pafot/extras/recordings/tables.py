@@ -83,7 +83,7 @@ class Table:
         for line, row in islice(self._rows(), 1, None):
             if len(row) <= longest:
                 raise self.error(line, "", f"at least {longest + 1} cells", f"{len(row)}", "the file may be cut off")
-            if any(row[len(self._names) :]):  # a comma too many shifts all cells behind it
+            if any(cell.strip() for cell in row[len(self._names) :]):  # a comma too many shifts all cells behind it
                 fix = "write numbers with decimal points, and names with commas in quotes"
                 raise self.error(line, "", f"{len(self._names)} cells, as in the first line", f"{len(row)}", fix)
             values = []

@@ -326,7 +326,7 @@ def test_run_that_commonroads_library_has_written_is_read_as_driven(tmp_path):
             r":3: expected 8 cells, as in the first line, received 9; w",
         ),
         (f"{HEAD},x\n0,ego,0,0,0,20,4,2,0\n", r":1: x: expected one column of this name, received several; rename"),
-        (f"{HEAD}\n0,ego,0,0,0,20,4,2,,\n0,ego,1,0,0,20,4,2\n", r"at 0 s, received two of vehicle ego; remove one, or"),
+        (f"{HEAD}\n0,ego,0,0,0,20,4,2,, \n0,ego,1,0,0,20,4,2\n", r"at 0 s, received two of vehicle ego; remove one"),
         ("t\0i\0,x\0\n", r"save it with commas between the cells, in UTF-8"),
         ("time;vehicle\n1;2\n", r"received time;vehicle; save it with commas between the cells, in UTF-8"),
         ('time,"vehicle\n', r":1: expected cells between commas, received unexpected end of data; save it as plain"),
