@@ -368,7 +368,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
             heard = worker.hear()
             if heard is not None:
                 is_done, said = heard
-                if task in self._wanted and is_done:
+                if isinstance(said, _Left):
+                    self._has_left(task, worker, said)
+                elif task in self._wanted and is_done:
                     self._answer(task, said)
                 elif task in self._followed and not isinstance(said, float):
                     self._said.append((task, said))
@@ -387,6 +389,16 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._lose(task, worker, how if is_garbled else "")
         elif worker.silence(self.clock()) > self.patience:
             self._lose(task, worker, f"did not answer for {self.patience:.1f} s and was killed", is_hang=True)
+
+    def _has_left(self, task: TaskT, worker: _Worker[TaskT], left: _Left) -> None:
+        """Run a task of a process that has left again, if the process had not begun it; else lose the task."""
+        self.left(left.said)
+        if left.in_task:
+            self._lose(task, worker, ending(-signal.SIGTERM))
+            return
+        self._remove(worker)
+        if task in self._wanted:
+            self._give(task)
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
@@ -507,9 +519,10 @@ class _Worker(Generic[TaskT]):
 
 
 class _Left(NamedTuple):
-    """What a process says at its end."""
+    """What a process says at its end, and whether that was in a task."""
 
     said: Any
+    in_task: bool
 
 
 def ending(code: int | None) -> str:
@@ -554,7 +567,7 @@ def _serve(
 
     ``beats`` counts the start of the process and each signal that it answers.
     """
-    is_leaving = may_raise = False
+    is_leaving = may_raise = in_task = False
 
     def tell(said: object) -> None:
         connection.send_bytes(_sendable((False, said)))
@@ -604,8 +617,8 @@ def _serve(
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
-                may_raise = False
-                if is_leaving:
+                may_raise, in_task = False, is_leaving
+                if in_task:
                     break
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
@@ -613,7 +626,7 @@ def _serve(
     if leave is not None:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         with suppress(OSError):  # the session may have ended
-            tell(_Left(leave()))
+            tell(_Left(leave(), in_task))
 
 
 @dataclass(frozen=True, slots=True)

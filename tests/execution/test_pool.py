@@ -452,6 +452,44 @@ def test_process_that_is_terminated_while_it_leaves_ends(pool_of, tmp_path):
     assert worker.process.exitcode == -signal.SIGTERM
 
 
+@pytest.mark.parametrize("is_followed", [False, True])
+def test_task_in_which_its_process_is_terminated_is_lost(pool_of, tmp_path, is_followed):
+    def work(number):
+        (tmp_path / "works").touch()
+        time.sleep(600)
+
+    left = []
+    pool = pool_of(work, leave=os.getpid, left=left.append)
+    (pool.follow if is_followed else lambda task: pool.expect([task]))(1)
+    (worker,) = pool._workers
+    while not (tmp_path / "works").exists():
+        time.sleep(0.01)
+    worker.process.terminate()
+    task, lost = pool.hear(waits=True) if is_followed else next(pool.completed(lambda share: None))
+    assert (task, lost.end, lost.pid) == (1, "was ended by SIGTERM", worker.pid)
+    assert left == [worker.pid]
+
+
+@pytest.mark.parametrize("is_followed", [False, True])
+def test_task_that_is_sent_to_a_process_that_leaves_is_run_by_another(pool_of, tmp_path, is_followed):
+    def leave():
+        (tmp_path / "leaves").touch()
+        while not (tmp_path / "sent").exists():
+            time.sleep(0.01)
+
+    pool = pool_of(lambda number: None, leave=leave)
+    pool.fetch(0)
+    (worker,) = pool._workers
+    worker.process.terminate()
+    while not (tmp_path / "leaves").exists():
+        time.sleep(0.01)
+    (pool.follow if is_followed else lambda task: pool.expect([task]))(3)
+    assert worker.task == 3
+    (tmp_path / "sent").touch()
+    assert (pool.hear(waits=True) if is_followed else (3, pool.fetch(3))) == (3, 9)
+    assert pool.recovered == []
+
+
 def test_interrupt_while_a_pool_is_closed_ends_its_other_processes(pool_of):
     def interrupt(said):
         raise KeyboardInterrupt
