@@ -140,7 +140,7 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
             guard.raise_swallowed()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
-        what = f"a return within the hang limit of {guard.limit:g} s" if failed.interrupted else "no exception"
+        what = f"a return within {guard.limit:g} s" if failed.interrupted else "no exception"
         received = "no return, so it was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
         text = f"{name}: expected {what}, received {received}; this does not change the result of the run"
         try:
