@@ -144,8 +144,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
         ended: a function that is called with the id of each process of the pool that has ended, or that one of them had
             started.
-        leave: a function that each process calls before it ends, also if it is interrupted in a task; not if it has to
-            be killed. None if there is nothing to do.
+        leave: a function that each process calls before it ends, also if SIGTERM ends it, in a task or not; but not
+            if it has to be killed, as by a second SIGTERM. None if there is nothing to do.
         left: a function that is called with what ``leave`` has returned in a process.
         farewell: the time that a process gets to end by itself [s].
         clock: a monotonic clock [s].
@@ -284,13 +284,15 @@ class WorkerPool(Generic[TaskT, ResultT]):
         has_leave = self.leave is not None
         ending = [each for each in self._workers if (has_leave or not at_once) and each.leaves(interrupted=has_leave)]
         deadline = self.clock() + self.farewell
-        for worker in ending:
-            if has_leave and (left := worker.farewell(deadline, self.clock)) is not None:
-                self.left(left.said)
-            worker.process.join(max(0.0, deadline - self.clock()))
-        for worker in list(self._workers):
-            self._remove(worker)
-        self._pending, self._wanted = deque(), set()
+        try:
+            for worker in ending:
+                if has_leave and (left := worker.farewell(deadline, self.clock)) is not None:
+                    self.left(left.said)
+                worker.process.join(max(0.0, deadline - self.clock()))
+        finally:  # also after another interrupt
+            for worker in list(self._workers):
+                self._remove(worker)
+            self._pending, self._wanted = deque(), set()
 
     @property
     def _busy(self) -> list[_Worker[TaskT]]:
@@ -366,7 +368,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
             heard = worker.hear()
             if heard is not None:
                 is_done, said = heard
-                if task in self._wanted and is_done:
+                if isinstance(said, _Left):
+                    self._has_left(task, worker, said)
+                elif task in self._wanted and is_done:
                     self._answer(task, said)
                 elif task in self._followed and not isinstance(said, float):
                     self._said.append((task, said))
@@ -385,6 +389,16 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._lose(task, worker, how if is_garbled else "")
         elif worker.silence(self.clock()) > self.patience:
             self._lose(task, worker, f"did not answer for {self.patience:.1f} s and was killed", is_hang=True)
+
+    def _has_left(self, task: TaskT, worker: _Worker[TaskT], left: _Left) -> None:
+        """Run a task of a process that has left again, if the process had not begun it; else lose the task."""
+        self.left(left.said)
+        if left.in_task:
+            self._lose(task, worker, ending(-signal.SIGTERM))
+            return
+        self._remove(worker)
+        if task in self._wanted:
+            self._give(task)
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
@@ -505,9 +519,10 @@ class _Worker(Generic[TaskT]):
 
 
 class _Left(NamedTuple):
-    """What a process says at its end."""
+    """What a process says at its end, and whether that was in a task."""
 
     said: Any
+    in_task: bool
 
 
 def ending(code: int | None) -> str:
@@ -552,7 +567,7 @@ def _serve(
 
     ``beats`` counts the start of the process and each signal that it answers.
     """
-    is_leaving = is_working = False
+    is_leaving = may_raise = in_task = False
 
     def tell(said: object) -> None:
         connection.send_bytes(_sendable((False, said)))
@@ -563,7 +578,8 @@ def _serve(
     def interrupt(*signalled: object) -> None:
         nonlocal is_leaving
         is_leaving = True
-        if is_working:  # else the process finds that it is to end, and no answer is cut in the middle
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # The next one ends a task that ignores the exception.
+        if may_raise:  # else no answer is cut in the middle, and the process finds that it is to end
             raise KeyboardInterrupt  # no run takes it for an error of its policy
 
     def end(why: int = STUCK) -> None:
@@ -584,27 +600,33 @@ def _serve(
     if leave is not None:
         signal.signal(signal.SIGTERM, interrupt)
     resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK), npc=npc)
-    with last_resort(resort), suppress(EOFError, OSError):
-        while connection.poll(idle):
+    with last_resort(resort), suppress(EOFError, OSError, KeyboardInterrupt):
+        while True:
+            may_raise = True
+            if is_leaving or not connection.poll(idle):  # Python goes on to wait after a signal that raises nothing.
+                break
+            may_raise = False
             task = connection.recv()
             if task is None:
                 break
             try:
-                is_working = True
+                may_raise = True
                 said = _sendable((True, work(task, tell)))
-                is_working = False
+                may_raise = False
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
                 end(EXHAUSTED)
                 return
             except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
-                is_working = False
-                if is_leaving:
+                may_raise, in_task = False, is_leaving
+                if in_task:
                     break
                 said = pickle.dumps((True, _portable(error)))
             connection.send_bytes(said)
+        may_raise = False
     if leave is not None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         with suppress(OSError):  # the session may have ended
-            tell(_Left(leave()))
+            tell(_Left(leave(), in_task))
 
 
 @dataclass(frozen=True, slots=True)

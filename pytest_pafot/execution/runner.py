@@ -728,7 +728,7 @@ class Processes:
             self._failure = str(error)
 
     def close(self, *, at_once: bool) -> None:
-        """End the processes; with ``at_once`` kill all of them without waiting."""
+        """End the processes; ``at_once`` kills them without waiting, unless they have simulators to close before."""
         if self._pool is not None:
             self._pool.close(at_once=at_once)
 

@@ -406,6 +406,103 @@ def test_process_that_does_not_end_in_time_is_killed(pool_of):
     assert time.monotonic() - started < 300
 
 
+def ignores_exceptions(number):
+    while number:
+        with suppress(BaseException):
+            time.sleep(600)
+
+
+def test_idle_process_that_is_terminated_does_what_it_has_to(pool_of, tmp_path):
+    """Python terminates the processes of a pool that nobody has closed, and waits for their end."""
+    pool = pool_of(ignores_exceptions, leave=(tmp_path / "left").touch)
+    pool.fetch(0)
+    (worker,) = pool._workers
+    worker.process.terminate()
+    worker.process.join(20.0)
+    assert worker.process.exitcode == 0
+    assert (tmp_path / "left").exists()
+
+
+def test_process_whose_task_ignores_exceptions_ends_when_it_is_terminated_again(pool_of):
+    pool = pool_of(ignores_exceptions, leave=lambda: None)
+    pool.expect([1])
+    (worker,) = pool._workers
+    while not worker.has_begun:
+        time.sleep(0.01)
+    for _ in range(2):
+        time.sleep(0.2)
+        worker.process.terminate()
+    worker.process.join(20.0)
+    assert worker.process.exitcode == -signal.SIGTERM
+
+
+def test_process_that_is_terminated_while_it_leaves_ends(pool_of, tmp_path):
+    def leave():
+        (tmp_path / "leaves").touch()
+        time.sleep(600)
+
+    pool = pool_of(ignores_exceptions, leave=leave)
+    pool.fetch(0)
+    (worker,) = pool._workers
+    worker.send(None)
+    while not (tmp_path / "leaves").exists():
+        time.sleep(0.01)
+    worker.process.terminate()
+    worker.process.join(20.0)
+    assert worker.process.exitcode == -signal.SIGTERM
+
+
+@pytest.mark.parametrize("is_followed", [False, True])
+def test_task_in_which_its_process_is_terminated_is_lost(pool_of, tmp_path, is_followed):
+    def work(number):
+        (tmp_path / "works").touch()
+        time.sleep(600)
+
+    left = []
+    pool = pool_of(work, leave=os.getpid, left=left.append)
+    (pool.follow if is_followed else lambda task: pool.expect([task]))(1)
+    (worker,) = pool._workers
+    while not (tmp_path / "works").exists():
+        time.sleep(0.01)
+    worker.process.terminate()
+    task, lost = pool.hear(waits=True) if is_followed else next(pool.completed(lambda share: None))
+    assert (task, lost.end, lost.pid) == (1, "was ended by SIGTERM", worker.pid)
+    assert left == [worker.pid]
+
+
+@pytest.mark.parametrize("is_followed", [False, True])
+def test_task_that_is_sent_to_a_process_that_leaves_is_run_by_another(pool_of, tmp_path, is_followed):
+    def leave():
+        (tmp_path / "leaves").touch()
+        while not (tmp_path / "sent").exists():
+            time.sleep(0.01)
+
+    pool = pool_of(lambda number: None, leave=leave)
+    pool.fetch(0)
+    (worker,) = pool._workers
+    worker.process.terminate()
+    while not (tmp_path / "leaves").exists():
+        time.sleep(0.01)
+    (pool.follow if is_followed else lambda task: pool.expect([task]))(3)
+    assert worker.task == 3
+    (tmp_path / "sent").touch()
+    assert (pool.hear(waits=True) if is_followed else (3, pool.fetch(3))) == (3, 9)
+    assert pool.recovered == []
+
+
+def test_interrupt_while_a_pool_is_closed_ends_its_other_processes(pool_of):
+    def interrupt(said):
+        raise KeyboardInterrupt
+
+    pool = pool_of(ignores_exceptions, leave=os.getpid, left=interrupt)
+    pool.expect([0, 1])
+    pool.fetch(0)
+    workers = [*pool._workers]
+    with pytest.raises(KeyboardInterrupt):
+        pool.close()
+    assert [worker.process.is_alive() for worker in workers] == [False, False]
+
+
 def test_unneeded_process_ends_by_itself(pool_of, tmp_path):
     def work(number):
         multiprocessing.util.Finalize(None, (tmp_path / "ended").touch, exitpriority=1)

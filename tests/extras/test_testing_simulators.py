@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -324,3 +325,22 @@ def test_ego_that_obeys_late_is_right_where_a_simulator_states_it(capsys):
 def test_check_of_a_road_of_one_lane_needs_no_arguments(capsys):
     check_world(made(lanes=1), runs=2)
     assert "kept its promises" in capsys.readouterr().out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Derived(SimulatorWorld):
+    """A world around a simulator that makes its traces by itself, some with wrong units."""
+
+    speed_unit: float = 1.0
+
+    def rollout(self, scenario, ads_factory, **given):
+        trace = super().rollout(scenario, ads_factory, **given)
+        lanes = [replace(each, speed_limit=each.speed_limit * self.speed_unit) for each in trace.lanes]
+        return replace(trace, lanes=tuple(lanes))
+
+
+@pytest.mark.filterwarnings("ignore:check_world. no:RuntimeWarning")
+def test_traces_of_a_class_derived_from_the_simulators_world_are_checked_as_the_users():
+    check_world(Derived(simulator=Toy, duration=10.0), runs=2)
+    with pytest.raises(AssertionError, match="lanes have a speed_limit in m/s"):
+        check_world(Derived(simulator=Toy, duration=10.0, speed_unit=3.6), runs=2)

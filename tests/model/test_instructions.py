@@ -7,6 +7,8 @@ import pickle
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from inspect import isfunction
 from itertools import islice
 from pathlib import Path
 from typing import ClassVar
@@ -23,7 +25,15 @@ from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.extending import WithStart, register
 from pytest_pafot.findings.neighbours import Limits, neighbours
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
-from pytest_pafot.model.instructions import GROUP, KINDS, Free, Instruction, PositionInstruction, roughness
+from pytest_pafot.model.instructions import (
+    GROUP,
+    KINDS,
+    RETURNS,
+    Free,
+    Instruction,
+    PositionInstruction,
+    roughness,
+)
 from pytest_pafot.model.instructions.instruction import Choices, checked_speed, tenths_within
 from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre
 from pytest_pafot.model.trace import Y
@@ -385,6 +395,18 @@ def test_what_is_no_instruction_is_refused_by_the_name_of_its_kind(made):
         ("beginning", lambda self, seconds=0: None, "a text, received None"),
         ("read", classmethod(lambda cls, plain=(): plain), r"an instruction, received \(\)"),
         ("small", staticmethod(lambda: [3]), r"a list or tuple of instructions, received \[3\]"),
+        ("mixed", lambda self: (self, None), r"two instructions or None, received \(Changed\(.*\), None\)"),
+        ("counted", lambda self: [("bin", 4)], r"a list of tuples of keys, .*, received \[\('bin', 4\)\]"),
+        ("counted", lambda self: None, "a list of tuples of keys, .*, received None"),
+        ("shown", lambda self: "it", "a dict of the fields of a view, received 'it'"),
+        ("lasting", lambda self: 0.5, r"a whole number or None, received 0\.5"),
+        ("slot_asked", property(lambda self: "1 s"), "a number or None, received '1 s'"),
+        ("is_drawn_in", lambda self: None, "True or False, received None"),
+        ("target", property(lambda self: None), "a text or a whole number, received None"),
+        ("code", property(lambda self: []), r"a value that can be hashed, received \[\]"),
+        ("goal", cached_property(lambda self: 3), "a text, received 3"),
+        ("text", cached_property(lambda self: 3), "a text, received 3"),
+        ("plain", cache(lambda self: "it"), "a list of texts and numbers, received 'it'"),
     ],
 )
 def test_wrong_return_of_a_kind_is_refused_by_the_name_of_its_method(name, made, expected):
@@ -394,6 +416,27 @@ def test_wrong_return_of_a_kind_is_refused_by_the_name_of_its_method(name, made,
     one = kind(beside=1, ahead=20.0, speed=20.0, period=4.0)
     with pytest.raises(ScenarioError, match=rf"\w+\.{name}: expected {expected}; correct this property or method"):
         list(getattr(one, name)())
+
+
+def test_every_type_that_an_instruction_promises_is_checked():
+    members = [getattr(each, "fget", getattr(each, "__func__", each)) for each in vars(Instruction).values()]
+    promised = {each.__annotations__["return"] for each in members if isfunction(each)}
+    assert promised - {*RETURNS} == {"Any"}
+
+
+def test_cached_property_of_a_kind_is_computed_once():
+    computed = []
+    kind = changed(remark=cached_property(lambda self: computed.append(self) or "once"))
+    register(kind, drives="itself")
+    one = kind(beside=1, ahead=20.0, speed=20.0, period=4.0)
+    assert (one.remark, one.remark, len(computed)) == ("once", "once", 1)
+
+
+def test_kind_that_is_registered_often_answers_as_before():
+    kind = changed(remark=property(lambda self: "often"))
+    for _ in range(1200):  # more than there can be calls within calls
+        register(kind, drives="itself")
+    assert kind(beside=1, ahead=20.0, speed=20.0, period=4.0).remark == "often"
 
 
 def test_remark_of_a_kind_stays_in_its_comment():

@@ -89,3 +89,13 @@ def test_close_that_raises_in_each_process_is_a_warning(project):
     assert (len(made), closed) == (3, made)
     result.stdout.fnmatch_lines(["*RuntimeWarning: Placing.close: expected no exception, received OSError: no server*"])
     result.assert_outcomes(passed=1, warnings=3)
+
+
+@pytest.mark.parametrize("options", [(), (WORKERS,)])
+def test_close_that_raises_stays_a_warning_where_warnings_are_errors(project, options):
+    result, made, closed = session(project, "-Werror", "--junitxml=results.xml", *options, close="raise OSError('no')")
+    assert result.ret == 0
+    assert closed == made
+    result.stdout.fnmatch_lines(["*RuntimeWarning: Placing.close: expected no exception, received OSError: no*"])
+    result.assert_outcomes(passed=1, warnings=len(made))
+    assert 'errors="0"' in (project.path / "results.xml").read_text("utf-8")

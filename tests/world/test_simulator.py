@@ -706,7 +706,7 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
     ("close", "message"),
     {
         "raises": (raising, r"Counted.close: expected no exception, received TypeError"),
-        "hangs": (lambda self: time.sleep(60), r"Counted.close: expected a return within the hang limit of 0.2 s"),
+        "hangs": (lambda self: time.sleep(60), r"Counted.close: expected a return within 0.2 s"),
     }.values(),
 )
 def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, message):
@@ -721,6 +721,18 @@ def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, me
         world.rollout(scenarios()[0], Batch)
     with pytest.warns(RuntimeWarning, match=message):  # the run made another one
         Simulators.close_all()
+
+
+@pytest.mark.parametrize("action", ["error", "ignore"])
+def test_close_that_fails_never_hides_the_error_of_the_run(recwarn, action):
+    failing = type("Failing", (Bicycle,), {"step": raising, "close": raising})
+    with warnings.catch_warnings():
+        warnings.simplefilter(action)
+        with pytest.raises(KeyError, match="wheel") as caught:
+            SimulatorWorld(failing, duration=1.0).rollout(scenarios()[0], Batch)
+    assert caught.value.__notes__ == ["raised by Failing.step, tick 1"]
+    assert caught.value.__context__ is None
+    assert len(recwarn) == (action == "error")
 
 
 def test_world_that_is_sent_to_a_process_makes_its_own_simulator():

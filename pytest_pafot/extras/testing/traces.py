@@ -15,7 +15,19 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot import CAR, Cell, Collision, NpcLimits, Outcome, Scenario, SimulatorWorld, Trace
-from pytest_pafot.extending import ACCELERATION, HEADING, LANE, SPEED, STEERING, Encounters, FloatArray, Lane, X, Y
+from pytest_pafot.extending import (
+    ACCELERATION,
+    HEADING,
+    LANE,
+    SPEED,
+    STEERING,
+    Encounters,
+    FloatArray,
+    Lane,
+    X,
+    Y,
+    base_world,
+)
 from pytest_pafot.support.errors import plain_whole
 
 Promises = Iterator[tuple[Any, str, str]]
@@ -125,8 +137,12 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
 
 
 def of_runs(world: Any, traces: Sequence[Trace]) -> Promises:
-    """Yield the promises of traces that have the right form."""
-    if isinstance(world, SimulatorWorld):  # experiments have shown the rest, which this package calculates
+    """Yield the promises of traces that have the right form.
+
+    For a simulator's these are only the motion of its vehicles: experiments have shown the rest, which this package
+    calculates. A class that is derived from :class:`pytest_pafot.SimulatorWorld` may do anything, and has all promises.
+    """
+    if isinstance(base_world(world), SimulatorWorld):
         yield from motion(traces)
         return
     for trace in traces:

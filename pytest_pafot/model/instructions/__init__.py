@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from functools import wraps
-from inspect import isfunction
+from functools import cached_property, wraps
 from types import MappingProxyType
 from typing import Any
 
@@ -61,15 +60,30 @@ def _all(kind: type, value: Any) -> bool:
     return isinstance(value, (list, tuple)) and all(isinstance(each, kind) for each in value)
 
 
+def _are_keys(value: Any) -> bool:
+    return isinstance(value, list) and _all(tuple, value) and all(_all(tuple, keys) for keys in value)
+
+
 RETURNS: Mapping[str, tuple[str, Callable[[Any], bool]]] = MappingProxyType(
     {
         "str": ("a text", lambda value: isinstance(value, str)),
         "int": ("a whole number", lambda value: type(value) is int),
+        "bool": ("True or False", lambda value: isinstance(value, bool)),
+        "int | str": ("a text or a whole number", lambda value: isinstance(value, str) or type(value) is int),
+        "int | None": ("a whole number or None", lambda value: value is None or type(value) is int),
+        "float | None": ("a number or None", lambda value: value is None or isinstance(value, (int, float))),
+        "Hashable": ("a value that can be hashed", lambda value: isinstance(value, Hashable)),
         "list[Any]": ("a list of texts and numbers", lambda value: isinstance(value, list)),
         "dict[str, Any]": ("a dict of its fields", lambda value: isinstance(value, dict)),
+        "Mapping[str, Any]": ("a dict of the fields of a view", lambda value: isinstance(value, Mapping)),
+        "list[tuple[Key, ...]]": ("a list of tuples of keys, such as [(('bin', 4),)]", _are_keys),
         "Sequence[Any]": ("a list or tuple of pafot.Step(...)", lambda value: _all(Step, value)),
         "Sequence[Instruction]": ("a list or tuple of instructions", lambda value: _all(Instruction, value)),
         "Instruction | None": ("an instruction or None", lambda value: value is None or isinstance(value, Instruction)),
+        "tuple[Instruction, Instruction] | None": (
+            "two instructions or None",
+            lambda value: value is None or (_all(Instruction, value) and len(value) == 2),
+        ),
         **dict.fromkeys(
             ("Instruction", "Self", "Iterator[Instruction]"),
             ("an instruction", lambda value: isinstance(value, Instruction)),
@@ -83,19 +97,27 @@ def check_returns(kind: type[Instruction]) -> None:
     """Let the properties and methods of somebody else's kind refuse to return what :class:`Instruction` does not allow.
 
     A wrong value would otherwise come up much later, in a file, a report or a shrunk scenario, without the kind's name.
+    A member that is checked already, of this kind or of one that it is derived from, stays as it is.
     """
     for name, promised in vars(Instruction).items():
         returns: str = getattr(_function(promised), "__annotations__", {}).get("return", "")
         owner = next(each for each in kind.__mro__ if name in vars(each))
         given = vars(owner)[name]
-        if returns not in RETURNS or owner.__module__.startswith(__name__) or not isfunction(_function(given)):
+        function = _function(given)
+        if returns not in RETURNS or owner.__module__.startswith(__name__) or not callable(function):
             continue  # of this package, or a field
-        checked = _checked(_function(given), f"{kind.__name__}.{name}", returns)
-        setattr(kind, name, checked if isfunction(given) else type(given)(checked))
+        if hasattr(function, "returns"):  # from an earlier call
+            continue
+        checked = _checked(function, f"{kind.__name__}.{name}", returns)
+        setattr(kind, name, checked if function is given else type(given)(checked))
+        if isinstance(given, cached_property):
+            vars(kind)[name].__set_name__(kind, name)
 
 
 def _function(member: Any) -> Any:
     """Return the function of a property, a class method or a static method; else the member itself."""
+    if isinstance(member, cached_property):
+        return member.func
     return member.fget if isinstance(member, property) else getattr(member, "__func__", member)
 
 
@@ -115,6 +137,7 @@ def _checked(function: Callable[..., Any], name: str, returns: str) -> Callable[
             return map(fitting, value if isinstance(value, Iterable) else (value,))
         return fitting(value)
 
+    checked.returns = returns  # type: ignore[attr-defined]
     return checked
 
 

@@ -114,7 +114,7 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
     """Call the ``close`` method of an ADS, if it has one, when a ``with`` block ends, also after an exception.
 
     A failure of ``close`` does not change the result of the run. If it raises, or takes longer than ``hang_limit`` [s],
-    there is a ``RuntimeWarning``.
+    there is a ``RuntimeWarning``, also where warnings are errors.
     """
     try:
         yield
@@ -125,7 +125,10 @@ def closing(ads: Any, hang_limit: float) -> Iterator[None]:
 
 
 def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
-    """Call a method ``close`` of the user's; warn if it raises, or takes longer than ``limit`` [s]."""
+    """Call a method ``close`` of the user's; warn if it raises, or takes longer than ``limit`` [s].
+
+    The warning is never an error, unlike others where the user makes errors of warnings, as ``-W error`` does.
+    """
     guard = HangGuard(limit, is_limited=False)
     try:
         with guard:
@@ -137,7 +140,12 @@ def call_close(close: Callable[[], Any], name: str, limit: float) -> None:
             guard.raise_swallowed()
     except UNFIT as error:
         failed = error_of(error, 0, guard)
-        what = f"a return within the hang limit of {guard.limit:g} s" if failed.interrupted else "no exception"
+        what = f"a return within {guard.limit:g} s" if failed.interrupted else "no exception"
         received = "no return, so it was interrupted" if failed.interrupted else f"{failed.kind}: {failed.message}"
         text = f"{name}: expected {what}, received {received}; this does not change the result of the run"
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
+        try:
+            warnings.warn(text, RuntimeWarning, stacklevel=2)
+        except RuntimeWarning:  # of a filter for errors: it would hide the error of the run, or end pytest's summary
+            with warnings.catch_warnings():
+                warnings.simplefilter("always")
+                warnings.warn(text, RuntimeWarning, stacklevel=2)
