@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.export.exporter import exporter
-from pytest_pafot.extras.recordings import xml_data
+from pytest_pafot.extras.recordings import tables, xml_data
 from pytest_pafot.extras.recordings.recording import RecordedVehicle, RecordingError
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import RequestError
@@ -415,6 +415,29 @@ def test_table_with_errors_of_measurement_is_read(tmp_path, errors):
     for seed in range(5):
         path.write_text(weaving(seed, **errors))
         assert len(pafot.recorded(path).vehicles) == 2
+
+
+def test_number_of_vehicles_is_limited_with_those_that_were_lost_in_between(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "MOST_VEHICLES", 3)
+    path = tmp_path / "tracks.csv"
+    row = "{},{},0,0,0,20,4,2"
+    for names, gap, message in (
+        ("abc", 0.5, ""),
+        (
+            "abcd",
+            0.5,
+            r"csv:5: expected at most 3 vehicles, received more; read a part of it, such as between=\(0, 60\)",
+        ),
+        ("aaa", 2.0, ""),
+        ("aaaa", 2.0, r"csv: expected at most 3 vehicles, received more, since each gap of .* makes another one; read"),
+    ):
+        path.write_text("\n".join([HEAD, *(row.format(gap * at, name) for at, name in enumerate(names))]))
+        if message:
+            with pytest.raises(RecordingError, match=message):
+                pafot.recorded(path)
+            assert len(pafot.recorded(path, between=(0.0, 1.0)).vehicles) < 4
+        else:
+            assert len(pafot.recorded(path).vehicles) == 3
 
 
 def test_gap_is_left_open_if_times_differ_so_little_that_millions_of_rows_would_fill_it(tmp_path):
