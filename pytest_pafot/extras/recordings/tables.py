@@ -169,7 +169,7 @@ class Tracks:
                 received = f"two of vehicle {name}"
                 fix = "remove one, or split a file with data of several places or days"
                 raise self._table.error(None, "", f"one row of a vehicle at {rows[twice[0], 0]:g} s", received, fix)
-            count += 1 + np.count_nonzero(np.diff(rows[:, 0]) > LONGEST_GAP)
+            count += 1 + int(np.count_nonzero(np.diff(rows[:, 0]) > LONGEST_GAP))
             if count > MOST_VEHICLES:
                 received = "more, since each gap of more than a second makes another one"
                 raise self._table.error(None, "", f"at most {MOST_VEHICLES} vehicles", received, A_PART)
