@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
@@ -21,6 +22,8 @@ from pytest_pafot.model.trace import FloatArray
 Direction = tuple[FloatArray, FloatArray]
 """The cosine and sine of an angle, tick by tick."""
 
+ALONGSIDE = 0.01
+"""The speed sideways below which two vehicles stay as far beside each other as they are [m/s]."""
 DRAWS_AWAY = 2.0
 """If the vehicle ahead is at least this much faster, no braking is needed to restore the headway [m/s]."""
 
@@ -156,16 +159,18 @@ class Pursuit:
             return False
         slowing = max(float(self.speeds[1][end - 1] - self.speeds[1][end]), 0.0) if self.goes_on else 0.0
         other = np.maximum(self.speeds[1][end] - np.arange(len(after)) * slowing, 0.0)
-        gap = self.ahead[end] - (self.sizes[0][0] + self.sizes[1][0]) / 2 + lost[-1]
-        aside = self.right[end] - self.right[end - 1]
+        further = lost[-1] + np.cumsum(other - after) / hz
+        is_clear, aside = self._gaps[end] + further > 0, self.right[end] - self.right[end - 1]
         if aside * self.right[end] <= 0 or abs(aside) * hz < DRIFTING:
-            return bool((gap + np.cumsum(other - after) / hz > 0).all())
+            # Who would touch with a corner alone may stop alongside the other, just before that.
+            stays = abs(aside) * hz < ALONGSIDE
+            return bool(is_clear.all()) or (stays and not self._touches(np.full(len(after), end), further))
         beside = np.abs(self.right[end] + aside * np.cumsum(other) / max(other[0], abs(aside) * hz))
         widths = sum(
             length * abs(float(sin[end])) + width * abs(float(cos[end]))
             for (cos, sin), (length, width) in zip(self.directions, self.sizes, strict=True)
         )
-        return bool(((gap + np.cumsum(other - after) / hz > 0) | (beside > widths / 2)).all())
+        return bool((is_clear | (beside > widths / 2)).all())
 
     def is_no_further(self, since: int, response: Braking, emergency: Emergency) -> bool:
         """Return whether the responder is no further ahead at the impact than a reference that responds to a tick."""
@@ -257,7 +262,7 @@ class Pursuit:
         # After the impact, lost is relative to the other.
         return is_hit or bool((self._gaps[-1] + lost[recorded:] <= 0).any())
 
-    def _touches(self, ticks: slice, lost: FloatArray) -> bool:
+    def _touches(self, ticks: slice | npt.NDArray[np.intp], lost: FloatArray) -> bool:
         """Return whether the boxes touch at one of the ticks if the responder is ``lost`` further back [m]."""
         responder, other = self.sizes
         ahead, right = self.ahead[ticks] + lost, self.right[ticks]

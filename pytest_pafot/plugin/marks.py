@@ -57,7 +57,7 @@ def catalogue(*names: Any, **values: Any) -> Any:
         values: other values for parameters of the entries, such as ``ego_speed=60 / 3.6``; and as for ``@pafot.search``
             ``ads``, the factory or the name of its fixture, ``world``, and ``requirement``, ``title`` and ``owner``.
     """
-    if len(names) == 1 and not values and callable(names[0]) and not hasattr(names[0], "entries"):  # no recording
+    if len(names) == 1 and not values and callable(names[0]) and not hasattr(type(names[0]), "entries"):  # no recording
         return catalogue()(names[0])
 
     def decorated(function: Any) -> Any:

@@ -111,6 +111,17 @@ def test_leader_that_moves_out_of_the_way_is_not_hit_any_more(right, aside, befo
     assert run.is_avoided_by_braking(len(run.right) - 1 - before) == avoids
 
 
+@table(("before", "avoids"), [(9, True), (8, False)])
+def test_who_would_touch_only_a_corner_may_stop_alongside(before, avoids):
+    """The leader stands aslant, and its corner is in the way by 8 cm, 1.1 m behind its middle.
+
+    The ego touches it when the middles are 3.6 m apart. From 6 m/s, it stops within 3.2 m, and moves 0.4 m in a tick.
+    At the impact it is 3.4 m behind, so it needs 9 ticks; to stop 5 m behind, as behind a straight box, it needs 12.
+    """
+    run = pursuit(20.0, 6.0, 0.0, seconds=3.6, right=3.4, angle=math.pi / 4)
+    assert run.is_avoided_by_braking(len(run.right) - 1 - before) == avoids
+
+
 def test_an_emergency_is_met_by_harder_braking():
     run = pursuit(20.0, 20.0, 20.0, 6.5)
     assert not is_avoided(run, 0, CALM)

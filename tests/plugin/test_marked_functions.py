@@ -488,3 +488,52 @@ def test_interrupted(run):
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     assert project.files
+
+
+def test_recording_that_cannot_be_read_fails_the_items_that_need_it_alone(project):
+    (project.pytester.path / "bad.csv").write_text("time,vehicle\n0,ego\n")
+    project.write("""
+BAD = pafot.recorded("bad.csv")
+
+@pafot.recorded("missing.csv")
+def test_decorated(run):
+    pass
+
+@pafot.search(ads="ads", around=BAD)
+def test_around(run):
+    pass
+
+@pafot.catalogue(BAD, "r157/cut-in", seconds=8.0)
+def test_named(run):
+    pass
+
+@pafot.catalogue("r157/cut-in", ads="missing_module:Planner")
+def test_of_a_missing_module(run):
+    pass
+
+@pafot.catalogue("r157/cut-in", world="missing_module:World")
+def test_in_a_missing_module(run):
+    pass
+
+def test_uses_it():
+    BAD.scenario(at=0.0)
+
+def test_reads_within():
+    with pytest.raises(ValueError, match="expected the columns of"):
+        pafot.recorded("bad.csv")
+
+def test_is_another():
+    assert not hasattr(BAD, "__wrapped__")
+""")
+    result = project.run()
+    result.assert_outcomes(passed=2, failed=6)
+    columns = "bad.csv:1: expected the columns of export --to csv (*), received time, vehicle; rename the columns to *"
+    for name, expected in {
+        "test_decorated[?]": "recorded: expected a file, received 'missing.csv', which does not exist; correct *",
+        "test_around[search]": columns,
+        "test_named[?]": columns,
+        "test_of_a_missing_module[r157/cut-in]": "*expected a module that can be imported, *'missing_module:Planner'*",
+        "test_in_a_missing_module[r157/cut-in]": "*expected a module that can be imported, *'missing_module:World'*",
+        "test_uses_it": f"E*RequestError: {columns}",
+    }.items():
+        pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([expected])

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from pytest_pafot import Scenario
+from pytest_pafot import Scenario, catalogue
 from pytest_pafot.extending import RequestError
 from pytest_pafot.extras.recordings import commonroad_scenario, highd, levelx, ngsim, openscenario_story, own_csv
 from pytest_pafot.extras.recordings.openscenario_cast import Options
 from pytest_pafot.extras.recordings.recording import LANE_WIDTH, Recording, RecordingError
 from pytest_pafot.extras.recordings.tables import Between, Table
 from pytest_pafot.extras.recordings.xml_data import read_xml
-from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.errors import FieldError, is_collecting, plain_number
 from pytest_pafot.support.text import shown
 
 
@@ -35,6 +35,31 @@ TABLES = (
 """All formats of tables. The first one whose columns a file has reads it."""
 WIDEST = 20.0
 """The largest width of a lane [m]."""
+
+
+class Refused:
+    """What stands for a file that was refused while pytest imported a test file: the items that use it fail.
+
+    Only they do, and not the other tests of their file. Every use that is not ``@pafot.recorded(...)``,
+    ``@pafot.catalogue(...)`` or ``@pafot.search(around=...)`` raises the error at once.
+    """
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    @property
+    def entries(self) -> Any:
+        """Raise the error: the catalogue asks this of a recording when an item runs."""
+        raise RequestError(str(self._error)) from self._error
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # pytest asks each object of a test file for some of these
+            raise AttributeError(name)
+        return self.entries
+
+    def __call__(self, test: Any) -> Any:
+        """Mark a test as the recording would."""
+        return catalogue(self)(test)
 
 
 def recorded(
@@ -71,10 +96,21 @@ def recorded(
 
     Raises:
         RecordingError: if the file cannot be read; the message names the place, what was expected, and the way out.
-        RequestError: if there is no such vehicle.
+        RequestError: if there is no such vehicle. While pytest imports a test file, neither error is raised, but the
+            tests that use what is returned fail with its message.
     """
-    _check(path, between, vehicles, without, lane_width)
-    file = Path(path)
+    try:
+        _check(path, between, vehicles, without, lane_width)
+        found = _read(Path(path), between, Options(None if ego is None else str(ego), vehicles, without, lane_width))
+        return found if ego is None or isinstance(found, Scenario) else found.seen_from(ego)
+    except (RequestError, FieldError) as error:
+        if not is_collecting():
+            raise
+        refused: Any = Refused(error)
+        return refused  # type: ignore[no-any-return]
+
+
+def _read(file: Path, between: Between, options: Options) -> Recording | Scenario:
     try:
         if not file.is_file():
             what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "does not exist"
@@ -86,32 +122,23 @@ def recorded(
         if is_xml:
             root = read_xml(file)
             if root.tag == openscenario_story.ROOT:
-                name = None if ego is None else str(ego)
-                options = Options(name, vehicles, without, lane_width)
-                found = openscenario_story.read(root, between, options)
-                if isinstance(found, Scenario):
-                    return found
-            elif root.tag == commonroad_scenario.ROOT:
-                found = commonroad_scenario.read(root, between)
-            else:
-                expected = f"{openscenario_story.ROOT} or {commonroad_scenario.ROOT}"
-                raise root.error(expected, root.tag[:60], "convert the file to one of them")
-        else:
-            table = Table(file)
-            known = [each for each in TABLES if all(name.lower() in table.columns for name in each.columns)]
-            if not known:
-                expected = "the columns of " + ", or ".join(
-                    f"{each.name} ({', '.join(each.columns)})" for each in TABLES
-                )
-                is_text = len(table.columns) > 1 and not any("\0" in name for name in table.columns)
-                names = "rename the columns to those of one of them"
-                fix = names if is_text else "save it with commas between the cells, in UTF-8"
-                raise RecordingError(file, expected, ", ".join(table.columns)[:200] or "none", fix, line=1)
-            found = known[0].read(file, between)
+                return openscenario_story.read(root, between, options)
+            if root.tag == commonroad_scenario.ROOT:
+                return commonroad_scenario.read(root, between)
+            expected = f"{openscenario_story.ROOT} or {commonroad_scenario.ROOT}"
+            raise root.error(expected, root.tag[:60], "convert the file to one of them")
+        table = Table(file)
+        known = [each for each in TABLES if all(name.lower() in table.columns for name in each.columns)]
+        if not known:
+            expected = "the columns of " + ", or ".join(f"{each.name} ({', '.join(each.columns)})" for each in TABLES)
+            is_text = len(table.columns) > 1 and not any("\0" in name for name in table.columns)
+            names = "rename the columns to those of one of them"
+            fix = names if is_text else "save it with commas between the cells, in UTF-8"
+            raise RecordingError(file, expected, ", ".join(table.columns)[:200] or "none", fix, line=1)
+        return known[0].read(file, between)
     except OSError as error:
         received = f"received {str(error.filename or file)!r:.200}: {error.strerror}"
         raise RequestError(f"recorded: expected a file that can be read, {received}; correct the path") from None
-    return found if ego is None else found.seen_from(ego)
 
 
 def _check(path: object, between: object, vehicles: object, without: object, lane_width: object) -> None:

@@ -19,6 +19,8 @@ MOST_BYTES = 2**31
 """The largest table [bytes]. The largest recordings of highD have 0.1 GB, the whole of NGSIM's I-80 0.8 GB."""
 MOST_ROWS = 3_000_000
 """The largest number of rows that are kept. A row takes 48 bytes."""
+MOST_VEHICLES = 20_000
+"""The largest number of vehicles, each part of one that was lost in between counted. highD and NGSIM have 3,000."""
 LONGEST_LINE = 100_000
 """The longest line [characters]; the longest header of the data sets has 300."""
 MOST_FILLED = 100
@@ -26,6 +28,8 @@ MOST_FILLED = 100
 wrong rate, or times that hardly differ, could have more of them than there is memory."""
 LARGEST = 1e9
 """The largest number that a cell may have; data sets have coordinates on a map in metres, and times in seconds."""
+A_PART = "read a part of it, such as between=(0, 60) in seconds"
+"""The way out for a table that is too large."""
 
 Between = tuple[float, float] | None
 """The first and the last time of the rows to keep, on the clock of the data [s]; None for all."""
@@ -140,21 +144,23 @@ class Tracks:
         """Keep a row: its time, and numbers of which all rows have as many."""
         if self._first <= row[0] <= self._last:
             self._count += 1
-            if self._count > MOST_ROWS:
-                fix = "read a part of it, such as between=(0, 60) in seconds"
-                raise self._table.error(line, "", f"at most {MOST_ROWS} rows", "more", fix)
             self._rows.setdefault(name, array("d")).extend(row)
+            if self._count > MOST_ROWS:
+                raise self._table.error(line, "", f"at most {MOST_ROWS} rows", "more", A_PART)
+            if len(self._rows) > MOST_VEHICLES:
+                raise self._table.error(line, "", f"at most {MOST_VEHICLES} vehicles", "more", A_PART)
 
     def by_vehicle(self, columns: int) -> Iterator[tuple[str, FloatArray]]:
         """Yield the name of each vehicle, and its rows in the order of their times; shape [rows, columns].
 
         Raises:
-            RecordingError: if there are no rows, or a vehicle has two at the same time.
+            RecordingError: if there are no rows, a vehicle has two at the same time, or too many are lost in between.
         """
         if not self._rows:
             is_cut = self._first > -math.inf
             fix = "give another time as between=" if is_cut else "the file may be cut off"
             raise self._table.error(None, "", "rows" + " at that time" * is_cut, "none", fix)
+        count = 0
         for name, numbers in self._rows.items():
             rows = np.array(numbers).reshape(-1, columns)
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
@@ -163,6 +169,10 @@ class Tracks:
                 received = f"two of vehicle {name}"
                 fix = "remove one, or split a file with data of several places or days"
                 raise self._table.error(None, "", f"one row of a vehicle at {rows[twice[0], 0]:g} s", received, fix)
+            count += 1 + int(np.count_nonzero(np.diff(rows[:, 0]) > LONGEST_GAP))
+            if count > MOST_VEHICLES:
+                received = "more, since each gap of more than a second makes another one"
+                raise self._table.error(None, "", f"at most {MOST_VEHICLES} vehicles", received, A_PART)
             yield name, rows
 
 

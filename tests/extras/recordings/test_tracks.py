@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.extras.export.exporter import exporter
-from pytest_pafot.extras.recordings import xml_data
+from pytest_pafot.extras.recordings import tables, xml_data
 from pytest_pafot.extras.recordings.recording import RecordedVehicle, RecordingError
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import RequestError
@@ -361,6 +361,83 @@ def test_text_of_an_element_is_limited(tmp_path, monkeypatch):
     path.write_text(f"<other>{' ' * 20000}{'x' * 11}</other>")
     with pytest.raises(RecordingError, match=r"other: expected at most 10 characters, received more"):
         pafot.recorded(path)
+
+
+def weaving(seed, hz=10, seconds=8, *, speed=1.0, heading=1.0, along=0.0, grid=0.0, noise=0.0):
+    """Return a table of a car at 5 to 30 m/s that weaves and one that stops, with factors of two columns.
+
+    The road leads in the direction ``along`` [rad]. Places are rounded to a multiple of ``grid``, after noise [m].
+    """
+    rng = np.random.default_rng(seed)
+    times = np.arange(hz * seconds + 1) / hz
+    moved, lines = 5.0 + 25.0 * rng.random(), [HEAD]
+    for name, pace, turn in (("a", moved + 0 * times, 0.1 * np.sin(times)), ("b", np.maximum(9 - 3 * times, 0), 0)):
+        angle = along + turn + 0 * times
+        places = np.cumsum(pace / hz * np.exp(1j * angle)) - pace[0] / hz
+        places += noise * (rng.normal(size=len(times)) + 1j * rng.normal(size=len(times)))
+        x, y = (np.round(each / grid) * grid if grid else each for each in (places.real, places.imag))
+        columns = zip(times, x, y, heading * angle, speed * pace, strict=True)
+        lines += [f"{time},{name},{x},{y},{angle},{pace},4,2" for time, x, y, angle, pace in columns]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("hz", [1, 10, 25])
+def test_table_in_other_units_is_refused_with_the_likely_cause(tmp_path, seed, hz):
+    path = tmp_path / "tracks.csv"
+    for factor, unit in ((3.6, "km/h"), (1 / 0.3048, "feet per second"), (1 / 0.44704, "miles per hour")):
+        path.write_text(weaving(seed, hz, 20, speed=factor))
+        fix = f"speed: expected m/s, received {factor:.4g} times .* in {unit}; divide the column by {factor:.4g}$"
+        with pytest.raises(RecordingError, match=fix):
+            pafot.recorded(path)
+    path.write_text(weaving(seed, hz, 20, heading=180 / math.pi))
+    fix = r"heading: expected radians, received 57.3 times .* as in degrees; multiply the column by pi / 180$"
+    with pytest.raises(RecordingError, match=fix):
+        pafot.recorded(path)
+
+
+@table(
+    "errors",
+    [
+        {},
+        {"along": 2.0},
+        {"grid": 0.3048},  # NGSIM has places in steps of a foot
+        {"grid": 1.0},
+        {"noise": 0.05, "hz": 25},  # inD and highD have errors of centimetres
+        {"noise": 0.3},
+        {"speed": 1.3},
+        {"heading": 0.0},
+        {"seconds": 1, "speed": 3.6},  # too short to say
+    ],
+)
+def test_table_with_errors_of_measurement_is_read(tmp_path, errors):
+    path = tmp_path / "tracks.csv"
+    for seed in range(5):
+        path.write_text(weaving(seed, **errors))
+        assert len(pafot.recorded(path).vehicles) == 2
+
+
+def test_number_of_vehicles_is_limited_with_those_that_were_lost_in_between(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "MOST_VEHICLES", 3)
+    path = tmp_path / "tracks.csv"
+    row = "{},{},0,0,0,20,4,2"
+    for names, gap, message in (
+        ("abc", 0.5, ""),
+        (
+            "abcd",
+            0.5,
+            r"csv:5: expected at most 3 vehicles, received more; read a part of it, such as between=\(0, 60\)",
+        ),
+        ("aaa", 2.0, ""),
+        ("aaaa", 2.0, r"csv: expected at most 3 vehicles, received more, since each gap of .* makes another one; read"),
+    ):
+        path.write_text("\n".join([HEAD, *(row.format(gap * at, name) for at, name in enumerate(names))]))
+        if message:
+            with pytest.raises(RecordingError, match=message):
+                pafot.recorded(path)
+            assert len(pafot.recorded(path, between=(0.0, 1.0)).vehicles) < 4
+        else:
+            assert len(pafot.recorded(path).vehicles) == 3
 
 
 def test_gap_is_left_open_if_times_differ_so_little_that_millions_of_rows_would_fill_it(tmp_path):
