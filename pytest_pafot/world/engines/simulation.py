@@ -451,7 +451,7 @@ class Simulators:
     def __init__(self, make: Callable[[], Any]) -> None:
         is_first = all(each._process != os.getpid() for each in self._all)
         self._make = make
-        self._process = os.getpid()
+        self._process: int = os.getpid()
         self._free: list[Any] = []
         if is_first:
             atexit.register(self.close_all)
