@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.campaign.options import OF_COMMAND
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
@@ -278,6 +278,14 @@ class Collection:
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
         collected = self._collected
         if not collected.roots and not any(map(os.path.lexists, roots)):
+            if not items:  # such as a corpus with another name, alone
+                folders = {file.parent for file in self._passed_by if not self._is_ignored(file)}
+                corpus = BY_NAME["corpus"].flag
+                why = (
+                    f"no test that replays it was collected; name its test file, and {corpus}= if it is not next to it"
+                )
+                strays = {layout.relative(folder, self._rootpath): (why, False) for folder in folders}
+                self._config.stash[UNRUN].strays.update(strays)
             return
         collected.roots, collected.asked_for = roots, self._folders_given
         collected.corpus, collected.others = corpus or layout.CORPUS, self._others - roots.keys()

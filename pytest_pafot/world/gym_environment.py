@@ -357,6 +357,20 @@ class GymEnvironment:
         """
         return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
 
+    @property
+    def ends_in_steps(self) -> tuple[str, ...]:
+        """The names of what may end an episode only where its ``step`` is called, which reference drivers do not.
+
+        These are wrappers whose ``step`` is not gymnasium's, limits of steps outside of any other wrapper, and a
+        ``step`` of the environment's own.
+        """
+        found, wrappers = [f"{type(self.unwrapped).__name__}.step"] * self.has_own_step, wrappers_of(self.outer)
+        inner = list(itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers))
+        for each in wrappers[len(inner) :]:
+            if isinstance(each, TimeLimit) or not type(each).step.__module__.startswith("gymnasium."):
+                found.append(type(each).__name__)
+        return tuple(found)
+
     @cached_property
     def sets_ends(self) -> bool:
         """True if the environment sets a method that ends episodes on itself, where a copy would ask the original."""

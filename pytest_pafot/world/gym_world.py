@@ -285,6 +285,11 @@ class World(BuiltInWorld):
         return {name: changed for name, changed in left_out.items() if name not in asked}
 
     @property
+    def ends_in_steps(self) -> tuple[str, ...]:
+        """What may end a run of a policy, such as a wrapper, but does not end the runs of reference drivers."""
+        return () if self.planner_hz is not None or self.ends == "duration" else self.environment.ends_in_steps
+
+    @property
     def has_traffic_in_reset(self) -> bool:
         """True if the environment's own ``reset``, or that of a wrapper, changes vehicles that are NPCs in runs."""
         return self.planner_hz is None and self.environment.has_traffic_in_reset

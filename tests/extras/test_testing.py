@@ -28,6 +28,7 @@ from pytest_pafot.extras.testing.traces import (
     OFFSET,
     STRETCH,
     contacts,
+    end,
     form,
     of_runs,
     places_at_start,
@@ -754,6 +755,24 @@ def test_npcs_that_touch_end_the_run_as_invalid():
     ended = replace(touching, states=touching.states[:21], outcome=Outcome.INVALID)
     for each, is_kept in ((trace, True), (touching, False), (ended, True), (replace(trace, outcome="invalid"), False)):
         assert all(kept for kept, *_ in contacts(replace(each, outcome=Outcome(each.outcome)))) == is_kept
+
+
+def test_run_that_ends_too_early_says_which_box_touches_the_ego_then():
+    """A simulator that stops at a contact of its own, and reports none, is told which one it was."""
+    world, cells = Highway(duration=20.0), (Cell.FRONT_LEFT, Cell.REAR_LEFT)
+    trace = world.rollout(
+        Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells]), lambda: lambda seen: (0.0, 0.0)
+    )
+    cut = replace(trace, states=trace.states[:21], outcome=Outcome.SAFE)
+    on_ego = with_states(cut, lambda states: np.copyto(states[20, 2], states[20, 0]))
+    for each, ending in (
+        (cut, " s"),
+        (on_ego, "; the boxes of the ego and of NPC 1 touch then, so is it a collision?"),
+    ):
+        promise, received = next((what, why) for kept, what, why in end(world, each) if not kept)
+        assert promise.startswith("states of a run with the outcome safe last ")
+        assert received.startswith(f"20 ticks at {trace.physics_hz} Hz, ")
+        assert received.endswith(ending)
 
 
 def test_hang_limit_of_own_world_is_kept_for_it():

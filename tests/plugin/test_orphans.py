@@ -1,5 +1,7 @@
 """Saved scenarios that no test runs are reported and retained; pruning removes only those without a test."""
 
+import pytest
+
 from tests.plugin.test_prune import prune
 
 
@@ -98,6 +100,21 @@ def test_misplaced_files_without_collected_test_are_reported(failing):
         "a.pafot.yaml: it is in no test's folder; move it to the folder of test_old.py::test_it, or delete it",
         "b.pafot.yaml: it is in no test's folder; move it to the folder of its test, or delete it",
     ]
+
+
+def test_corpus_with_another_name_and_no_test_says_what_to_name(saved):
+    (saved.path / "elsewhere").mkdir()
+    (saved.path / "pafot_corpus").rename(saved.path / "elsewhere" / "corpus")
+    result = saved.run("elsewhere", generations=0)
+    assert (result.ret, told(result)) == (
+        pytest.ExitCode.NO_TESTS_COLLECTED,
+        [
+            "elsewhere/corpus/test_it/test_fails: no test that replays it was collected; name its test file, and "
+            "--pafot-corpus= if it is not next to it"
+        ],
+    )
+    assert told(saved.run("elsewhere", "--ignore=elsewhere/corpus", generations=0)) == []
+    saved.run("test_it.py", "--pafot-corpus=elsewhere/corpus", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_misplaced_files_are_ignored_without_a_search(project):

@@ -1,6 +1,7 @@
 """A simulator of the user's as a world: its runs, its units and axes, its road, its files and its errors."""
 
 import math
+import multiprocessing
 import os
 import pickle
 import time
@@ -733,6 +734,30 @@ def test_close_that_fails_never_hides_the_error_of_the_run(recwarn, action):
     assert caught.value.__notes__ == ["raised by Failing.step, tick 1"]
     assert caught.value.__context__ is None
     assert len(recwarn) == (action == "error")
+
+
+class Marking(Bicycle):
+    """A simulator that leaves a file at its end."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def close(self):
+        (self.folder / str(os.getpid())).touch(exist_ok=False)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("how", ["fork", "spawn"])
+def test_a_process_of_multiprocessing_closes_its_own_simulators_at_its_end(tmp_path, how):
+    """Such a process does not call the functions of ``atexit``; one that is forked has those of its parent, too."""
+    world = SimulatorWorld(partial(Marking, tmp_path), duration=1.0)
+    world.rollout(scenarios()[0], Batch)
+    process = multiprocessing.get_context(how).Process(target=world.rollout, args=(scenarios()[0], Batch))
+    process.start()
+    process.join(60.0)
+    assert [each.name for each in tmp_path.iterdir()] == [str(process.pid)]
+    Simulators.close_all()
+    assert len([*tmp_path.iterdir()]) == 2
 
 
 def test_world_that_is_sent_to_a_process_makes_its_own_simulator():

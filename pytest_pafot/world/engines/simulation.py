@@ -14,6 +14,8 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import parent_process
+from multiprocessing.util import Finalize
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -447,11 +449,14 @@ class Simulators:
     _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
 
     def __init__(self, make: Callable[[], Any]) -> None:
+        is_first = all(each._process != os.getpid() for each in self._all)
         self._make = make
-        self._process = os.getpid()
+        self._process: int = os.getpid()
         self._free: list[Any] = []
-        if not self._all:
+        if is_first:
             atexit.register(self.close_all)
+            if parent_process() is not None:  # multiprocessing ends its processes without the functions of atexit
+                Finalize(None, self.close_all, exitpriority=0)
         self._all.add(self)
 
     def __del__(self) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs

@@ -238,6 +238,32 @@ def test_reference_drivers_end_there_too_and_no_run_is_driven_on_past_an_end(reg
     assert World("limited-v0", ends="duration").longest_run == 30.0
 
 
+class Plain(gymnasium.RewardWrapper):
+    def reward(self, reward):
+        return reward + 1.0
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "expected"),
+    [
+        ([lambda env: TimeLimit(env, 4)], ()),
+        ([Plain], ()),
+        ([Fenced], ("Fenced",)),
+        ([Plain, lambda env: TimeLimit(env, 4)], ("TimeLimit",)),
+        ([Fenced, lambda env: TimeLimit(env, 4), Rewarded], ("Fenced", "TimeLimit", "Rewarded")),
+    ],
+)
+def test_what_only_steps_can_end_is_named_for_the_reader_of_reference_drivers(wrappers, expected):
+    assert World("highway-fast-v0", wrappers=wrappers).ends_in_steps == expected
+    assert World("highway-fast-v0", wrappers=wrappers, ends="duration").ends_in_steps == ()
+
+
+def test_a_step_of_the_environment_is_named_as_an_end_that_reference_drivers_do_not_know(register):
+    register("ending-v0", entry_point=OwnStep)
+    assert World("ending-v0").ends_in_steps == ("OwnStep.step",)
+    assert World("ending-v0", planner_hz=5).ends_in_steps == ()
+
+
 class Batching:
     def __call__(self, seen):
         return IDLE
