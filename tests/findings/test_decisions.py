@@ -537,6 +537,17 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     assert [each for each in told if each.startswith("The ego drove")] == []
 
 
+@pytest.mark.parametrize("planner", [to_lanes, steering(0.03)])
+def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(planner):
+    world = pafot.World("racetrack-oval-v1", duration=20.0, planner_hz=5)
+    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=20.0, ego_lane=1, ego_speed=9)
+    run = pafot.Run(world.rollout(scenario, planner((0.0, 1), (6.0, 0))))
+    assert run.attribution.fault == "entered-lane"
+    assert run.attribution.time > 7.0
+    assert not run.trace.road.is_straight
+    assert advice_on(run) == "do not change lanes at 6.0 s"
+
+
 @pytest.mark.parametrize(
     ("facts", "words"),
     [
