@@ -127,7 +127,7 @@ def main() -> None:
         if "map" in chosen:
             drawn = folder / "map.png"
             command = [sys.executable, "-m", "pytest_pafot", "map", *MAP, f"--png={drawn}"]
-            save("map-fiss.png", written(drawn, command).read_bytes())
+            save("map-fiss.png", _small(written(drawn, command).read_bytes()))
         browser = Browser(chromium, folder / "profile")
         try:
             for story in (each for each in STORIES if each.name in chosen):
