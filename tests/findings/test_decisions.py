@@ -520,6 +520,8 @@ def lane_at(time, plan):
         (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
         (steering(0.002), [(0.0, 1), (2.0, 0)], 2.0),
         (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (5.4, 0)], 5.4),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (12.2, 0)], 12.2),
         (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
     ],
 )
@@ -537,15 +539,22 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     assert [each for each in told if each.startswith("The ego drove")] == []
 
 
-@pytest.mark.parametrize("planner", [to_lanes, steering(0.03)])
-def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(planner):
-    world = pafot.World("racetrack-oval-v1", duration=20.0, planner_hz=5)
-    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=20.0, ego_lane=1, ego_speed=9)
-    run = pafot.Run(world.rollout(scenario, planner((0.0, 1), (6.0, 0))))
+@pytest.mark.parametrize(
+    ("planner", "plan", "moment"),
+    [
+        (to_lanes, [(0.0, 1), (6.0, 0)], 6.0),
+        (steering(0.03), [(0.0, 1), (6.0, 0)], 6.0),
+        (steering(0.06), [(0.0, 2), (8.6, 0)], 8.8),  # its first steering only ends the motion to the other side
+    ],
+)
+def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(planner, plan, moment):
+    world = pafot.World("racetrack-oval-v1", duration=30.0, planner_hz=5)
+    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_lane=1, ego_speed=9)
+    run = pafot.Run(world.rollout(scenario, planner(*plan)))
     assert run.attribution.fault == "entered-lane"
-    assert run.attribution.time > 7.0
+    assert run.attribution.time > moment + 1.0
     assert not run.trace.road.is_straight
-    assert advice_on(run) == "do not change lanes at 6.0 s"
+    assert advice_on(run) == f"do not change lanes at {moment:.1f} s"
 
 
 @pytest.mark.parametrize(
