@@ -1,8 +1,10 @@
-"""Make the pictures of report pages in README.md and guide/triage.md from real searches of two example policies.
+"""Make the pictures of report pages in README.md and guide/triage.md, and the map in guide/catalogue.md.
 
-It runs both searches, opens their pages in a headless Chromium, light and dark, and saves screenshots. It needs
-Chromium, and Pillow and fiss-planner in addition to the plugin:
-``python -m pip install ".[report,fiss]" && python docs/tools/report_picture.py``.
+It runs searches of two example policies, opens their pages in a headless Chromium, light and dark, and saves
+screenshots. The map is what ``python -m pytest_pafot map`` draws. ``report_picture.py map`` makes this picture alone,
+and so do ``constant-speed`` and ``fiss``; the searches and the map of fiss take minutes. It needs Chromium, and
+Pillow, matplotlib and fiss-planner in addition to the plugin:
+``python -m pip install ".[report,compare,fiss]" && python docs/tools/report_picture.py``.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,20 +52,29 @@ STORIES = (
 )
 
 
+MAP = ("r157/cut-in", "--ads=fiss", "--over=relative_speed=-14:-2:7", "--over=gap=0:60:13")
+"""Arguments of the command that draws the map."""
+
+
 def search(story: Story, folder: Path) -> Path:
     """Run the search of an example policy, and return its page."""
     page = folder / f"{story.name}.html"
-    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
-    environment["PYTHONPATH"] = str(ROOT)
     command = [
         *(sys.executable, "-m", "pytest", f"example_ads/test_safety.py::{story.test}", "-p", "no:randomly", "-q"),
         *("--tb=no", f"--pafot-corpus={folder / 'corpus'}", f"--pafot-report={page}"),
         *story.options,
     ]
+    return written(page, command)
+
+
+def written(path: Path, command: Sequence[str]) -> Path:
+    """Run a command that writes a file, and return the path of the file."""
+    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
+    environment["PYTHONPATH"] = str(ROOT)
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
-    if not page.is_file():
-        raise SystemExit(f"{story.test}: expected a page, received this:\n{done.stdout}{done.stderr}")
-    return page
+    if not path.is_file():
+        raise SystemExit(f"{command}: expected {path.name}, received this:\n{done.stdout}{done.stderr}")
+    return path
 
 
 def shots(browser: Browser, page: Path) -> Iterator[tuple[str, bytes]]:
@@ -103,21 +114,33 @@ def _small(content: bytes) -> bytes:
 
 
 def main() -> None:
-    """Write all pictures."""
+    """Write the pictures that are named as arguments, or all."""
+    names = [*(story.name for story in STORIES), "map"]
+    chosen = sys.argv[1:] or names
+    if not set(chosen) <= set(names):
+        raise SystemExit(f"expected {', '.join(names)}, received {' '.join(chosen)}")
     chromium = find_chromium()
     if chromium is None:
         raise SystemExit("expected chromium or google-chrome on PATH, found none")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        if "map" in chosen:
+            drawn = folder / "map.png"
+            command = [sys.executable, "-m", "pytest_pafot", "map", *MAP, f"--png={drawn}"]
+            save("map-fiss.png", _small(written(drawn, command).read_bytes()))
         browser = Browser(chromium, folder / "profile")
         try:
-            for story in STORIES:
+            for story in (each for each in STORIES if each.name in chosen):
                 for suffix, content in shots(browser, search(story, folder)):
-                    path = DOCS / f"report-{story.name}{suffix}.png"
-                    path.write_bytes(content)
-                    print(f"{path.name}: {len(content)} bytes")
+                    save(f"report-{story.name}{suffix}.png", content)
         finally:
             browser.close()
+
+
+def save(name: str, content: bytes) -> None:
+    """Write a picture of the documents."""
+    (DOCS / name).write_bytes(content)
+    print(f"{name}: {len(content)} bytes")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.attribution.responsibility import Fault, frame_of
 from pytest_pafot.attribution.sentences import advice
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Trace, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
 
 PARTS = {
@@ -190,10 +190,7 @@ def due_of(run: Run) -> float | None:
 
 
 def moved_over(run: Run) -> int | None:
-    """Return the number of the decision that began a change of lanes by which the ego is at fault; None without one.
-
-    On a bent road it is the last decision before the ego crossed the line.
-    """
+    """Return the number of the decision that began a change of lanes by which the ego is at fault; None without one."""
     trace, attribution = run.trace, run.attribution
     if attribution.fault != "entered-lane" or not trace.decision_ticks:
         return None
@@ -225,8 +222,6 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
     turned back.
     """
     ticks = trace.decision_ticks
-    if not trace.road.is_straight:
-        return number
     drifts = frame_of(trace).drift[0]
     side = 1.0 if drifts[tick] > 0 else -1.0
     lanes = [getattr(action, "lane", math.nan) for action in trace.actions[: number + 1]]
@@ -238,7 +233,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
             number -= 1
         return number
     drift = (side * drifts[ticks]).tolist()
-    off_centre = np.abs(trace.ego[ticks, Y, None] - [lane.y for lane in trace.lanes]).min(axis=1, initial=math.inf)
+    off_centre = np.abs(trace.track_of(0)[ticks, OFFSET])
     while number and drift[number] >= ALONG:
         number -= 1
     # The ego turned back while it still moved to the other side, and turned off before it moved visibly.

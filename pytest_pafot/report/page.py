@@ -177,13 +177,13 @@ def further_section(findings: Sequence[RunView], whole: int) -> str:
     rows = (
         row(
             text(finding.id),
-            f"{text(finding.headline)}<br>{text(', '.join(_tags(finding)))}",
-            text(finding.path or finding.node_id),
+            f"<p>{text('; '.join(filter(None, [finding.headline, finding.besides, finding.deadline])))}</p>"
+            f'<p class="note">{text(", ".join([*_tags(finding)[1:], finding.path or finding.node_id]))}</p>'
             f"<code>{text(f'{finding.command} {alone}')}</code>",
         )
         for finding in findings
     )
-    listed = table(columns("finding", "what happened", "file", "a page of it alone"), rows)
+    listed = table(columns("finding", "what happened, its file, and the command for a page of it alone"), rows)
     count = plural(len(findings), "further finding")
     note = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
     return (

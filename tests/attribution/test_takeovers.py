@@ -116,7 +116,7 @@ class Lasting:
 
     def __init__(self, short, longer):
         self.short, self.longer, self.asked = short, longer, []
-        self.drivers = ("steady-braking",)
+        self.drivers = ("steady-braking", "careful-human")
 
     def __call__(self, trace, tick, name):
         return self.short if tick == 27 else trace
@@ -222,6 +222,15 @@ def test_a_careful_driver_who_keeps_the_lane_avoids_only_untouched(taken, is_fre
     take_over.drivers = ("steady-braking",)
     assert keeping_lane(crash(), 27, take_over) is None
     assert keeping_lane(crash(outcome=Outcome.SAFE), 27, lambda *_: pytest.fail("simulated")) is None
+
+
+@table("is_kept", [True, False])
+def test_a_careful_driver_must_keep_the_lane_in_the_part_that_is_driven_on_too(is_kept):
+    longer = braked()
+    states = longer.states.copy()
+    states[100:, 0, LANE] = 1 if is_kept else 0
+    take_over = Lasting(braked(ticks=60), replace(longer, states=states))
+    assert keeping_lane(crash(), 27, take_over) == (Avoidance(time=1.8) if is_kept else None)
 
 
 @table(("cell", "is_free"), [(Cell.LEFT, True), (Cell.FRONT, True), (Cell.REAR, False)])

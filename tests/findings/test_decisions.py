@@ -522,6 +522,8 @@ def lane_at(time, plan):
         (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
         (steering(0.002), [(0.0, 1), (2.0, 0)], 2.0),
         (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (5.4, 0)], 5.4),
+        (steering(0.03), [(0.0, 1), (2.0, 2), (12.2, 0)], 12.2),
         (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
     ],
 )
@@ -546,6 +548,24 @@ def test_what_the_ego_did_is_not_said_where_keeping_the_lane_avoids_the_collisio
     expect = replace(expecting(run, avoided_by=Avoidance(time=2.0)), time=round(run.collision.time, 3))
     careful = "A careful driver who keeps the lane from 2.0 s on avoids the collision."
     assert expect.sentences_on(run) == (crossed, asked, careful, responsible)
+
+
+@pytest.mark.parametrize(
+    ("planner", "plan", "moment"),
+    [
+        (to_lanes, [(0.0, 1), (6.0, 0)], 6.0),
+        (steering(0.03), [(0.0, 1), (6.0, 0)], 6.0),
+        (steering(0.06), [(0.0, 2), (8.6, 0)], 8.8),  # its first steering only ends the motion to the other side
+    ],
+)
+def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(planner, plan, moment):
+    world = pafot.World("racetrack-oval-v1", duration=30.0, planner_hz=5)
+    scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_lane=1, ego_speed=9)
+    run = pafot.Run(world.rollout(scenario, planner(*plan)))
+    assert run.attribution.fault == "entered-lane"
+    assert run.attribution.time > moment + 1.0
+    assert not run.trace.road.is_straight
+    assert advice_on(run) == f"do not change lanes at {moment:.1f} s"
 
 
 @pytest.mark.parametrize(

@@ -125,13 +125,14 @@ def test_worst_findings_are_whole_and_all_others_rows():
 def test_row_has_what_file_and_command_of_its_finding():
     finding = shown("a1", closing=3.0)
     row = shown("a1", closing=3.0, path="pafot_corpus/a1.yaml")
-    row = replace(row, headline="hit <b>", command="pytest 'a b.py::t'", vehicles=())
+    row = replace(row, headline="hit <b>", deadline="brake by 2.0 s", command="pytest 'a b.py::t'", vehicles=())
     page = render_page(Report(title="t", findings=(finding,), further=(row,)))
     (section,) = re.findall('<section[^>]* id="further".*?</section>', page, re.DOTALL)
     assert "1 further finding" in section
     assert "the 1 worst findings whole" in section
-    assert "hit &lt;b&gt;" in section
-    assert "<td>pafot_corpus/a1.yaml</td>" in section
+    assert "<p>hit &lt;b&gt;; brake by 2.0 s</p>" in section
+    assert ", pafot_corpus/a1.yaml</p>" in section
+    assert "at fault" not in section  # the headline says it
     assert "<code>pytest &#x27;a b.py::t&#x27; --pafot-report=one.html</code>" in section
     assert page.count('href="#further"') == 1
     assert (
