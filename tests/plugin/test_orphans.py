@@ -113,7 +113,7 @@ def test_corpus_with_another_name_and_no_test_says_what_to_name(saved):
             "--pafot-corpus= if it is not next to it"
         ],
     )
-    assert told(saved.run("elsewhere", "--ignore=elsewhere/corpus", generations=0)) == []
+    assert told(saved.run("elsewhere", "--ignore-glob=*.pafot.yaml", generations=0)) == []
     saved.run("test_it.py", "--pafot-corpus=elsewhere/corpus", generations=0).assert_outcomes(failed=1, skipped=1)
 
 
