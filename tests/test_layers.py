@@ -83,7 +83,6 @@ QUESTIONS = {
     "extras/recordings/commonroad_scenario.py": 1,  # whether a lane has points
     "extras/testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
     "extras/testing/traces.py": 10,  # the same
-    "findings/decisions.py": 1,  # a motion across begins at a decision only if lanes do not bend
     "model/instructions/crossing.py": 1,  # whether NPCs can cross at all
     "model/trace.py": 1,  # the one place that chooses the kind
     "report/animation.py": 2,  # whether lanes have points, whatever the road

@@ -339,6 +339,13 @@ def test_severities_that_are_no_numbers_are_left_out():
 HOSTILE = '=HYPERLINK("http://a.b")|<b>@all\x1b[31m'
 
 
+@pytest.mark.parametrize("width", [40, 60])
+def test_lines_for_people_are_as_wide_as_the_terminal_also_if_piped(width, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    table = table_of(night(21, finding()))
+    assert max(map(len, text_lines(table, course=False))) <= width
+
+
 def test_texts_of_strangers_are_data_in_every_format():
     strange = finding(id_=HOSTILE, requirements=[HOSTILE], title=HOSTILE, owner=HOSTILE, test="t.py::x")
     table = table_of(night(20, strange), tests={})

@@ -488,6 +488,15 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     assert numbers.stop == len(run.trace.decision_ticks)
 
 
+def test_an_ego_that_is_not_at_fault_gets_no_advice():
+    scenario = pafot.Scenario(
+        npcs=[[pafot.PositionInstruction(7, 22.0), pafot.PositionInstruction(6, 26.0)]], gene_seconds=6.0, ego_speed=20
+    )
+    run = pafot.Run(WORLD.rollout(scenario, lambda: lambda seen: KEEPS))
+    assert run.responsibility == "npc"
+    assert advice_on(replace(run, avoided_by=Avoidance(time=3.0, braking=6.0))) == ""
+
+
 def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too():
     run = crash(lambda: lambda seen: (-2.0 if seen.time >= 3.0 else 0.0, 0.0))
     number = deciding(run, expecting(run, avoided_by=Avoidance(time=4.0, braking=6.0)))
