@@ -72,8 +72,11 @@ AXES = {
 """What a simulator may state of its axes."""
 VECTORS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -1.0)}
 """The directions in :attr:`Simulator.headings`."""
-UNITS = {1 / 3.6: "1 / 3.6, as in km/h", 0.44704: "0.44704, as in mph", 0.3048: "0.3048, as in feet"}
-"""The usual units of length and speed in m and m/s, as messages show them."""
+UNITS = {
+    "metres": {0.3048: "0.3048, as in feet"},
+    "metres_per_second": {1 / 3.6: "1 / 3.6, as in km/h", 0.44704: "0.44704, as in mph", 0.3048: "0.3048, as in feet"},
+}
+"""The usual units of attributes in m and m/s, as messages show them."""
 
 
 class _Watched(Simulator):
@@ -354,7 +357,7 @@ class _Bench:
         except (WorldError, ScenarioError):  # the road is none then, or the start
             return ""
         if "scaled" not in cause:
-            return "; all fits with " + ", ".join(f"{name} = {_unit(value)}" for name, value in cause.items())
+            return "; all fits with " + ", ".join(f"{name} = {_unit(name, value)}" for name, value in cause.items())
         name, factor = cause["scaled"]
         if factor < 0:
             return f"; all fits with the opposite sign of control.{name}, which is positive where headings grow"
@@ -466,11 +469,12 @@ def _heads(rows: FloatArray, headings: str, degrees: bool) -> bool:
     return bool(np.median(ahead - np.hypot(*steps.T) * math.cos(2 * STEADY[1])) >= 0.0)
 
 
-def _unit(value: Any) -> str:
+def _unit(name: str, value: Any) -> str:
     """Return a value of an attribute in words: a unit by its name if it is a usual one."""
     if not isinstance(value, float):
         return repr(value)
-    return next((name for unit, name in UNITS.items() if abs(value / unit - 1) < 0.01), f"{value:.6g}")
+    units = UNITS.get(name, {})
+    return next((shown for unit, shown in units.items() if abs(value / unit - 1) < 0.01), f"{value:.6g}")
 
 
 def _shown(values: Sequence[float]) -> str:
