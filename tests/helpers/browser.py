@@ -63,7 +63,6 @@ class Browser:
         self._buffer = b""
         self._last_id = 0
         self.events = []
-        self.spare = []  # tabs of closed pages: a new one takes as long as a page
 
     def send(self, method, session=None, **parameters):
         self._last_id += 1
@@ -83,9 +82,6 @@ class Browser:
 
     def open(self, url="about:blank", *, width=1360, height=900, media=()):
         return Page(self, url, width=width, height=height, media=media)
-
-    def new_tab(self):
-        return self.send("Target.createTarget", url="about:blank")["targetId"]
 
     def until_told(self, method, since=0, **parameters):
         """Wait for an event with these parameters; earlier events count from number ``since`` on."""
@@ -123,7 +119,7 @@ class Page:
 
     def __init__(self, browser, url, *, width, height, media):
         self._browser = browser
-        self._target = browser.spare.pop() if browser.spare else browser.new_tab()
+        self._target = browser.send("Target.createTarget", url="about:blank")["targetId"]
         self._session = browser.send("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
@@ -194,10 +190,7 @@ class Page:
         ]
 
     def close(self):
-        """Leave the page, and its tab to the next one. Emulated sizes and media end with the connection to the tab."""
-        self.go("about:blank")
-        self._browser.send("Target.detachFromTarget", sessionId=self._session)
-        self._browser.spare.append(self._target)
+        self._browser.send("Target.closeTarget", targetId=self._target)
 
     def _mine(self):
         return [event for event in self._browser.events if event.get("sessionId") == self._session]
