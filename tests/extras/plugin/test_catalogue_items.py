@@ -98,7 +98,7 @@ def test_declines(run):
         [
             "SKIPPED *test_it.py:*: r157/cut-in: unavoidable*",
             "SKIPPED *this world cannot drive it: world: expected a road on which another way is merging *",
-            "SKIPPED *unavoidable: collision after 2.* s at *no reference driver avoids it",
+            "SKIPPED *unavoidable: collision after 2.* s, closing at *no reference driver avoids it",
             "SKIPPED *not as asked: ego speed asked 16.7 m/s, was *",
             "SKIPPED *not as asked: skipped: the run says nothing about the policy",
         ]
@@ -114,7 +114,7 @@ def test_failed_item_tells_the_scenario_its_source_and_who_avoids_it(project):
             "*Captured pafot call*",
             "r157/cut-in: A slower vehicle changes into the ego's lane, ahead of it.",
             "source     UN R157, after ASAM OSC-ALKS 4.4",
-            "result     collision after 6.3 s *; careful-human avoids it",
+            "result     collision after 6.3 s, *; careful-human avoids it",
             "  The ego is responsible.",
         ]
     )
