@@ -47,7 +47,7 @@ def test_summary_describes_each_finding_in_one_line(explained, monkeypatch, is_c
         monkeypatch.setenv("CI", "1")
     first, second = summary(search(explained))
     assert first == f"1 new finding: {explained.only_id}"
-    assert re.fullmatch(r"collision after \d+\.\d s at \d+\.\d m/s: NPC \d ahead, ego at fault", second)
+    assert re.fullmatch(r"collision after \d+\.\d s, closing at \d+\.\d m/s: NPC \d ahead, ego at fault", second)
 
 
 def test_summary_under_ci_lists_only_tests(explained, monkeypatch):
