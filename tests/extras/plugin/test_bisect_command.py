@@ -291,7 +291,7 @@ class Planner:
 @pytest.mark.parametrize(
     ("old", "new", "passes", "why"),
     [
-        ("", "", False, "collision after 15.3 s at"),
+        ("", "", False, "collision after 15.3 s, closing at"),
         ("0.6", "1.2", True, "safe for 20.0 s"),
         ("min(22.0", "min(5.0", None, "the situation did not come up: NPC 1 was 20 m ahead"),
         ("class", "import nonsense\nclass", None, "ModuleNotFoundError: No module named 'nonsense'"),
