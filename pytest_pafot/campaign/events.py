@@ -120,8 +120,8 @@ class SearchSummary:
         reason: [Why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
         algorithm, profile: their names.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
-        generations: their number, with one that was cut.
-        asked, budget: requested generations and runs; null for no limit.
+        generations: their number; one that a limit of time or findings cut is not counted.
+        asked, budget: requested generations and runs, of all sessions of a resumed search; null for no limit.
         runs, shrink_runs, neighbour_runs: simulated scenarios; further runs to simplify findings; of their neighbours.
         decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions of the policy in this session's
             `runs`, to confirm findings, in `shrink_runs` and in `neighbour_runs`, not in replays.
@@ -137,7 +137,8 @@ class SearchSummary:
         unlike: up to three of these by that id, with what differs from the file.
         failures: ids of findings by signature.
         random_failing, random_otherwise, random_checks, random_runs: random scenarios at the beginning: failing in a
-            collision by the ego's fault, otherwise, of the latter by a check, and all.
+            collision by the ego's fault, otherwise, of the latter by a check, and all that are valid and not
+            rejected. 0 if the search broke off before they were done.
         given: number of saved scenarios that it began with; if not 0, the four counts before are of these.
         drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
         against: the reference; empty without one.

@@ -33,8 +33,9 @@ COLUMNS: Mapping[str, str] = {
     "traffic": "its style; `paper` in a world without styles",
     "traffic_parts": "JSON: parts that differ from the style",
     "vehicles": "JSON: of the NPCs, up to the last that is no car",
-    "genes": "JSON: each NPC's instructions, in SI units: cell or lane and speed; zone, speed, slot, act; or "
-    "`manoeuvre`, speed, lanes beside the ego, gap to it, steps",
+    "genes": "JSON: each NPC's instructions, in SI units: cell or lane and speed; zone, speed, slot, act; "
+    "`manoeuvre`, speed, lanes beside the ego, gap to it, steps; `free`, speed, lanes beside the ego, gap, driver; or "
+    "`recorded`, track, later, pace, shift, steps",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "passed, failed, npc or avoidable (an NPC's fault, which blame excludes), unpreventable, common (the "
     "reference fails, too), invalid, rejected or skipped",

@@ -519,7 +519,7 @@ class _Worker(Generic[TaskT]):
 
 
 class _Left(NamedTuple):
-    """What a process says at its end, and whether that was in a task."""
+    """The last message of a process, and whether it ended in a task."""
 
     said: Any
     in_task: bool

@@ -127,8 +127,8 @@ def training_env(world: World, scenarios: Scenarios = None, share: float = 0.5) 
     traffic) and ``responsible`` (``ego``, ``npc``, ``both`` or ``none`` after a crash in a scenario; otherwise empty).
 
     Args:
-        world: the world. Its environment must have a ``step`` and a road of highway-env. The world must not have
-            ``planner_hz`` or wrappers; put wrappers around the returned environment.
+        world: the world. Its environment must have a ``step``, ``reset`` and road of highway-env. The world must not
+            have ``planner_hz``, wrappers, or an ``ego`` that is no car; put wrappers around the returned environment.
         scenarios: a folder with saved scenarios in it or below it; a sequence of scenarios; or a function that samples
             a scenario with a numpy ``Generator``. By default scenarios are random, like the first scenarios of a
             search.

@@ -286,7 +286,7 @@ class World(BuiltInWorld):
 
     @property
     def ends_in_steps(self) -> tuple[str, ...]:
-        """What may end a run of a policy, such as a wrapper, but does not end the runs of reference drivers."""
+        """The names of what may end a run of a policy, but does not end the runs of reference drivers."""
         return () if self.planner_hz is not None or self.ends == "duration" else self.environment.ends_in_steps
 
     @property

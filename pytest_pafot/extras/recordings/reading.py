@@ -38,7 +38,7 @@ WIDEST = 20.0
 
 
 class Refused:
-    """What stands for a file that was refused while pytest imported a test file: the items that use it fail.
+    """A stand-in for a file that was refused while pytest imported a test file: the items that use it fail.
 
     Only they do, and not the other tests of their file. Every use that is not ``@pafot.recorded(...)``,
     ``@pafot.catalogue(...)`` or ``@pafot.search(around=...)`` raises the error at once.
