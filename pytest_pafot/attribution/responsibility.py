@@ -612,9 +612,12 @@ def frame_of(trace: Trace) -> RoadFrame:
 
 
 class Conflict:
-    """The conflict of the ego and the NPC that it collided with, from the first tick to the impact."""
+    """The conflict of the ego and the NPC that it collided with, from the first tick to the impact.
 
-    def __init__(self, trace: Trace, npc: int) -> None:
+    ``onset`` is the tick from which on the two count as in one track; by default the last time that they came into one.
+    """
+
+    def __init__(self, trace: Trace, npc: int, onset: int | None = None) -> None:
         frame = frame_of(trace)
         self._frame, self._trace, self._npc = frame, trace, npc
         self._end, self._hz = trace.ticks, trace.physics_hz
@@ -622,7 +625,9 @@ class Conflict:
         self._safe_along = frame.safe_along(DISTANCES)[:, npc]
         along, across = frame.gap_along[:, npc], frame.gap_across[:, npc]
         is_close = (along < self._safe_along) | (along <= 0)
-        self._onset = self._one_track_since(across[:-1] > 0)  # from here to the end they were in one track
+        self._is_apart = across[:-1] > 0
+        # from here to the end they were in one track
+        self._onset = self._one_track_since(self._is_apart) if onset is None else onset
         is_dangerous = is_close & (across < frame.safe_across(DISTANCES)[:, npc])
         is_dangerous[self._onset :] = is_close[self._onset :]
         safe = np.flatnonzero(~is_dangerous[:-1])
@@ -636,7 +641,7 @@ class Conflict:
         A motorcycle that swerves in the lane of the other does not leave that track, even where the boxes do not
         overlap: otherwise its swerve would hide how it came in.
         """
-        lanes = self._trace.states[:-1, [0, self._npc + 1], LANE]
+        lanes = self._trace.states[: len(is_apart), [0, self._npc + 1], LANE]
         left = np.flatnonzero(is_apart & (lanes[:, 0] != lanes[:, 1]))
         first = int(left[-1]) + 1 if left.size else 0
         return first + next((at for at, apart in enumerate(is_apart[first:]) if not apart), len(is_apart) - first)
@@ -657,7 +662,10 @@ class Conflict:
         if over is not None and (latest is None or over.tick > latest.tick):
             return self._changed(over)
         if latest is None:
-            return self._strayed() if self._gap(self._onset) <= 0 else self._in_one_lane()
+            if self._gap(self._onset) <= 0:
+                return self._strayed()
+            earlier = self._earlier
+            return self._in_one_lane() if earlier is None else earlier.attribution
         if ego is not None and npc is not None and abs(ego.tick - npc.tick) <= TOGETHER * self._hz:
             return self._both_changed(ego, npc)
         return self._changed(latest)
@@ -668,6 +676,21 @@ class Conflict:
     def _is_in_one_track(self) -> bool:
         """True if the danger began after ego and NPC came into one track, or if they were in one track all the time."""
         return self._onset == 0 or self._start > self._onset
+
+    @property
+    def _earlier(self) -> Conflict | None:
+        """The conflict from the last lane change in this danger on, if the two came together again without any.
+
+        Otherwise, a vehicle that cuts in, swerves on over the other line of the lane, and comes back would have the
+        follower answer from when the cut-in began, as if it had been the leader since then. None without such a change.
+        """
+        together = np.flatnonzero(~self._is_apart[: self._onset])
+        onset = self._one_track_since(self._is_apart[: together[-1] + 1]) if together.size else 0
+        if onset < max(self._start, 1):
+            return None
+        earlier = Conflict(self._trace, self._npc, onset)
+        has_changed = earlier._change(0) is not None or earlier._npc_change is not None
+        return earlier if has_changed else earlier._earlier
 
     def _change(self, vehicle: int) -> LaneChange | None:
         npc = self._npc + 1

@@ -190,6 +190,27 @@ class TestCutIn:
         assert found.responsibility == "npc"
         assert found.sentences[0].startswith("NPC 0 crossed into lane 1 at 2.")
 
+    @pytest.mark.parametrize("swerves", [[], [(2.8, 1.95, 0.4), (3.2, 2.06, 0.2)]], ids=["once", "twice"])
+    @pytest.mark.parametrize("side", [1.0, -1.0], ids=["from the left", "from the right"])
+    def test_swerve_over_the_other_line_hides_no_cut_in(self, side, swerves):
+        """It is out of the ego's track for some ticks, and its slow return from over the line is no lane change."""
+        plan = [(2.0, 2.06, 0.8), *swerves, (3.6, 1.8, 1.2)]
+        shifts = [(start, OWN + side * place, duration) for start, place, duration in plan]
+        npc = driven(8.0, OWN - 4.0 * side, brakes=[(3.0, 8.0, 0.0)], shifts=shifts)
+        trace = crash(driven(0.0, brakes=[(3.4, 7.0, 0.0)]), npc)
+        found = rss_rule(trace)
+        assert (found.responsibility, found.fault) == ("npc", None) == (judge(trace).responsibility, judge(trace).fault)
+        assert found.sentences[0].startswith("NPC 0 crossed into lane 1 at 2.1 s, 2.8 m ahead of the ego.")
+
+    def test_cut_in_before_the_danger_does_not_excuse_the_ego(self):
+        """The NPC drives next to the ego's track for some seconds, a little ahead, before it comes back slowly."""
+        shifts = [(2.0, OWN + 3.0, 2.0), (8.0, OWN + 1.8, 6.0)]
+        trace = crash(driven(0.0), driven(8.0, LEFT, shifts=shifts, brakes=[(13.0, 2.0, 0.0)]))
+        found = rss_rule(trace)
+        assert (found.responsibility, found.fault) == ("ego", "leader-unanswered")
+        assert found.time > 8.0
+        assert found.tick == judge(trace).tick
+
     @pytest.mark.parametrize(("brakes", "responsible", "due"), [(4.5, "ego", 10.5), (8.0, "both", 9.5)])
     def test_ego_not_braking_after_cut_in_is_responsible(self, brakes, responsible, due):
         """It shares the responsibility with an NPC that brakes hard for nothing."""

@@ -188,6 +188,7 @@ class Crash:
         for tick in range(1, self.impact + 1):  # a narrow vehicle that swerves in the lane has not left
             stays = together[-1] and self.ego.lane[tick] == self.npc.lane[tick]
             together.append(stays or in_one_track(self.ego, self.npc, tick))
+        self.together = together
         self.joined = first_of_last_stretch(together.__getitem__, self.impact)
         self.danger = first_of_last_stretch(self.is_danger, self.impact)
         self.is_cut_in = False
@@ -242,7 +243,23 @@ class Crash:
             return self.changed_lanes(mine, theirs)
         if gap(self.ego, self.npc, self.joined) <= 0:
             return self.drift()
+        if self.joins_by_an_earlier_lane_change():
+            return self._by_the_first_rule_that_applies()
         return self.one_follows_the_other()
+
+    def joins_by_an_earlier_lane_change(self):
+        """Count the two as in one track since an earlier lane change in this danger, if there is one."""
+        joined = self.joined
+        for tick in range(joined - 1, max(self.danger, 1) - 1, -1):
+            if self.together[tick] and not self.together[tick - 1]:
+                self.joined = tick
+                changes = (LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego))
+                kept = [self.unless_given_up(*each) for each in zip((self.ego, self.npc), changes, strict=True)]
+                if any(each is not None for each in (*kept, self.npc_moved_in_behind())):
+                    self.ticks["joined"] = tick
+                    return True
+        self.joined = joined
+        return False
 
     def changed_lanes(self, mine, theirs):
         for name, change in (("ego's moment", mine), ("npc's moment", theirs)):
