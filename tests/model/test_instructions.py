@@ -388,6 +388,7 @@ def test_what_is_no_instruction_is_refused_by_the_name_of_its_kind(made):
         ("goal", property(lambda self: 3), "a text, received 3"),
         ("roughness", property(lambda self: "rough"), "a whole number, received 'rough'"),
         ("weight", property(lambda self: 0.5), r"a whole number, received 0\.5"),
+        ("weight", property(lambda self: np.float32(0.5)), r"a whole number, received 0\.5"),
         ("plainer", lambda self: iter([None]), "an instruction, received None"),
         ("plainer", lambda self: 5, "an instruction, received 5"),
         ("plain", lambda self: "it", "a list of texts and numbers, received 'it'"),
@@ -416,6 +417,26 @@ def test_wrong_return_of_a_kind_is_refused_by_the_name_of_its_method(name, made,
     one = kind(beside=1, ahead=20.0, speed=20.0, period=4.0)
     with pytest.raises(ScenarioError, match=rf"\w+\.{name}: expected {expected}; correct this property or method"):
         list(getattr(one, name)())
+
+
+@table(
+    ("name", "made", "plain"),
+    [
+        ("is_drawn_in", np.bool_(True), True),
+        ("roughness", np.int64(3), 3),
+        ("lasting", np.uint8(3), 3),
+        ("slot_asked", np.float32(0.5), 0.5),
+        ("goal", np.str_("ahead"), "ahead"),
+        ("plain", ["it", np.int64(3), [np.float32(0.5)]], ["it", 3, [0.5]]),
+        ("in_file", {"at": {"speed": np.int64(3), "is_late": np.bool_(False)}}, {"at": {"speed": 3, "is_late": False}}),
+        ("counted", [(("bin", np.int64(4)),)], [(("bin", 4),)]),
+    ],
+)
+def test_numbers_of_numpy_that_a_kind_returns_are_as_good_as_plain_ones(name, made, plain):
+    kind = changed(**{name: lambda self, *others: made})
+    register(kind, drives="itself")
+    returned = getattr(kind(beside=1, ahead=20.0, speed=20.0, period=4.0), name)()
+    assert repr(returned) == repr(plain)
 
 
 def test_every_type_that_an_instruction_promises_is_checked():

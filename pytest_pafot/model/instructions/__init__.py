@@ -8,6 +8,8 @@ from functools import cached_property, wraps
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from pytest_pafot.model.instructions.cell import PositionInstruction as PositionInstruction
 from pytest_pafot.model.instructions.cell import random_position as random_position
 from pytest_pafot.model.instructions.crossing import ACTS as ACTS
@@ -97,7 +99,8 @@ def check_returns(kind: type[Instruction]) -> None:
     """Let the properties and methods of somebody else's kind refuse to return what :class:`Instruction` does not allow.
 
     A wrong value would otherwise come up much later, in a file, a report or a shrunk scenario, without the kind's name.
-    A member that is checked already, of this kind or of one that it is derived from, stays as it is.
+    Numbers and truth values of numpy become Python's own, which files can hold. A member that is checked already, of
+    this kind or of one that it is derived from, stays as it is.
     """
     for name, promised in vars(Instruction).items():
         returns: str = getattr(_function(promised), "__annotations__", {}).get("return", "")
@@ -132,13 +135,22 @@ def _checked(function: Callable[..., Any], name: str, returns: str) -> Callable[
 
     @wraps(function)
     def checked(*arguments: Any, **named: Any) -> Any:
-        value = function(*arguments, **named)
+        value = _plain(function(*arguments, **named))
         if returns.startswith("Iterator"):
             return map(fitting, value if isinstance(value, Iterable) else (value,))
         return fitting(value)
 
     checked.returns = returns  # type: ignore[attr-defined]
     return checked
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with Python's own numbers and truth values instead of numpy's, also in lists, tuples and dicts."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if type(value) is dict:
+        return {key: _plain(each) for key, each in value.items()}
+    return type(value)(map(_plain, value)) if type(value) in (list, tuple) else value
 
 
 def load_registered() -> None:
