@@ -4,6 +4,8 @@ import math
 import multiprocessing
 import os
 import pickle
+import subprocess
+import sys
 import time
 import warnings
 from functools import partial
@@ -758,6 +760,27 @@ def test_a_process_of_multiprocessing_closes_its_own_simulators_at_its_end(tmp_p
     assert [each.name for each in tmp_path.iterdir()] == [str(process.pid)]
     Simulators.close_all()
     assert len([*tmp_path.iterdir()]) == 2
+
+
+OUTLIVES_ITS_MODULE = """
+import sys
+from pytest_pafot.world.engines import simulation
+
+class Simulator:
+    def close(self):
+        print("closed")
+
+sys.module, simulation.kept = simulation, simulation.Simulators(Simulator)
+simulation.kept.give(simulation.kept.take())
+"""
+
+
+@pytest.mark.processes
+def test_simulators_that_outlive_their_module_are_closed_once_at_the_end_of_python():
+    """Python empties a module that something still refers to, and deletes what is in it one after the other."""
+    command = [sys.executable, "-c", OUTLIVES_ITS_MODULE]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert (ended.stdout, ended.stderr) == ("closed\n", "")
 
 
 def test_world_that_is_sent_to_a_process_makes_its_own_simulator():

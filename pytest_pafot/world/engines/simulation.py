@@ -461,7 +461,8 @@ class Simulators:
 
     def __del__(self) -> None:  # in the callback of a weak reference, nothing could interrupt a close that hangs
         """Close the simulators of a world that nobody uses."""
-        _close(self._process, self._free)
+        if self._free:  # at the interpreter's end, all are closed, and _close is gone
+            _close(self._process, self._free)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what makes an equal one, without its simulators."""
