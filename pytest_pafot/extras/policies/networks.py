@@ -122,7 +122,9 @@ class TorchPolicy(NetworkLoader):
         module = self._read(torch) if isinstance(self.module, Path) else copy.deepcopy(self.module)
         if not isinstance(module, torch.nn.Module):
             fix = "make the module, load the weights into it, and give the module itself"
-            raise refused("a torch.nn.Module", f"{self.described()}, which contains a {type(module).__name__}", fix)
+            name = type(module).__name__
+            article = "an" if name[0] in "AEIOU" else "a"  # such as an OrderedDict of weights
+            raise refused("a torch.nn.Module", f"{self.described()}, which contains {article} {name}", fix)
         module = module.to("cpu").eval()
         first = next(module.parameters(), None)
         dtype = torch.float32 if first is None else first.dtype

@@ -72,5 +72,5 @@ def test_what_does_not_fit_is_named(module, tmp_path):
     ):
         world.rollout(CUT_IN, pafot.policies.torch(module))
     torch.save(module.state_dict(), tmp_path / "weights.pt")
-    with pytest.raises(TypeError, match=r"holds a OrderedDict; make the module, load the weights into it"):
+    with pytest.raises(TypeError, match=r"contains an OrderedDict; make the module, load the weights into it"):
         WORLD.rollout(CUT_IN, pafot.policies.torch(tmp_path / "weights.pt"))
