@@ -654,7 +654,6 @@ class SearchSession:
             self._without_effect,
             *self._unlike_episodes,
             self._out_of_reach,
-            self._beyond_ends,
             self.harness.policy.loading_hint if state.runs else "",
         )
         random, ways = state.random, [] if state.space is None else list(state.space.zones)
@@ -752,20 +751,6 @@ class SearchSession:
         return (
             f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
             "target_speeds in the action of config= lets a policy do so, too"
-        )
-
-    @property
-    def _beyond_ends(self) -> str:
-        """A note that failures of reference drivers may be later than an end of the episode; empty if it has none."""
-        expected = [each.finding.expect for each in self.store.findings.values()]
-        has_failed = any(set((each.reference_drivers or {}).values()) - {"avoids"} for each in expected)
-        if not (has_failed or self.state.verdicts["unpreventable"]) or self.harness.policy.drives_itself:
-            return ""
-        if not (names := self.harness.world.ends_in_steps):
-            return ""
-        return (
-            f"{' and '.join(names)} may end episodes, and reference drivers drive on: what they do not prevent may "
-            "come later than that end, unless _is_terminated or _is_truncated of the environment ends it"
         )
 
     @property

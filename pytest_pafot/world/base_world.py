@@ -174,11 +174,6 @@ class BaseWorld(ABC):
         return {}
 
     @property
-    def ends_in_steps(self) -> tuple[str, ...]:
-        """The names of what may end a run of a policy, but does not end the runs of reference drivers."""
-        return ()
-
-    @property
     def has_traffic_in_reset(self) -> bool:
         """True if a reset of the environment changes its traffic, which has no effect on NPCs."""
         return False

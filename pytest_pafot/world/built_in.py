@@ -346,8 +346,9 @@ class BuiltInWorld(BaseWorld):
             driver, body = factory()
             return self._planned(every_tick, scenario, driver, body=body)
 
-        # Reference drivers draw nothing, but the user's methods that end runs may.
-        return GENERATORS.run(driven, scenario, driver_of) if self.rules.ends else driven(scenario, driver_of)
+        # Reference drivers draw nothing, but the user's code that ends runs may.
+        has_code = self.rules.ends or self.rules.ends_in_steps
+        return GENERATORS.run(driven, scenario, driver_of) if has_code else driven(scenario, driver_of)
 
     def _planned(
         self,

@@ -357,19 +357,17 @@ class GymEnvironment:
         """
         return bool(self.own_ends) or self.step_limit is not None or self.has_own_step or self.sets_ends
 
-    @property
-    def ends_in_steps(self) -> tuple[str, ...]:
-        """The names of what may end an episode only where its ``step`` is called, which reference drivers do not.
+    @cached_property
+    def ends_in_steps(self) -> bool:
+        """True if an episode may end only where its ``step`` is called.
 
-        These are wrappers whose ``step`` is not gymnasium's, limits of steps outside of any other wrapper, and a
-        ``step`` of the environment's own.
+        It does so by wrappers whose ``step`` is not gymnasium's, by limits of steps outside of any other wrapper, and
+        by a ``step`` of the environment's own.
         """
-        found, wrappers = [f"{type(self.unwrapped).__name__}.step"] * self.has_own_step, wrappers_of(self.outer)
-        inner = list(itertools.takewhile(lambda each: type(each) in NEUTRAL, wrappers))
-        for each in wrappers[len(inner) :]:
-            if isinstance(each, TimeLimit) or not type(each).step.__module__.startswith("gymnasium."):
-                found.append(type(each).__name__)
-        return tuple(found)
+        others = itertools.dropwhile(lambda each: type(each) in NEUTRAL, wrappers_of(self.outer))
+        return self.has_own_step or any(
+            isinstance(each, TimeLimit) or not type(each).step.__module__.startswith("gymnasium.") for each in others
+        )
 
     @cached_property
     def sets_ends(self) -> bool:

@@ -205,7 +205,7 @@ class World(BuiltInWorld):
                 "ads: expected a factory without a parameter `env` in a pafot.World with planner_hz=, whose planner "
                 "sees a pafot.Observation; leave planner_hz= out for planners that simulate inside the environment"
             )
-        if not self.road.is_straight and not policy.simulates:
+        if (self.rules.ends_in_steps or not self.road.is_straight) and not policy.simulates:
             # In some environments policies need the environment's own steps, and vehicle classes do not.
             ads = policy.make()
             policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
@@ -213,7 +213,8 @@ class World(BuiltInWorld):
         drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
-        if self.wrappers is not None or self.environment.episodes_itself(drives_itself=drives_itself):
+        has_wrappers = self.wrappers is not None and not drives_itself
+        if has_wrappers or self.environment.episodes_itself(drives_itself=drives_itself):
             return self.rollout_in_gym(scenario, policy.factory)
         if self.planner_hz is not None:
             ads = policy.make()
@@ -283,11 +284,6 @@ class World(BuiltInWorld):
         left_out = {} if is_episode or self.planner_hz is not None else self.environment.left_out
         asked = () if self.ends == "duration" else self.environment.own_ends
         return {name: changed for name, changed in left_out.items() if name not in asked}
-
-    @property
-    def ends_in_steps(self) -> tuple[str, ...]:
-        """The names of what may end a run of a policy, but does not end the runs of reference drivers."""
-        return () if self.planner_hz is not None or self.ends == "duration" else self.environment.ends_in_steps
 
     @property
     def has_traffic_in_reset(self) -> bool:
@@ -368,7 +364,8 @@ class World(BuiltInWorld):
         made = self._rules_on(road, **rates, duration=duration, obstacles=obstacles)
         if self.ends == "duration":
             return made
-        made = replace(made, ends=self.environment.own_ends)
+        in_steps = self.planner_hz is None and self.environment.ends_in_steps
+        made = replace(made, ends=self.environment.own_ends, ends_in_steps=in_steps)
         # A `step` of the user's own may repeat actions, so its ticks are not known.
         if (steps := self.environment.step_limit) is None or self.environment.has_own_step:
             return made

@@ -47,6 +47,7 @@ class Rules:
         drivers: the factories of the drivers of free NPCs, by name; ``policy`` is the policy under test.
         drivers_hz: their decisions per second; None for ``ads_hz``, which reference drivers change.
         ends: the environment's own methods that may end a run, see ``OwnEnds``; None if only the duration ends it.
+        ends_in_steps: true if a step of the environment or of a wrapper may end a run, too, see ``EpisodeEnds``.
         step_limit: the number of ticks after which a limit of the environment's steps ends a run; None without one.
     """
 
@@ -64,6 +65,7 @@ class Rules:
     drivers: Mapping[str, Any] = field(default_factory=dict)
     drivers_hz: int | None = None
     ends: tuple[str, ...] | None = None
+    ends_in_steps: bool = False
     step_limit: int | None = None
 
     @property

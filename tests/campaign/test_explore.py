@@ -342,34 +342,6 @@ def test_search_names_what_of_an_environment_has_no_effect(own_environments):
     assert notes("Slowing") == notes("Slowing", wrappers=[]) == (slowed,)
 
 
-class Fenced(gymnasium.Wrapper):
-    """The episode is cut at a place."""
-
-    def step(self, action):
-        seen, reward, terminated, truncated, info = super().step(action)
-        return seen, reward, terminated, truncated or self.unwrapped.vehicle.position[0] > 300.0, info
-
-
-@pytest.mark.parametrize(
-    ("fields", "fails", "is_noted"),
-    [
-        ({}, True, True),
-        ({}, False, False),
-        ({"ends": "duration"}, True, False),
-    ],
-)
-def test_search_says_that_reference_drivers_pass_the_end_of_a_wrapper_if_any_failed(fields, fails, is_noted):
-    def holds(run):
-        assert not fails, "nobody is ever good enough"
-
-    world = pafot.World("highway-fast-v0", duration=2.0, wrappers=[Fenced], **fields)
-    given = {"runs": 1, "shrink_rollouts": 0, "neighbours": 0}
-    exploration = pafot.explore(lambda: lambda seen: 1, world=world, holds=holds, **given)
-    notes = [each for each in exploration.summary.notes if "reference drivers drive on" in each]
-    expected = "Fenced may end episodes, and reference drivers drive on: what they do not prevent may come later than "
-    assert [each.startswith(expected) for each in notes] == [True] * is_noted
-
-
 def test_finding_that_differs_because_of_rewards_names_them(own_environments):
     def make():
         left = iter(range(20))

@@ -14,6 +14,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from types import MethodType
 from typing import Any
 
@@ -31,7 +32,7 @@ from pytest_pafot.world.driving.policy_driver import View, check_action_space, c
 from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
-from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, usual_class
+from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -47,7 +48,7 @@ from pytest_pafot.world.gym_environment import (
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import TrackedNpc
 from pytest_pafot.world.kernel.idm import GoalVehicle
-from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
+from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
 from pytest_pafot.world.validation import ADS_HZ, check_divides, whole_within
@@ -127,19 +128,7 @@ class StockPolicy(GuardedDriver):
 
         ``objects`` are those that the environment's ``_reset`` has put on the road.
         """
-        plain = self.outer.unwrapped
-
-        def in_place_of_the_reset() -> None:
-            plain.road.objects = list(objects)  # to which the environment's own `reset` may add
-            if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
-                give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
-
-        if type(plain).reset is AbstractEnv.reset:
-            plain.reset = lambda options=None, **_: _reset_result(plain, seed, options)
-        plain._reset = in_place_of_the_reset
-        plain.action_space.seed(seed)
-        self._see(lambda: self.outer.reset(seed=seed))
-        plain.road.np_random = plain.np_random
+        self._see(lambda: _reset_in_place(self.outer, seed, objects))
 
     def decided(self, tick: int) -> Any:
         """Call the ADS, and return its checked action, which the environment applies in the next step."""
@@ -178,6 +167,29 @@ class StockPolicy(GuardedDriver):
         """Apply the low-level control of highway-env's controlled vehicles."""
         self.note()
         self.outer.unwrapped.vehicle.act()
+
+
+def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any]) -> tuple[Any, ...]:
+    """Reset an environment and its wrappers, but leave all vehicles where they are, and return the result.
+
+    ``objects`` are those that the environment's ``_reset`` has put on the road.
+    """
+    plain = outer.unwrapped
+
+    def in_place_of_the_reset() -> None:
+        plain.road.objects = list(objects)  # to which the environment's own `reset` may add
+        if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
+            give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
+
+    if type(plain).reset is AbstractEnv.reset:
+        plain.reset = lambda options=None, **_: _reset_result(plain, seed, options)
+    plain._reset = in_place_of_the_reset
+    plain.action_space.seed(seed)
+    try:
+        result: tuple[Any, ...] = outer.reset(seed=seed)
+    finally:
+        plain.road.np_random = plain.np_random
+    return result
 
 
 def _reset_result(env: Any, seed: int, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
@@ -293,6 +305,92 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
     return _Loop(vehicles, env, driver, guard).run()
 
 
+class EpisodeEnds(OwnEnds):
+    """What ends an episode in the steps of an environment and its wrappers, for a run that moves its vehicles itself.
+
+    A step does all that it does in an episode, but in place of its simulation the run goes on, and the environment then
+    shows the vehicles of the run. So each end comes at the tick of ``env.step``, unless it depends on the action. The
+    driver has none of the environment, whose steps get one that changes nothing, or any if there is no such action.
+    """
+
+    def __init__(self, outer: Any, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> None:
+        env = outer.unwrapped
+        super().__init__(env, ENDS, rules, guard, showing(env, vehicles))
+        self._outer, self._loop = outer, vehicles.loop
+        self._move: Callable[[], AdsError | None] = _nothing
+        self._error: AdsError | None = None
+        _stand_in(env, "_simulate", self._simulate)
+        for name in ENDS:
+            _stand_in(env, name, partial(self.says, name))
+        space, names = outer.action_space, getattr(env.action_type, "actions_indexes", {})
+        space.seed(scenario.seed)
+        self._action = space.sample()
+        if isinstance(space, gymnasium.spaces.Box):
+            self._action = np.clip(np.zeros_like(self._action), space.low, space.high)
+        elif space is env.action_space and "IDLE" in names:
+            self._action = names["IDLE"]
+
+    def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
+        """Drive the run by ``move`` within a step of the wrapped environment; return an error of the ADS."""
+        self._move, self.asked = move, loop.tick
+        try:
+            try:
+                self._guard.decision_starts()
+                *_, terminated, truncated, _ = self._outer.step(self._action)
+            finally:
+                self._guard.decision_ends()
+            self._guard.raise_swallowed()
+        except UNFIT as error:
+            failed = error_of(error, self.asked, self._guard).text
+            self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
+        else:
+            if loop.tick == self.asked:  # a step of the user's own that simulates nothing
+                self._simulate()
+            if not self.has_failed:  # a method that has ended it is named, unless a wrapper goes on
+                self.ended = (self.ended or _end_of(self._outer)) if terminated or truncated else ""
+        return self._error
+
+    def _simulate(self, *_: Any) -> None:
+        """Drive the run in place of the environment's vehicles, and show these where those of the run are."""
+        self._guard.decision_ends()
+        if self._error is None and not self._loop.is_over:
+            self._error = self._move()
+        self._show()
+        self._env.steps = self._loop.tick
+        self._guard.decision_starts()
+
+
+def episode_beside(
+    environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
+) -> EpisodeEnds:
+    """Begin an episode of a wrapped environment next to a run whose ego is none of its vehicles."""
+    outer = environment.make()
+    env, objects = _reset(outer, scenario, environment.config_of_wrappers)
+    put_policys_ego(environment, env, rules, scenario)
+    _reset_in_place(outer, scenario.seed, objects)
+    return EpisodeEnds(outer, rules, scenario, vehicles, guard)
+
+
+def _stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
+    """Let a call stand in for a method of an environment.
+
+    A copy of the environment, in which code of the user's looks ahead, has its own method.
+    """
+
+    def method(asked: Any, *given: Any) -> Any:
+        return call(*given) if asked is env else getattr(type(asked), name)(asked, *given)
+
+    setattr(env, name, MethodType(method, env))
+
+
+def _end_of(outer: Any) -> str:
+    """Return what ends an episode in a step if no method of the environment does: a limit of steps, or wrappers."""
+    limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
+    passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
+    said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
+    return f"the limit of {passed[0]} steps" if passed else said
+
+
 class _VehicleClass(GuardedDriver):
     """The driver of an ego whose vehicle class decides at every tick how it drives."""
 
@@ -343,27 +441,14 @@ class _Loop:
             env.road.enforce_road_rules = _nothing  # without effect here, and slow
         self._ends: OwnEnds | None = None
         if (ends := vehicles.rules.ends) is not None:
-            self._ends = OwnEnds(env, ENDS if isinstance(driver, StockPolicy) else ends, vehicles.rules, guard)
+            # A run that is no episode asks by itself, because its steps may be shorter than decisions of the policy.
+            is_episode = isinstance(driver, StockPolicy)
+            self._ends = OwnEnds(env, ENDS if is_episode else ends, vehicles.rules, guard)
             for name in ENDS:
-                setattr(env, name, self._asking(self._ends, name))
+                _stand_in(env, name, partial(self._ends.says, name) if is_episode else _nothing)
         self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
-
-    def _asking(self, ends: OwnEnds, name: str) -> MethodType:
-        """Return what the environment's own ``step`` calls in place of one of its methods that end episodes.
-
-        A copy of the environment, in which a policy simulates, asks its own method. A run that is no episode asks by
-        itself, because its steps may be shorter than decisions of the policy.
-        """
-        itself, is_episode = self._env, isinstance(self._driver, StockPolicy)
-
-        def says(env: Any) -> Any:
-            if env is not itself:
-                return getattr(type(env), name)(env)
-            return is_episode and ends.says(name)
-
-        return MethodType(says, itself)
 
     def __deepcopy__(self, memo: object) -> _Loop:
         """Return itself, because highway-env deep-copies vehicles and their road to predict them."""
@@ -421,10 +506,7 @@ class _Loop:
             if len(self._asked) == self._step_limit and not ends.ended:
                 ends.ended = f"the limit of {self._step_limit} steps"
             elif driver.is_over and not ends.ended:
-                limits = [each for each in wrappers_of(driver.outer) if isinstance(each, TimeLimit)]
-                passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
-                said = " in ".join(wrapper_names(driver.outer)) or f"{type(self._env).__name__}.step"
-                ends.ended = f"the limit of {passed[0]} steps" if passed else said
+                ends.ended = _end_of(driver.outer)
             elif not driver.is_over and not ends.has_failed:  # a wrapper goes on
                 ends.ended = ""
         elif run.loop.tick % ends.every == 0:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import functools
 import inspect
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
@@ -66,7 +67,10 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, polic
             if idm_model(given) is None or lanes is None:
                 if rules.ends:
                     put_ego(env, ego)
-                return _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard, env).finish()
+                begun = _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard, env)
+                if rules.ends_in_steps:
+                    begun.ends = ends_beside(environment, rules, scenario, begun.vehicles, guard)
+                return begun.finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
@@ -92,11 +96,20 @@ def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
     """Return the environment's own ends in a run whose ego is none of its vehicles; None if it has none."""
+    if rules.ends_in_steps:
+        from pytest_pafot.world.engines.gym_replay import episode_beside  # noqa: PLC0415  (it imports this module)
+
+        return episode_beside(environment, rules, scenario, vehicles, guard)
     if not rules.ends:
         return None
-    env, (body, *npcs) = _env_of(environment, scenario), vehicles.vehicles
+    env = _env_of(environment, scenario)
     put_policys_ego(environment, env, rules, scenario)
-    ego = env.vehicle
+    return OwnEnds(env, rules.ends, rules, guard, showing(env, vehicles))
+
+
+def showing(env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
+    """Put the vehicles of a run into an environment, and return what moves its ego to where that of the run is."""
+    ego, (body, *npcs) = env.vehicle, vehicles.vehicles
     env.road.vehicles = [ego, *(Car(env.road, npc) for npc in npcs)]
 
     def show() -> None:
@@ -104,7 +117,7 @@ def ends_beside(
         ego.action = {"steering": body.steering, "acceleration": body.acceleration}
         ego.on_state_update()
 
-    return OwnEnds(env, rules.ends, rules, guard, show)
+    return show
 
 
 def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Network | None:

@@ -284,11 +284,10 @@ class SteppedRun:
         vehicles, loop, ends = self.vehicles, self.vehicles.loop, self.ends
         assert ends is not None  # noqa: S101  (see the callers)
         while loop.tick < ticks and not ends.ended:
-            error = loop.run(driver, min(loop.tick + ends.every, ticks))
+            error = ends.step(lambda: loop.run(driver, min(loop.tick + ends.every, ticks)), loop)
             if error is not None or loop.is_over:
                 return error
             if loop.tick < self._ticks:  # else it has lasted for its whole time
-                ends.ask(loop.tick)
                 vehicles.ended, vehicles.has_failed = ends.ended, ends.has_failed
         return None
 
@@ -323,6 +322,13 @@ class OwnEnds:
         self._longest = max(rules.duration, rules.lasts or 0.0)
         self._hz = rules.physics_hz // self.every
         self._time = 0.0
+
+    def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
+        """Drive the run by ``move`` for a step of the environment, and ask all methods; return an error of the ADS."""
+        error = move()
+        if error is None and not loop.is_over:
+            self.ask(loop.tick)
+        return error
 
     def ask(self, tick: int) -> None:
         """Ask all methods at a tick that ends a step."""

@@ -218,12 +218,6 @@ class OwnWorld(BaseWorld):
         return found
 
     @property
-    def ends_in_steps(self) -> tuple[str, ...]:
-        """The names of what may end a run of a policy, but does not end the runs of reference drivers."""
-        found: tuple[str, ...] = getattr(self.world, "ends_in_steps", ())
-        return found
-
-    @property
     def has_traffic_in_reset(self) -> bool:
         """True if a reset of the environment changes its traffic."""
         return getattr(self.world, "has_traffic_in_reset", False) is True

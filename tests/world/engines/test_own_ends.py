@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import random
 import warnings
@@ -168,11 +169,11 @@ def by_env_step(env_id, world, action, start):
     plain.controlled_vehicles, plain.road.vehicles = [ego], [ego]
     plain.define_spaces()
     plain.config["duration"] = 1000.0  # which the world decides
-    steps, is_over = 0, False
+    is_over = False
     while not is_over:
         _, _, terminated, truncated, _ = env.step(action)
-        steps, is_over = steps + 1, terminated or truncated
-    return steps * plain.config["simulation_frequency"] // plain.config["policy_frequency"]
+        is_over = terminated or truncated
+    return plain.steps
 
 
 @pytest.mark.oracle
@@ -243,25 +244,112 @@ class Plain(gymnasium.RewardWrapper):
         return reward + 1.0
 
 
+class Twice(gymnasium.Wrapper):
+    """Each action is done twice."""
+
+    def step(self, action):
+        self.env.step(action)
+        return self.env.step(action)
+
+
+class OwnStep(HighwayEnvFast):
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated or self.vehicle.position[0] > 260.0, truncated, info
+
+
+class LooksAhead(OwnStep):
+    """Its step goes ahead in a copy of it first."""
+
+    def step(self, action):
+        ahead = copy.deepcopy(self)
+        ahead._simulate(action)
+        assert ahead.vehicle.position[0] > self.vehicle.position[0]
+        assert not ahead._is_terminated()
+        return super().step(action)
+
+
+@pytest.mark.oracle
 @pytest.mark.parametrize(
-    ("wrappers", "expected"),
+    ("entry_point", "wrappers", "name"),
     [
-        ([lambda env: TimeLimit(env, 4)], ()),
-        ([Plain], ()),
-        ([Fenced], ("Fenced",)),
-        ([Plain, lambda env: TimeLimit(env, 4)], ("TimeLimit",)),
-        ([Fenced, lambda env: TimeLimit(env, 4), Rewarded], ("Fenced", "TimeLimit", "Rewarded")),
+        (HighwayEnvFast, [Fenced], "Fenced"),
+        (HighwayEnvFast, [Rewarded], "Rewarded"),
+        (HighwayEnvFast, [Plain, limited], "the limit of 4 steps"),
+        (HighwayEnvFast, [Twice, limited], "the limit of 4 steps"),
+        (Goal, [Twice], "Goal._is_terminated"),
+        (OwnStep, None, "OwnStep.step"),
     ],
 )
-def test_what_only_steps_can_end_is_named_for_the_reader_of_reference_drivers(wrappers, expected):
-    assert World("highway-fast-v0", wrappers=wrappers).ends_in_steps == expected
-    assert World("highway-fast-v0", wrappers=wrappers, ends="duration").ends_in_steps == ()
+def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_point, wrappers, name):
+    """On an empty road, who keeps the speed drives as the idle action does."""
+    register("ending-v0", entry_point=entry_point)
+    world = World("ending-v0", wrappers=wrappers)
+    scenario = scenario_in(world)
+    trace = world.rollout(scenario, idle)
+    ticks = by_env_step("ending-v0", world, IDLE, trace.ego[0])
+    for other in (
+        trace,
+        world.rollout_reference(scenario, "careful-human"),
+        world.take_over(trace, trace.ticks - 5, "careful-human"),
+        world.rollout(scenario, lambda: IDMVehicle),
+        world.rollout(scenario, lambda: Careless),
+    ):
+        assert (other.ended, other.ticks, other.outcome) == (name, ticks, Outcome.SAFE)
+    longer = World("ending-v0", wrappers=wrappers, ends="duration").rollout_reference(scenario, "careful-human")
+    assert (longer.ended, longer.duration) == ("", 30.0)
 
 
-def test_a_step_of_the_environment_is_named_as_an_end_that_reference_drivers_do_not_know(register):
+def test_a_step_may_look_ahead_in_a_copy_of_the_environment(register):
     register("ending-v0", entry_point=OwnStep)
-    assert World("ending-v0").ends_in_steps == ("OwnStep.step",)
-    assert World("ending-v0", planner_hz=5).ends_in_steps == ()
+    register("looking-v0", entry_point=LooksAhead)
+    first, second = (
+        world.rollout_reference(scenario_in(world), "careful-human")
+        for world in map(World, ("ending-v0", "looking-v0"))
+    )
+    assert (first.ended, second.ended) == ("OwnStep.step", "LooksAhead.step")
+    assert second.states.tobytes() == first.states.tobytes()
+
+
+def test_planners_have_no_step_of_the_environment_that_could_end_their_runs(register):
+    register("ending-v0", entry_point=OwnStep)
+    world = World("ending-v0", planner_hz=5)
+    assert world.rollout(scenario_in(world), straight).ended == ""
+    assert world.rollout_reference(scenario_in(world), "careful-human").ended == ""
+
+
+class Failing(Fenced):
+    """It fails where it should end the episode."""
+
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated, bool(truncated and info["fence"]), info
+
+
+class Lazy(gymnasium.Wrapper):
+    """Its steps do nothing."""
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, False, False, {}
+
+
+def test_wrappers_that_fail_or_do_nothing_do_not_stop_reference_drivers():
+    scenario = scenario_in(World("highway-fast-v0"))
+    failed = World("highway-fast-v0", wrappers=[Failing]).rollout_reference(scenario, "careful-human")
+    expected = "Failing failed: KeyError: 'fence'"
+    assert (failed.ended, failed.ticks, failed.outcome) == (expected, 30, Outcome.INVALID)
+    driven = World("highway-fast-v0", wrappers=[Lazy]).rollout_reference(scenario, "careful-human")
+    assert (driven.ended, driven.duration) == ("", 30.0)
+
+
+def test_a_collision_within_a_step_ends_the_run_of_a_reference_driver_as_a_collision():
+    """Nobody can avoid what stops 5 m ahead within two steps of a second each."""
+    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0)
+    plain, wrapped = World("highway-fast-v0"), World("highway-fast-v0", wrappers=[Twice])
+    hit = plain.rollout(stops, idle)
+    first, second = (world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped))
+    assert (second.outcome, second.ticks % 10 > 0) == (Outcome.COLLISION, True)
+    assert second.states.tobytes() == first.states.tobytes()
 
 
 class Batching:
@@ -383,10 +471,17 @@ class Chance(HighwayEnvFast):
         return random.random() < 0.2 or np.random.random() < 0.1
 
 
-def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register):
+class Lottery(gymnasium.Wrapper):
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated or random.random() < 0.2 or np.random.random() < 0.1, truncated, info
+
+
+@pytest.mark.parametrize("given", [{}, {"wrappers": [Lottery]}])
+def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register, given):
     """Whoever drives, and whatever the process has drawn before."""
-    register("ending-v0", entry_point=Chance)
-    world = World("ending-v0")
+    register("ending-v0", entry_point=HighwayEnvFast if given else Chance)
+    world = World("ending-v0", **given)
     scenario = scenario_in(world)
     trace, seen = rollout_of(World("ending-v0", ends="duration"))(scenario, idle), []
     for seed in (1, 2, 3):
@@ -448,12 +543,6 @@ class SetOnItself(HighwayEnvFast):
     def __init__(self, *args, **given):
         super().__init__(*args, **given)
         self._is_terminated = lambda: self.vehicle.position[0] > 260.0
-
-
-class OwnStep(HighwayEnvFast):
-    def step(self, action):
-        seen, reward, terminated, truncated, info = super().step(action)
-        return seen, reward, terminated or self.vehicle.position[0] > 260.0, truncated, info
 
 
 @pytest.mark.parametrize("entry_point", [Computed, SetOnItself, OwnStep])
