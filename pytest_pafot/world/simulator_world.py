@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import math
+import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
@@ -53,6 +57,17 @@ LEAST_RUN = 20.0
 """The time for which a straight road must last at top speed [s]; the runs of a shorter one end where it ends."""
 ROOM_BEHIND = 150.0
 """The length of a road behind the ego's start if a simulator does not say where it starts [m]."""
+
+
+OTHER_NAMES = {
+    "from_north": 'headings = "y to x"',
+    "physics_hz": "hz",
+    "frequency": "hz",
+    "simulation_frequency": "hz",
+    "lane_count": "lanes",
+    "max_speed": "speed_limit",
+}
+"""Other names for what a simulator may state, with what to write."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -423,6 +438,7 @@ def _stated(simulator: Any) -> _Stated:
         expected = "that it makes a pafot.Simulator"
         raise WorldError(field="simulator", expected=expected, received=f"{simulator!r:.200}")
     name = type(simulator).__name__
+    _check_names(type(simulator))
     metres = number_within(f"{name}.metres", simulator.metres, 1e-3, 1e4)
     speed = number_within(f"{name}.metres_per_second", simulator.metres_per_second, 1e-3, 1e3)
 
@@ -492,6 +508,40 @@ def _stated(simulator: Any) -> _Stated:
         found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
     whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
     return found
+
+
+def _check_names(cls: type[Simulator]) -> None:
+    """Refuse a statement under a name that is nearly that of an attribute, and that nothing reads.
+
+    A simulator may have attributes of its own. But if the source of its classes has such a name only once, where it
+    gets its value, the value has no effect.
+    """
+    classes = [each for each in cls.__mro__[:-1] if each is not Simulator and each.__module__ in sys.modules]
+    stated = [
+        name
+        for each in classes
+        for name, value in vars(each).items()
+        if not name.startswith("_")
+        and not hasattr(Simulator, name)
+        and isinstance(value, (int, float, str, list, tuple))
+    ]
+    for name in stated:
+        near = (
+            [OTHER_NAMES[name]]
+            if name in OTHER_NAMES
+            else difflib.get_close_matches(name, Simulator.__annotations__, n=1, cutoff=0.8)
+        )
+        try:
+            sources = {inspect.getsource(sys.modules[each.__module__]) for each in classes} if near else set()
+        except (OSError, TypeError):  # typed in, or compiled
+            continue
+        if near and sum(len(re.findall(rf"\b{name}\b", source)) for source in sources) == 1:
+            raise WorldError(
+                field=f"{cls.__name__}.{name}",
+                expected="the name of an attribute of pafot.Simulator",
+                received="another one, which nothing reads",
+                fix=f"write {near[0]}, or _{name} if it is your own",
+            )
 
 
 def _line(place: str, given: Any, frame: Frame) -> Any:

@@ -587,6 +587,21 @@ def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message
         broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
 
 
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [("from_north", 'headings = "y to x"'), ("speed_limits", "speed_limit"), ("atfront", "at_front")],
+)
+def test_a_statement_under_a_wrong_name_is_refused_with_the_right_one(name, write):
+    """Each name is in this file once, as it would be in a user's class."""
+    with pytest.raises(WorldError, match=rf"Broken\.{name}: .* which nothing reads; write {write}, or _{name} if"):
+        broken(**{name: True}).check()
+
+
+def test_a_simulator_may_have_names_of_its_own():
+    """Also ones that are nearly those of statements, if its source reads them."""
+    broken(lane_widths=(4.0, 4.0), colour="red", _speed_limit=3.0, obstacle=lambda self: self.lane_widths).check()
+
+
 def along(x, y):
     """Return a step in which vehicles drive along the vector that x and y return for a heading."""
 
