@@ -41,7 +41,6 @@ from pytest_pafot.execution.scenario_pool import (
     ScenarioPool,
     Timed,
     capture_output,
-    closing_simulators,
     drivers_error,
     made_apart,
     made_from,
@@ -965,7 +964,7 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
         return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process", ""
 
     pool = WorkerPool[str, tuple[str, str]](
-        asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE, **closing_simulators(job)
+        asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE, **job.closing
     )
     with capture_output(), pool:
         answer = pool.fetch("the first run of the ADS")

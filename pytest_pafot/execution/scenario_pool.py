@@ -257,6 +257,13 @@ class Job:
         """The longest time for which a process may not answer while it makes a run [s]."""
         return self.world.hang_limit + GRACE
 
+    @property
+    def closing(self) -> dict[str, Any]:
+        """The arguments of a pool whose processes close their simulators when they end; none in other worlds."""
+        if not isinstance(self.world, SimulatorWorld):
+            return {}
+        return {"leave": _close_simulators, "left": CapturedOutput.repeat, "farewell": FAREWELL + CLOSING}
+
     @staticmethod
     def run(
         made: Callable[[], Job], scenario: Scenario, method: str = "rollout"
@@ -305,15 +312,8 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         grace=grace,
         memory=_memory(job, size),
         ended=partial(_forget, job),
-        **closing_simulators(job),
+        **job.closing,
     )
-
-
-def closing_simulators(job: Job) -> dict[str, Any]:
-    """Return arguments of a pool whose processes close their simulators when they end; none in other worlds."""
-    if not isinstance(job.world, SimulatorWorld):
-        return {}
-    return {"leave": _close_simulators, "left": CapturedOutput.repeat, "farewell": FAREWELL + CLOSING}
 
 
 def _close_simulators() -> CapturedOutput:

@@ -62,6 +62,7 @@ class Parcel:
     content: bytes | None = field(compare=False)  # world, ADS factory and the function that reads from runs
     patience: float = field(compare=False)  # the patience of the workers' pools, see WorkerPool [s]
     versions: dict[str, str] = field(compare=False)  # versions of packages in the session
+    closing: dict[str, Any] = field(compare=False)  # see Job.closing
 
 
 Done = tuple[list[Timed | Exception], list[LostRun]]
@@ -307,7 +308,7 @@ def packed(job: Job) -> Parcel:
                 f"that raises {type(error).__name__}: {error}; open what the ADS needs in the factory, not before"
             ) from None
     digest = hashlib.sha256(content).hexdigest()[:16]
-    return Parcel(digest, content, job.patience, versions_here())
+    return Parcel(digest, content, job.patience, versions_here(), job.closing)
 
 
 class _Call:
@@ -332,8 +333,8 @@ class _Bench:
             pool = self._idle.get_nowait()
         except Empty:
             multiprocessing.current_process().daemon = False  # Dask's workers are daemons, which may have no children.
-            work, patience = partial(_run, self.parcel), self.parcel.patience
-            pool = WorkerPool(work, 1, method="spawn", patience=patience, idle=IDLE)
+            parcel, work = self.parcel, partial(_run, self.parcel)
+            pool = WorkerPool(work, 1, method="spawn", patience=parcel.patience, idle=IDLE, **parcel.closing)
         pool.expect(scenarios)
         answers = [pool.fetch(scenario) for scenario in scenarios]
         recovered, pool.recovered = pool.recovered, []

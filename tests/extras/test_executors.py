@@ -6,7 +6,15 @@ import pickle
 import sys
 import threading
 import time
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from functools import partial
 from types import ModuleType
 
 import numpy as np
@@ -22,9 +30,12 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.simulator_world import SimulatorWorld
 from tests.helpers.toy_world import Toy, idle, scenario, trace_of
 
+SPAWN = multiprocessing.get_context("spawn")
 SCENARIOS = [scenario(number) for number in range(48)]
 
 
@@ -310,6 +321,38 @@ def test_missing_cloudpickle_error_says_how_to_install_it(tmp_path, monkeypatch)
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
     with pytest.raises(ExecutionError, match=r"expected the package cloudpickle, .*'pytest-pafot\[dask\]'"):
         packed(job_of(tmp_path))
+
+
+class Marking(Simulator):
+    """A simulator that leaves a file at its end."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def start(self, vehicles, seed):
+        self.cars = [each[:4] for each in vehicles]
+
+    def step(self, controls):
+        self.cars = [(each.x, each.y, each.heading, each.speed) for each in controls]
+
+    def states(self):
+        return self.cars
+
+    def close(self):
+        (self.folder / str(os.getpid())).touch(exist_ok=False)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("how", [ThreadPoolExecutor, partial(ProcessPoolExecutor, mp_context=SPAWN)])
+def test_simulator_of_a_worker_is_closed_when_the_worker_ends(tmp_path, how):
+    world = SimulatorWorld(partial(Marking, tmp_path), duration=1.0)
+    with how(1) as executor:
+        fetched(ExecutorPool(job_of(tmp_path, lambda: lambda seen: (0.0, 0.0), world), executor), SCENARIOS[:2])
+        assert [*tmp_path.iterdir()] == []
+    executors._bench.cache_clear()  # as the end of this process would
+    for process in multiprocessing.active_children():
+        process.join(60.0)
+    assert len([*tmp_path.iterdir()]) == 1
 
 
 @pytest.mark.processes

@@ -230,6 +230,32 @@ def limited(self, controls):
         car[3] = min(car[3], 24.0)
 
 
+def standing(self, controls):
+    """Let vehicles that stand never drive again."""
+    Toy.step(self, [
+        each._replace(acceleration=0.0) if car[3] < 0.5 else each
+        for car, each in zip(self.cars, controls, strict=True)
+    ])  # fmt: skip
+
+
+def on_rails(self, controls):
+    Toy.step(self, [controls[0], *(each._replace(steering=0.0) for each in controls[1:])])
+
+
+def steady_npcs(self, controls):
+    Toy.step(self, [controls[0], *(each._replace(acceleration=0.0) for each in controls[1:])])
+
+
+class Dragging(DelayedEgo):
+    """Its ego has drag and rolls with friction, and obeys at once."""
+
+    ticks = 0
+
+    def gas(self, control):
+        speed = self.cars[0][3]
+        return control.acceleration - (0.15 + 4e-4 * speed**2 if speed > 0.1 else 0.0)
+
+
 @table(
     ("base", "members", "cause"),
     [
@@ -261,6 +287,14 @@ def limited(self, controls):
         (Worn, {}, "used before; reset all in start"),
         (Own, {}, "used before; reset all in start, also random generators"),
         (Toy, {"gas": lambda self, each: each.acceleration + random.gauss(0.0, 0.001)}, "in new simulators, too"),
+        (Toy, {"inside": {"metres": 0.3048}}, "all fits with metres = 0.3048, as in feet"),
+        (Toy, {"metres_per_second": 1 / 3.6, "speed_limit": 96.0, "inside": {"metres_per_second": 1.0}},
+         "all fits with metres_per_second = 1.0"),
+        (Toy, {"step": standing}, "0 times an acceleration of 2 m/s^2, from 0 m/s on"),
+        (Late, {"states": lambda self: [Toy.states(self)[0], *self.seen[1:]]},
+         "states that are a tick old, unlike those of the ego"),
+        (Toy, {"step": on_rails}, "that its control.steering does not turn it"),
+        (Toy, {"step": steady_npcs}, "that its control.acceleration does not move it"),
         (Toy, {"step": lambda self, controls: Toy.step(self, [*controls[1:], controls[0]])}, "those of NPC 0 move it"),
         (Toy, {"step": lambda self, each: Toy.step(self, each[:1] * len(each))}, "those of the ego move it"),
         (Toy, {"states": lambda self: Toy.states(self)[::-1]}, "in the order in which start received them"),
@@ -288,6 +322,7 @@ def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
         (Lagging, {}),
         (Lagging, {"hz": 240}),
         (DelayedEgo, {"ticks": 7}),
+        (Dragging, {}),
         (Rested, {}),
         (Placing, {}),
         (Single, {}),

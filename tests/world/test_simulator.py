@@ -741,6 +741,13 @@ def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, me
         Simulators.close_all()
 
 
+def test_close_has_the_ten_seconds_that_its_page_promises(monkeypatch):
+    limits = []
+    monkeypatch.setattr("pytest_pafot.world.engines.simulation.call_close", lambda *given: limits.append(given[-1]))
+    Simulators(Bicycle).give(Bicycle(), is_sound=False)
+    assert limits == [10.0]
+
+
 @pytest.mark.parametrize("action", ["error", "ignore"])
 def test_close_that_fails_never_hides_the_error_of_the_run(recwarn, action):
     failing = type("Failing", (Bicycle,), {"step": raising, "close": raising})

@@ -42,8 +42,9 @@ FASTER, SLOWER, ASIDE = 2.0, -3.0, 1.5
 """The accelerations of the experiments along the road and across it [m/s^2]."""
 SLOW = 10.0
 """The speed of an ego that turns, if it can have any [m/s]; at a high one, ticks are too long to see where it turns."""
-STEADY = 0.5, 0.05
-"""The largest changes of speed [m/s], and of heading or direction [rad], without acceleration and steering."""
+STEADY, DRAG = (0.5, 0.05), 1.5
+"""The largest changes of speed [m/s], and of heading or direction [rad], without acceleration and steering; and that of
+the speed if the ego alone has the simulator's dynamics."""
 DRIVEN, GAINED, TURNED = (0.97, 1.03), (0.85, 1.15), (0.4, 2.3)
 """What the simulator does, as a multiple of what it is asked to do: at least and at most."""
 LEAST_ROWS = 4
@@ -59,6 +60,8 @@ CENTRE = 0.12, 0.7
 front, and at most if they are those of its centre."""
 INFLUENCE = 0.5
 """The largest change of the place [m] or the speed [m/s] of a vehicle by the controls of others."""
+TURN = 0.02
+"""The steering that NPCs get in addition [rad]."""
 ON_TRACK = 0.05
 """The largest distance of a recorded vehicle from its track [m]."""
 AT_ONCE = "step moves vehicles by the controls that it receives"
@@ -73,9 +76,11 @@ AXES = {
 VECTORS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -1.0)}
 """The directions in :attr:`Simulator.headings`."""
 UNITS = {
-    "metres": {0.3048: "0.3048, as in feet"},
-    "metres_per_second": {1 / 3.6: "1 / 3.6, as in km/h", 0.44704: "0.44704, as in mph", 0.3048: "0.3048, as in feet"},
-}
+    "metres": {1.0: "1.0", 0.3048: "0.3048, as in feet"},
+    "metres_per_second": {
+        1.0: "1.0", 1 / 3.6: "1 / 3.6, as in km/h", 0.44704: "0.44704, as in mph", 0.3048: "0.3048, as in feet",
+    },
+}  # fmt: skip
 """The usual units of attributes in m and m/s, as messages show them."""
 
 
@@ -189,6 +194,10 @@ class _Bench:
         """Return the world with a watched simulator, whose class has the user's name for messages, and it."""
         key = tuple(stated.items())
         if key not in self._made:
+            if "metres_per_second" in stated:  # the road and its start are the same
+                factor = self._real.metres_per_second / stated["metres_per_second"]
+                speeds = {name: getattr(self._real, name) for name in ("speed_limit", "start_speed")}
+                stated |= {name: factor * speed for name, speed in speeds.items() if speed is not None}
             watched = type(type(self._real).__name__, (_Watched,), {})(self._real, **stated)
             ads_hz = None if "hz" in stated else self._world.ads_hz
             self._made[key] = replace(self._world, simulator=lambda: watched, ads_hz=ads_hz), watched
@@ -260,7 +269,9 @@ class _Bench:
             return
         yield from self._straight_ahead(rows, watched, felt, **changed)
         for acceleration in (FASTER, max(SLOWER, -rows[0, SPEED] / 3)):
-            yield from self._accelerates(acceleration, felt, **changed)
+            yield from self._accelerates(acceleration, self._fast, felt, **changed)
+        if not self._world.road_start:
+            yield from self._accelerates(FASTER, 0.0, {}, **changed)
         for side in (1.0, -1.0):
             speed = max(float(rows[0, SPEED]), 1.0) if self._world.road_start else self._slow
             slip = math.asin(min(ASIDE * self._world.ego.length / 2 / speed**2, 0.15))
@@ -285,22 +296,24 @@ class _Bench:
             promise = "a vehicle moves where its heading points, in the axes of y_is_left, headings and degrees"
             yield abs(away) <= STEADY[1], promise, f"{math.degrees(away):.0f} degrees beside it"
         promise, gain = "the speed is steady without acceleration", float(rows[-1, SPEED] - rows[0, SPEED])
+        most = DRAG if self._world.moves_ego_only else STEADY[0]
         received = f"{rows[0, SPEED]:.2f} m/s, and {rows[-1, SPEED]:.2f} m/s {seconds:.1f} s later"
-        yield abs(gain) <= STEADY[0], promise, received
+        yield abs(gain) <= most, promise, received
         turned, asked = (float(each.sum()) for each in watched.turns())
         promise = "the heading is steady without steering"
         received = f"a turn by {turned - asked:.2f} rad in {seconds:.1f} s"
         yield abs(turned - asked) <= STEADY[1] + (TURNED[1] - 1) * abs(asked), promise, received
 
-    def _accelerates(self, acceleration: float, felt: dict[str, float], **changed: Any) -> Promises:
-        """Yield that the ego changes its speed at once and as much as an acceleration [m/s^2] says."""
+    def _accelerates(self, acceleration: float, speed: float, felt: dict[str, float], **changed: Any) -> Promises:
+        """Yield that the ego changes its speed [m/s] at once and as much as an acceleration [m/s^2] says."""
         is_free, dt = self._world.moves_ego_only, 1 / changed.get("hz", self._real.hz)
-        gains, wanted = self._driven(self._fast, (acceleration, 0.0), **changed)[1].gains()
+        rows, watched = self._driven(speed, (acceleration, 0.0), **changed)
+        gains, wanted = watched.gains()
         ticks, since = _late(gains, wanted, dt), _since(gains, dt)
         yield is_free or not ticks, AT_ONCE, f"an acceleration that begins {_many(ticks)} late; {ADVICE}"
         felt["acceleration"] = ratio = _ratio(gains[since:], wanted[since:])
         promise = "the speed changes by control.acceleration, which is in the simulator's speeds per second"
-        received = f"{ratio:.3g} times an acceleration of {acceleration:.3g} m/s^2"
+        received = f"{ratio:.3g} times an acceleration of {acceleration:.3g} m/s^2, from {rows[0, SPEED]:.3g} m/s on"
         yield (PART if is_free else GAINED[0]) <= ratio <= GAINED[1], promise, received
 
     def _turns(self, steering: float, felt: dict[str, float], **changed: Any) -> Promises:
@@ -342,8 +355,8 @@ class _Bench:
         causes: list[dict[str, Any]] = sorted(filter(None, other), key=len)
         if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
             causes.append({"hz": round(real.hz / driven)})
-            causes.append({"metres_per_second": real.metres_per_second * driven})
-            causes.append({"metres": real.metres / driven})
+            units = [("metres_per_second", real.metres_per_second * driven), ("metres", real.metres / driven)]
+            causes += [{name: value} for name, value in sorted(units, key=lambda unit: not _usual(*unit))]
         causes.append({"scaled": ("steering", -1.0)})
         names = [name for name in ("acceleration", "steering") if abs(felt.get(name, 0.0)) > 1e-3]
         causes += [{"scaled": (name, 1 / felt[name])} for name in names]
@@ -421,7 +434,15 @@ class _Bench:
     def others(self, seed: int) -> Promises:
         """Yield that each vehicle moves by its own controls, and as recorded if it has to."""
         watched, real = self._watched_all(), self._real
-        vehicles, controls = watched.vehicles, watched.controls
+        vehicles, turn = watched.vehicles, TURN * (180 / math.pi if real.degrees else 1.0)
+        straight = watched.controls[: len(watched.controls) // 2]
+        controls = (
+            straight
+            + [  # of which NPCs may turn nowhere by themselves
+                [each[0], *(one._replace(steering=one.steering + turn) for one in each[1:])]
+                for each in watched.controls[len(straight) :]
+            ]
+        )
         together = self._raw(real, vehicles, controls, seed)
         units = np.array([real.metres, real.metres, real.metres_per_second])
 
@@ -429,18 +450,27 @@ class _Bench:
         promise = "states() has the vehicles in the order in which start received them"
         yield at_start <= INFLUENCE, promise, f"{at_start:.1f} m from there at the start"
 
-        def away(number: int, by: int) -> float:
-            """Return how far a vehicle is from where it is alone, with the controls of one of them."""
-            alone = self._raw(real, [vehicles[number]], [[each[by]] for each in controls], seed)
-            return float(np.abs((together[:, number] - alone[:, 0])[:, [0, 1, 3]] * units).max())
+        def away(number: int, by: int, late: int = 0, **changed: float) -> float:
+            """Return how far a vehicle is from where it is alone some ticks before, with the controls of one of them.
+
+            A vehicle that is alone is the ego.
+            """
+            given = [[each[by]._replace(**changed)] for each in controls]
+            alone = self._raw(real, [vehicles[number]], given, seed)[: len(together) - late, 0]
+            return float(np.abs((together[late:, number] - alone)[:, [0, 1, 3]] * units).max())
 
         own = [0] if self._world.moves_ego_only else [number for number, each in enumerate(vehicles) if not each.driver]
         for number in own:
-            if (far := away(number, number)) > INFLUENCE:
+            if away(number, number) > INFLUENCE:
                 by = min(own, key=partial(away, number))
-                what = f"those of {_name(by)}" if by != number else "those of others, too"
+                tried = (
+                    (away(number, by), f"that those of {_name(by)} move it"),
+                    (away(number, number, late=1), "states that are a tick old, unlike those of the ego"),
+                    (away(number, number, steering=0.0), "that its control.steering does not turn it"),
+                    (away(number, number, acceleration=0.0), "that its control.acceleration does not move it"),
+                )
                 promise = f"the controls of {_name(number)} move it, and come in the order of the vehicles in start"
-                yield False, promise, f"{what} move it"
+                yield False, promise, next((what for far, what in tried if far <= INFLUENCE), "that others do, too")
         if real.follows_recordings:
             given = [[each[0], *(one._replace(acceleration=0.0, steering=0.1, recorded=1) for one in each[1:])]
                      for each in controls]  # fmt: skip
@@ -471,10 +501,12 @@ def _heads(rows: FloatArray, headings: str, degrees: bool) -> bool:
 
 def _unit(name: str, value: Any) -> str:
     """Return a value of an attribute in words: a unit by its name if it is a usual one."""
-    if not isinstance(value, float):
-        return repr(value)
-    units = UNITS.get(name, {})
-    return next((shown for unit, shown in units.items() if abs(value / unit - 1) < 0.01), f"{value:.6g}")
+    return (_usual(name, value) or f"{value:.6g}") if isinstance(value, float) else repr(value)
+
+
+def _usual(name: str, value: float) -> str:
+    """Return a usual unit of an attribute in words; empty if a value is none."""
+    return next((shown for unit, shown in UNITS.get(name, {}).items() if abs(value / unit - 1) < 0.01), "")
 
 
 def _shown(values: Sequence[float]) -> str:
