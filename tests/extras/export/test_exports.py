@@ -263,6 +263,7 @@ def test_foxglove_file_has_same_numbers_and_times(exported, tmp_path):
     for tick, message in enumerate(by_topic["/vehicles"]):
         for value in centres(trace)[tick].ravel():
             assert value == 0 or np.float64(value).tobytes() in message.data
+        assert np.float64(1.5 / 2).tobytes() in message.data  # boxes of 1.5 m stand on the road
 
 
 def test_foxglove_file_has_the_plan_of_each_decision(exported, tmp_path):

@@ -464,3 +464,11 @@ def test_bisect_names_the_failure_after_the_end(saved, monkeypatch):
     assert json.loads(told.read_text())["why"] == (
         "collision after 6.5 s, closing at 7.6 m/s: NPC 0 ahead, ego at fault; driven on past the file's end"
     )
+
+
+def test_an_error_of_a_teardown_changes_no_verdict(saved, monkeypatch):
+    told = saved.path / "told.json"
+    monkeypatch.setenv(TOLD, json.dumps({"file": str(told), "world": None, "policy": []}))
+    full = "@pytest.fixture(autouse=True)\ndef log():\n    yield\n    raise OSError('no space left')\n"
+    replayed(saved, "slow", before=full, plugins=["pytest_pafot.extras.revisions.bisect_session"])
+    assert json.loads(told.read_text())["passes"] is False
