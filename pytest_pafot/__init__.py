@@ -10,126 +10,83 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot import properties as properties
-    from pytest_pafot import strategies as strategies
-    from pytest_pafot.campaign.explore import Exploration as Exploration
-    from pytest_pafot.campaign.explore import explore as explore
-    from pytest_pafot.campaign.saved_scenario import SavedScenario as SavedScenario
-    from pytest_pafot.campaign.saved_scenario import load as load
-    from pytest_pafot.criticality.signals import Measure as Measure
-    from pytest_pafot.criticality.signals import Signal as Signal
-    from pytest_pafot.criticality.temporal import above as above
-    from pytest_pafot.criticality.temporal import always as always
-    from pytest_pafot.criticality.temporal import below as below
-    from pytest_pafot.criticality.temporal import eventually as eventually
-    from pytest_pafot.criticality.temporal import until as until
-    from pytest_pafot.model.crossings import CrossingVehicle as CrossingVehicle
-    from pytest_pafot.model.crossings import Zone as Zone
-    from pytest_pafot.model.driving_style import Traffic as Traffic
-    from pytest_pafot.model.grid import Cell as Cell
-    from pytest_pafot.model.instructions import CrossingInstruction as CrossingInstruction
-    from pytest_pafot.model.instructions import Free as Free
-    from pytest_pafot.model.instructions import LaneInstruction as LaneInstruction
-    from pytest_pafot.model.instructions import Manoeuvre as Manoeuvre
-    from pytest_pafot.model.instructions import PositionInstruction as PositionInstruction
-    from pytest_pafot.model.instructions import Recorded as Recorded
-    from pytest_pafot.model.instructions import ScenarioError as ScenarioError
-    from pytest_pafot.model.instructions import Step as Step
-    from pytest_pafot.model.instructions import Track as Track
-    from pytest_pafot.model.scenario import Chromosome as Chromosome
-    from pytest_pafot.model.scenario import Scenario as Scenario
-    from pytest_pafot.model.trace import Collision as Collision
-    from pytest_pafot.model.trace import Outcome as Outcome
-    from pytest_pafot.model.trace import Trace as Trace
-    from pytest_pafot.model.vehicle_type import CAR as CAR
-    from pytest_pafot.model.vehicle_type import MOTORCYCLE as MOTORCYCLE
-    from pytest_pafot.model.vehicle_type import TRUCK as TRUCK
-    from pytest_pafot.model.vehicle_type import VAN as VAN
-    from pytest_pafot.model.vehicle_type import VehicleType as VehicleType
-    from pytest_pafot.oracle.checks import CheckFailed as CheckFailed
-    from pytest_pafot.oracle.checks import check as check
-    from pytest_pafot.oracle.checks import reject as reject
-    from pytest_pafot.oracle.checks import target as target
-    from pytest_pafot.oracle.run import Run as Run
-    from pytest_pafot.plugin.marks import catalogue as catalogue
-    from pytest_pafot.plugin.marks import search as search
-    from pytest_pafot.searching.fitness import Weights as Weights
-    from pytest_pafot.world import Drive as Drive
-    from pytest_pafot.world import Highway as Highway
-    from pytest_pafot.world import NpcLimits as NpcLimits
-    from pytest_pafot.world import Observation as Observation
-    from pytest_pafot.world import Perception as Perception
-    from pytest_pafot.world import Planned as Planned
-    from pytest_pafot.world import Simulator as Simulator
-    from pytest_pafot.world import SimulatorWorld as SimulatorWorld
-    from pytest_pafot.world import VehicleState as VehicleState
-    from pytest_pafot.world import World as World
-    from pytest_pafot.world import WorldError as WorldError
-    from pytest_pafot.world import WorldLike as WorldLike
+    from pytest_pafot import properties, strategies
+    from pytest_pafot.campaign.explore import Exploration, explore
+    from pytest_pafot.campaign.saved_scenario import SavedScenario, load
+    from pytest_pafot.criticality.signals import Measure, Signal
+    from pytest_pafot.criticality.temporal import above, always, below, eventually, until
+    from pytest_pafot.model.crossings import CrossingVehicle, Zone
+    from pytest_pafot.model.driving_style import Traffic
+    from pytest_pafot.model.grid import Cell
+    from pytest_pafot.model.instructions import (
+        CrossingInstruction,
+        Free,
+        LaneInstruction,
+        Manoeuvre,
+        PositionInstruction,
+        Recorded,
+        ScenarioError,
+        Step,
+        Track,
+    )
+    from pytest_pafot.model.scenario import Chromosome, Scenario
+    from pytest_pafot.model.trace import Collision, Outcome, Trace
+    from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
+    from pytest_pafot.oracle.checks import CheckFailed, check, reject, target
+    from pytest_pafot.oracle.run import Run
+    from pytest_pafot.plugin.marks import catalogue, search
+    from pytest_pafot.searching.fitness import Weights
+    from pytest_pafot.world import (
+        Drive,
+        Highway,
+        NpcLimits,
+        Observation,
+        Perception,
+        Planned,
+        Simulator,
+        SimulatorWorld,
+        VehicleState,
+        World,
+        WorldError,
+        WorldLike,
+    )
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "CAR": "model.vehicle_type",
-    "Cell": "model.grid",
-    "CheckFailed": "oracle.checks",
-    "Chromosome": "model.scenario",
-    "Collision": "model.trace",
-    "CrossingInstruction": "model.instructions",
-    "CrossingVehicle": "model.crossings",
-    "Drive": "world",
-    "Exploration": "campaign.explore",
-    "Free": "model.instructions",
-    "Highway": "world",
-    "LaneInstruction": "model.instructions",
-    "MOTORCYCLE": "model.vehicle_type",
-    "Manoeuvre": "model.instructions",
-    "Measure": "criticality.signals",
-    "NpcLimits": "world",
-    "Observation": "world",
-    "Outcome": "model.trace",
-    "Perception": "world",
-    "Planned": "world",
-    "PositionInstruction": "model.instructions",
-    "Recorded": "model.instructions",
-    "Run": "oracle.run",
-    "SavedScenario": "campaign.saved_scenario",
-    "Scenario": "model.scenario",
-    "ScenarioError": "model.instructions",
-    "Signal": "criticality.signals",
-    "Simulator": "world",
-    "SimulatorWorld": "world",
-    "Step": "model.instructions",
-    "TRUCK": "model.vehicle_type",
-    "Trace": "model.trace",
-    "Track": "model.instructions",
-    "Traffic": "model.driving_style",
-    "VAN": "model.vehicle_type",
-    "VehicleState": "world",
-    "VehicleType": "model.vehicle_type",
-    "Weights": "searching.fitness",
-    "World": "world",
-    "WorldError": "world",
-    "WorldLike": "world",
-    "Zone": "model.crossings",
-    "above": "criticality.temporal",
-    "always": "criticality.temporal",
-    "below": "criticality.temporal",
-    "eventually": "criticality.temporal",
-    "catalogue": "plugin.marks",
-    "check": "oracle.checks",
-    "explore": "campaign.explore",
-    "load": "campaign.saved_scenario",
-    "reject": "oracle.checks",
-    "search": "plugin.marks",
-    "target": "oracle.checks",
-    "until": "criticality.temporal",
+_NAMES = {
+    "campaign.explore": "Exploration explore",
+    "campaign.saved_scenario": "SavedScenario load",
+    "criticality.signals": "Measure Signal",
+    "criticality.temporal": "above always below eventually until",
+    "model.crossings": "CrossingVehicle Zone",
+    "model.driving_style": "Traffic",
+    "model.grid": "Cell",
+    "model.instructions": "CrossingInstruction Free LaneInstruction Manoeuvre PositionInstruction Recorded "
+    "ScenarioError Step Track",
+    "model.scenario": "Chromosome Scenario",
+    "model.trace": "Collision Outcome Trace",
+    "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",
+    "oracle.checks": "CheckFailed check reject target",
+    "oracle.run": "Run",
+    "plugin.marks": "catalogue search",
+    "searching.fitness": "Weights",
+    "world": "Drive Highway NpcLimits Observation Perception Planned Simulator SimulatorWorld VehicleState "
+    "World WorldError WorldLike",
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 _OF_EXTRAS = ("Recording", "Sweep", "policies", "recorded", "sumo", "sweep", "training_env")  # see door.NAMES
 _MODULES = ("properties", "strategies")
 
-__all__ = sorted([*_HOMES, *_MODULES, *_OF_EXTRAS])  # noqa: PLE0605
+__all__ = [
+    "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
+    "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "Measure",
+    "NpcLimits", "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded", "Recording",
+    "Run", "SavedScenario", "Scenario", "ScenarioError", "Signal", "Simulator", "SimulatorWorld", "Step", "Sweep",
+    "Trace", "Track", "Traffic", "VehicleState", "VehicleType", "Weights", "World", "WorldError", "WorldLike", "Zone",
+    "above", "always", "below", "catalogue", "check", "eventually", "explore", "load", "policies", "properties",
+    "recorded", "reject", "search", "strategies", "sumo", "sweep", "target", "training_env", "until",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -63,17 +63,9 @@ from hypothesis import strategies as st  # noqa: E402
 from hypothesis.strategies import SearchStrategy  # noqa: E402
 
 __all__ = [
-    "chromosomes",
-    "free_npcs",
-    "lane_instructions",
-    "manoeuvres",
-    "position_instructions",
-    "recorded",
-    "scenarios",
-    "scenarios_in",
-    "steps",
-    "tracks",
-]
+    "chromosomes", "free_npcs", "lane_instructions", "manoeuvres", "position_instructions", "recorded", "scenarios",
+    "scenarios_in", "steps", "tracks",
+]  # fmt: skip
 
 
 def __dir__() -> list[str]:

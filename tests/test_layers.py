@@ -256,7 +256,7 @@ def test_pure_rooms_use_no_clock_or_global_randomness():
 def test_the_page_has_the_names_for_those_who_extend_the_core():
     page = (PACKAGE.parent / "docs" / "reference" / "extending.md").read_text(encoding="utf-8")
     names = page.partition("## The names")[2]
-    assert sorted(re.findall(r"`(\w+)`", names)) == extending.__all__
+    assert sorted(re.findall(r"`(\w+)`", names)) == sorted(extending.__all__)
     assert len(extending.__all__) <= 80
 
 

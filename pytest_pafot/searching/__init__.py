@@ -9,13 +9,7 @@ from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmCla
 from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.ask_tell import (
-    Algorithm,
-    GenerationalSearch,
-    GenerationState,
-    ResumableSearch,
-    SearchState,
-)
+from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, ResumableSearch, SearchState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
@@ -24,29 +18,8 @@ from pytest_pafot.searching.plan import Checkpoint, Plan, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
-    "ALGORITHMS",
-    "Algorithm",
-    "AlgorithmClass",
-    "Checkpoint",
-    "DistinctSearch",
-    "Evaluation",
-    "GenerationState",
-    "GenerationalSearch",
-    "Health",
-    "PafotSearch",
-    "Plan",
-    "RandomManoeuvreSearch",
-    "RandomSearch",
-    "ResumableSearch",
-    "SearchSpace",
-    "SearchState",
-    "crossover",
-    "from_plain",
-    "mutate",
-    "plain",
-    "plan_of",
-    "resolve_algorithm",
-    "sample",
-    "sample_manoeuvres",
-    "tournament",
-]
+    "ALGORITHMS", "Algorithm", "AlgorithmClass", "Checkpoint", "DistinctSearch", "Evaluation", "GenerationState",
+    "GenerationalSearch", "Health", "PafotSearch", "Plan", "RandomManoeuvreSearch", "RandomSearch", "ResumableSearch",
+    "SearchSpace", "SearchState", "crossover", "from_plain", "mutate", "plain", "plan_of", "resolve_algorithm",
+    "sample", "sample_manoeuvres", "tournament",
+]  # fmt: skip

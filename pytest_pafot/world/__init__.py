@@ -29,21 +29,7 @@ from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [
-    "AdsFactoryError",
-    "Control",
-    "CrossingVehicle",
-    "Drive",
-    "Highway",
-    "NpcLimits",
-    "Observation",
-    "Perception",
-    "Planned",
-    "Simulator",
-    "SimulatorWorld",
-    "Vehicle",
-    "VehicleState",
-    "World",
-    "WorldError",
-    "WorldLike",
+    "AdsFactoryError", "Control", "CrossingVehicle", "Drive", "Highway", "NpcLimits", "Observation", "Perception",
+    "Planned", "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError", "WorldLike",
     "from_dict",
-]
+]  # fmt: skip

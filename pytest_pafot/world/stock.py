@@ -58,23 +58,7 @@ with _later():
     from highway_env.vehicle.objects import RoadObject
 
 __all__ = [
-    "AbstractEnv",
-    "AbstractLane",
-    "CircularLane",
-    "ControlledVehicle",
-    "ExitEnv",
-    "IntersectionEnv",
-    "MDPVehicle",
-    "RegulatedRoad",
-    "Road",
-    "RoadNetwork",
-    "RoadObject",
-    "SineLane",
-    "StraightLane",
-    "Vehicle",
-    "action",
-    "class_from_path",
-    "not_zero",
-    "observation",
-    "wrap_to_pi",
-]
+    "AbstractEnv", "AbstractLane", "CircularLane", "ControlledVehicle", "ExitEnv", "IntersectionEnv", "MDPVehicle",
+    "RegulatedRoad", "Road", "RoadNetwork", "RoadObject", "SineLane", "StraightLane", "Vehicle", "action",
+    "class_from_path", "not_zero", "observation", "wrap_to_pi",
+]  # fmt: skip
