@@ -160,7 +160,8 @@ def main(arguments: list[str] | None = None) -> int:
             return _run(given)
     except KeyboardInterrupt as interrupt:
         with suppress(OSError, ValueError):  # A terminal that was closed receives nothing.
-            sys.stderr.write(f"\n{' '.join(given[:1])}: interrupted{_notes(interrupt)}\n")
+            saved = "".join(f"; {note}" for note in getattr(interrupt, "__notes__", ()))
+            sys.stderr.write(f"\n{' '.join(given[:1])}: interrupted{saved}\n")
         return interrupt.code if isinstance(interrupt, Ended) else 130
 
 
@@ -237,11 +238,6 @@ def _run(given: list[str]) -> int:
             raise
         return _without_surroundings(arguments_given.command, error)
     return code
-
-
-def _notes(interrupt: KeyboardInterrupt) -> str:
-    """Return what a command has added to its interrupt: which results are saved."""
-    return "".join(f"; {note}" for note in getattr(interrupt, "__notes__", ()))
 
 
 def _without_surroundings(command: str, error: OSError) -> int:

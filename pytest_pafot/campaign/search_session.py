@@ -659,6 +659,8 @@ class SearchSession:
         random, ways = state.random, [] if state.space is None else list(state.space.zones)
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
+        names = ("invalid", "avoidable", "unpreventable", "common", "rejected", "skipped")
+        verdicts: dict[str, Any] = {name: state.verdicts[name] for name in names}
         return SearchSummary(
             node_id=self.watch.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -672,13 +674,7 @@ class SearchSession:
             seconds=state.seconds_so_far,
             runs=state.runs,
             known_runs=health.reused,
-            invalid=state.verdicts["invalid"],
             npc=state.verdicts["npc"] + state.verdicts["avoidable"],
-            avoidable=state.verdicts["avoidable"],
-            unpreventable=state.verdicts["unpreventable"],
-            common=state.verdicts["common"],
-            rejected=state.verdicts["rejected"],
-            skipped=state.verdicts["skipped"],
             reached=health.reached_share if health.genes_started and health.goals else None,
             no_interaction=health.no_interaction,
             failing=state.verdicts["failed"],
@@ -709,6 +705,7 @@ class SearchSession:
             coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",
             outcomes=dict(state.outcomes),
             responsibilities=dict(state.responsibilities),
+            **verdicts,
         )
 
     def _unlike(self) -> dict[str, tuple[str, ...]]:

@@ -61,77 +61,56 @@ BAD_SESSION, NO_TESTS = 4, 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
+    parser.set_defaults(folders=[Path()])  # of the kinds that take none
+
+    def kind(name: str, about: str) -> argparse.ArgumentParser:
+        return kinds.add_parser(name, help=about, description=about.capitalize())
+
     of_folders = "searched for saved scenarios, with all folders below (default: here)"
     results: dict[str, Any] = {"nargs": "+", "action": "extend", "type": Path, "default": [], "metavar": "FILE"}
     about = "print a table of the saved scenarios, the worst first; pytest collects their tests, and runs none"
-    listing = kinds.add_parser("list", help=about, description=about.capitalize())
-    listing.add_argument(
-        "--where",
-        action="append",
-        type=condition,
-        default=[],
-        metavar="COLUMN=TEXT",
-        help="list only rows that have the text in the column, or with `COLUMN=` nothing; all conditions must hold; "
-        f"columns: {', '.join(COLUMNS)}",
-    )
+    listing = kind("list", about)
+    of_where = "list only rows that have the text in the column, or with `COLUMN=` nothing; all conditions must hold; "
+    of_where += f"columns: {', '.join(COLUMNS)}"
+    listing.add_argument("--where", action="append", type=condition, default=[], metavar="COLUMN=TEXT", help=of_where)
     of_states = f"results of a session, from {flag('json')}; the last file that has a scenario tells its state"
     listing.add_argument("--results", help=of_states, **results)
-    listing.add_argument(
-        "--no-tests", action="store_true", help="read only the files, without the requirements and owners of tests"
-    )
-    listing.add_argument(
-        "--today",
-        type=day_argument,
-        metavar="YYYY-MM-DD",
-        help="the day with which last days of accepted failures are compared (default: today)",
-    )
+    of_no_tests = "read only the files, without the requirements and owners of tests"
+    listing.add_argument("--no-tests", action="store_true", help=of_no_tests)
+    of_today = "the day with which last days of accepted failures are compared (default: today)"
+    listing.add_argument("--today", type=day_argument, metavar="YYYY-MM-DD", help=of_today)
     listing.add_argument("--json", action="store_true", help="print JSON, for programs")
-    about = "count saved scenarios by kind"
-    counting = kinds.add_parser("stats", help=about, description=about.capitalize())
+    counting = kind("stats", "count saved scenarios by kind")
     for each in (listing, counting):
         each.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "keep one of the files in a folder that were saved for the same kind of failure; nothing is run"
-    joining = kinds.add_parser("join", help=about, description=about.capitalize())
+    joining = kind("join", about)
     joining.add_argument("--write", action="store_true", help="change the files; without it, only list the changes")
     chosen = joining.add_mutually_exclusive_group()
-    chosen.add_argument(
-        "--from",
-        action="append",
-        type=Path,
-        default=[],
-        dest="sources",
-        metavar="DIR",
-        help="add the saved scenarios of another corpus to FOLDER instead, and remove none; may be given several times",
-    )
+    of_from = "add the saved scenarios of another corpus to FOLDER instead, and remove none; may be given several times"
+    chosen.add_argument("--from", action="append", type=Path, default=[], dest="sources", metavar="DIR", help=of_from)
     of_failing = f"results of a session here, from {flag('json')}: join only files that still fail in the last one"
     chosen.add_argument("--results", help=of_failing, **results)
     joining.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "remove saved scenarios whose test is gone; pytest collects the tests for that, and runs none"
-    pruning = kinds.add_parser("prune", help=about, description=about.capitalize())
+    pruning = kind("prune", about)
     pruning.add_argument("--write", action="store_true", help="remove the files; without it, only list them")
-    pruning.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
-    pruning.set_defaults(folders=[Path()])
     about = "replay saved scenarios, and list neighbours that fail although a saved scenario passes"
-    nearing = kinds.add_parser("nearby", help=about, description=about.capitalize())
+    nearing = kind("nearby", about)
     nearing.add_argument("--write", action="store_true", help="put each of them in place of its saved scenario")
-    nearing.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
-    nearing.set_defaults(folders=[Path()])
     about = "shrink a saved scenario further than the time of its search allowed, and rewrite its file"
-    shrinking = kinds.add_parser("shrink", help=about, description=about.capitalize())
+    shrinking = kind("shrink", about)
     shrinking.add_argument("file", metavar="FILE", help="the saved scenario: its file, or its id")
-    shrinking.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
-    shrinking.set_defaults(folders=[Path()])
+    for each in (pruning, nearing, shrinking):
+        each.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
     about = "accept the failures of saved scenarios, so that they are expected to fail, for good or up to a day"
-    accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
+    accepting = kind("accept", about)
     accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
     accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
-    accepting.add_argument(
-        "--until", type=_last_day, metavar="YYYY-MM-DD", help="the last day, from today on (default: for good)"
-    )
-    accepting.add_argument(
-        "--flaky", action="store_true", help="let them pass as well, up to the last day, which has to be given"
-    )
-    accepting.set_defaults(folders=[Path()])
+    of_until = "the last day, from today on (default: for good)"
+    accepting.add_argument("--until", type=_last_day, metavar="YYYY-MM-DD", help=of_until)
+    of_flaky = "let them pass as well, up to the last day, which has to be given"
+    accepting.add_argument("--flaky", action="store_true", help=of_flaky)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -178,8 +157,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if arguments.what == "list":
         return max(_list(files, arguments), int(bool(unlisted)))
     rows = [data_of(Saved.read(file)) for file in files]
-    counts = _counts(rows)
-    sys.stdout.write("".join(f"{line}\n" for line in _lines(counts)))
+    sys.stdout.write("".join(f"{line}\n" for line in _lines(rows)))
     return int(any("error" in row for row in rows) or bool(unlisted))
 
 
@@ -451,23 +429,15 @@ def _how_long(arguments: argparse.Namespace) -> str:
     return f"{'as flaky ' if arguments.flaky else ''}until {arguments.until}"
 
 
-def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    def by(name: str) -> dict[str, int]:
-        return dict(sorted(Counter(row[name] for row in rows if name in row).items()))
-
-    return {
-        "files": len(rows),
+def _lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines that count saved scenarios, for people to read."""
+    counts = {
         "broken": sum("error" in row for row in rows),
         "flaky": sum(row.get("flaky") is not None for row in rows),
         "xfail": sum(row.get("xfail") is not None for row in rows),
-        **{name: by(name) for name in ("test", "kind", "outcome", "responsibility")},
     }
-
-
-def _lines(counts: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of counts of saved scenarios, for people to read."""
-    parts = [f"{counts[name]} {name}" for name in ("broken", "flaky", "xfail") if counts[name]]
-    yield ", ".join([plural(counts["files"], "saved scenario"), *parts])
+    parts = [f"{count} {name}" for name, count in counts.items() if count]
+    yield ", ".join([plural(len(rows), "saved scenario"), *parts])
     for name in ("test", "kind", "outcome", "responsibility"):
-        for value, count in counts[name].items():
+        for value, count in sorted(Counter(row[name] for row in rows if name in row).items()):
             yield ascii_text(f"{name:14} {count:4}  {value}")

@@ -241,10 +241,6 @@ def _without_lane(trace: Trace, npc: int, steps: Sequence[Step]) -> int | None:
     return None
 
 
-def _move_aside(step: Step, others: Sequence[Step]) -> bool:
-    return any(each.lane != "keep" or each.offset != step.offset for each in others)
-
-
 def _dynamics(
     trace: Trace, npc: int, number: int, steps: Sequence[Step], span: tuple[int, int]
 ) -> Iterator[tuple[Asked, bool]]:
@@ -262,7 +258,8 @@ def _dynamics(
 
     rows = trace.states[begin : end + 1, npc + 1]
     change = 0.0 if step.speed is None else step.speed - float(rows[0, SPEED])
-    if step.lane != "keep" and trace.road.is_straight and not _move_aside(step, others):
+    move_aside = any(each.lane != "keep" or each.offset != step.offset for each in others)
+    if step.lane != "keep" and trace.road.is_straight and not move_aside:
         values = np.abs(np.diff(rows[:, Y])) * trace.physics_hz
         fastest, tolerance = float(np.max(values, initial=0.0)), LATERAL + LATERAL_SHARE * step.lateral_speed
         yield (

@@ -13,7 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from logging.handlers import QueueHandler
 from pathlib import Path
@@ -56,13 +56,8 @@ class CapturedOutput:
 
     def followed_by(self, other: CapturedOutput) -> CapturedOutput:
         """Return this output and a later one as one."""
-        return CapturedOutput(
-            out=self.out + other.out,
-            err=self.err + other.err,
-            records=self.records + other.records,
-            warned=self.warned + other.warned,
-            threads=self.threads + other.threads,
-        )
+        names = [each.name for each in fields(self)]
+        return CapturedOutput(**{name: getattr(self, name) + getattr(other, name) for name in names})
 
     def repeat(self) -> None:
         """Print the texts, handle the log records, issue the warnings and tell of the threads in this process."""

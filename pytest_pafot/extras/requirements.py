@@ -71,30 +71,16 @@ def _state_in(entry: Mapping[str, Any]) -> str:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     parser.usage = "%(prog)s [RESULTS.json ...] [options] [-- ARGUMENT OF PYTEST ...]"
-    parser.add_argument(
-        "results", nargs="*", type=Path, metavar="RESULTS.json", help=f"results of sessions, from {flag('json')}"
-    )
-    parser.add_argument(
-        "--format", choices=("text", "markdown", "csv"), default="text", help="how to print it (default: text)"
-    )
-    parser.add_argument(
-        "--course",
-        action="store_true",
-        help="print a row for each requirement and day: new, open and fixed failures, and the rate of random ones",
-    )
-    parser.add_argument(
-        "--list",
-        type=Path,
-        metavar="FILE.csv",
-        help="all requirements that there are: a line for each, with its id, and if wanted its title and owner",
-    )
-    parser.add_argument(
-        "--today",
-        type=day_argument,
-        default=None,
-        metavar="YYYY-MM-DD",
-        help="the day with which last days of accepted failures are compared (default: today)",
-    )
+    of_results = f"results of sessions, from {flag('json')}"
+    parser.add_argument("results", nargs="*", type=Path, metavar="RESULTS.json", help=of_results)
+    of_format = "how to print it (default: text)"
+    parser.add_argument("--format", choices=("text", "markdown", "csv"), default="text", help=of_format)
+    of_course = "print a row for each requirement and day: new, open and fixed failures, and the rate of random ones"
+    parser.add_argument("--course", action="store_true", help=of_course)
+    of_list = "all requirements that there are: a line for each, with its id, and if wanted its title and owner"
+    parser.add_argument("--list", type=Path, metavar="FILE.csv", help=of_list)
+    of_today = "the day with which last days of accepted failures are compared (default: today)"
+    parser.add_argument("--today", type=day_argument, default=None, metavar="YYYY-MM-DD", help=of_today)
     parser.add_argument("--fail-on", choices=(OPEN,), help="end with exit code 1 if a requirement has an open failure")
 
 
@@ -538,14 +524,10 @@ def _rate(failing: int, runs: int) -> str:
     return f"{failing} of {runs}, {interval_text(failing, runs)}" if runs else ""
 
 
-def _worst(requirement: Requirement) -> Failure | None:
-    known = [each for state in STATES[:-1] for each in requirement.failures(state)]
-    return known[0] if known else None
-
-
 def _cells(requirement: Requirement) -> list[object]:
     """Return the cells of a requirement's row, in the order of the columns."""
-    told, worst, last = requirement.traced, _worst(requirement), requirement.searched
+    told, last = requirement.traced, requirement.searched
+    worst = next((each for state in STATES[:-1] for each in requirement.failures(state)), None)
     return [
         told.ids,
         told.title,

@@ -586,19 +586,12 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
         if kind.crosses or not found.crossings
     ]
     small = (each for several in zip_longest(*of_kinds) for each in several if each)
-    if not is_limited:
-        yield from (
-            _valid(begin, npcs, kind * len(npcs))
-            for (its_size, npcs), begin, kind in product(small, begins, kinds)
-            if its_size <= size
-        )
-        return
-    fewer = (
+    fitting = (
         _valid(begin, npcs, kind * len(npcs))
         for (its_size, npcs), begin, kind in product(small, begins, kinds)
-        if its_size < size
+        if its_size < size or (its_size == size and not is_limited)
     )
-    yield from islice(fewer, MOST_SMALL)
+    yield from islice(fitting, MOST_SMALL if is_limited else None)
 
 
 @lru_cache(maxsize=16)

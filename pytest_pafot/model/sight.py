@@ -148,11 +148,6 @@ class Sight:
         """True if the sight depends only on the vehicles' present positions, neither on the past nor on chance."""
         return not (self.latency or self.is_drawn)
 
-    @property
-    def is_exact(self) -> bool:
-        """True if the vehicles that are seen are where they seem to be, relative to the ego."""
-        return not (self.latency or self.noise or self.own_bias)
-
     def only(self, names: Collection[str]) -> Self:
         """Return this sight with only the named imperfections; everything else is perfect."""
         return replace(self, **{name: getattr(_PERFECT, name) for name in self.imperfections if name not in names})

@@ -432,7 +432,11 @@ class Run(Shown):
             DriverError: if the world raises, or does not return a trace.
         """
         if self.world is None:
-            raise _no_world("reference_drivers", "world=world")
+            raise NoReferenceDriversError(
+                "run.reference_drivers: expected a run in a world that has reference drivers, received one without; "
+                "for a run that was made only from a trace, use Run(trace, world=world); a world of your own needs "
+                "reference_drivers, rollout_reference and take_over"
+            )
         for name in self.world.reference_drivers if names is None else names:
             with driven_by(self.world, "rollout_reference", name):
                 trace = self.world.rollout_reference(self.scenario, name)
@@ -640,14 +644,6 @@ def with_avoidance(run: Run, avoided_by: Avoidance | None) -> Run:
     known = replace(run, avoided_by=avoided_by)
     known.__dict__["_attributed"] = run._attributed  # the rules only read the trace, so they are not asked again
     return known
-
-
-def _no_world(name: str, argument: str) -> NoReferenceDriversError:
-    return NoReferenceDriversError(
-        f"run.{name}: expected a run in a world that has reference drivers, received one without; for a run that was "
-        f"made only from a trace, use Run(trace, {argument}); a world of your own needs reference_drivers, "
-        "rollout_reference and take_over"
-    )
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:

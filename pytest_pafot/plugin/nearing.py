@@ -15,20 +15,13 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.replay_item import NEARBY_SHOWN
 from pytest_pafot.plugin.session import SUMMARY_LINES
+from pytest_pafot.plugin.shrinking import pytest_collection_modifyitems  # noqa: F401  (a hook of this plugin, too)
 from pytest_pafot.support.text import visible
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Declare the option by which the command asks to write."""
     parser.addoption("--put-neighbours", action="store_true", help=argparse.SUPPRESS)
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave only the items of saved scenarios, because the command is not about other tests."""
-    others = [item for item in items if saved_of(item) is None]
-    config.hook.pytest_deselected(items=others)
-    items[:] = [item for item in items if saved_of(item) is not None]
 
 
 def pytest_runtest_teardown(item: pytest.Item) -> None:

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -196,13 +195,12 @@ class Reporter:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         left = [(folder, orphan.expected, files_in(folder)) for folder, orphan in unrun.orphans.items()]
+        root = self._config.rootpath
         session = terminal.SessionSummary(
             searches=[*record.searches.values()],
             replays=record.replays,
             neighbour_seconds=record.neighbour_seconds,
-            orphans=[
-                (self._relative(folder), [each.name for each in files], why) for folder, why, files in left if files
-            ],
+            orphans=[(relative(each, root), [file.name for file in files], why) for each, why, files in left if files],
             strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
             way_out=orphans.advice(self._config),
             problems=self._lines.problems,
@@ -270,9 +268,6 @@ class Reporter:
                 if node is not None:
                     phase.__dict__["node"] = node  # as pytest-xdist does for reports of its workers
                 self._config.hook.pytest_runtest_logreport(report=phase)
-
-    def _relative(self, path: Path) -> str:
-        return relative(path, self._config.rootpath)
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:

@@ -299,7 +299,8 @@ class SearchSpace:
         """Sample the start, number of NPCs and duration of genes, and return the space in which these are fixed."""
         if not self.draws_start:
             return self
-        lane, speed = self.drawn_lane(rng), self.drawn_speed(rng)
+        lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
+        speed = self.drawn_speed(rng)
         most = self.most_on(lane)
         npcs = int(rng.integers(min(self.least_npcs, most), most + 1)) if self.most_npcs else self.npcs
         durations = self.gene_durations
@@ -326,10 +327,6 @@ class SearchSpace:
     def has_speeds(self) -> bool:
         """True if there are several first speeds to sample from."""
         return self.ego_speeds is not None and self.ego_speeds[0] < self.ego_speeds[1]
-
-    def drawn_lane(self, rng: Generator) -> int:
-        """Sample the ego's first lane."""
-        return self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
 
     def drawn_speed(self, rng: Generator) -> float:
         """Sample the first speed of all vehicles [m/s]."""

@@ -189,29 +189,21 @@ class BaseWorld(ABC):
 
     # What NPCs can do.
 
-    @property
-    def has_traffic_styles(self) -> bool:
-        """True if NPCs keep to the style ``scenario.traffic``."""
-        return False
+    has_traffic_styles: bool = False
+    """True if NPCs keep to the style ``scenario.traffic``."""
 
-    @property
-    def has_lane_instructions(self) -> bool:
-        """True if NPCs can have Lane-Instructions."""
-        return False
+    has_lane_instructions: bool = False
+    """True if NPCs can have Lane-Instructions."""
 
-    @property
-    def has_manoeuvres(self) -> bool:
-        """True if NPCs can have manoeuvres."""
-        return False
+    has_manoeuvres: bool = False
+    """True if NPCs can have manoeuvres."""
 
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC that does not cross can be a given vehicle; without more knowledge, only a car."""
         return vehicle == CAR
 
-    @property
-    def has_free_npcs(self) -> bool:
-        """True if NPCs can have drivers of their own, see :class:`pytest_pafot.Free`."""
-        return False
+    has_free_npcs: bool = False
+    """True if NPCs can have drivers of their own, see :class:`pytest_pafot.Free`."""
 
     @property
     def own_drivers(self) -> tuple[str, ...]:

@@ -119,9 +119,11 @@ class BuiltInWorld(BaseWorld):
         """The road as a road network of highway-env."""
 
     @property
-    @abstractmethod
     def stock_road(self) -> Any:
         """The road as a road of highway-env without vehicles."""
+        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
+
+        return Road(self.network)
 
     @property
     @abstractmethod
@@ -147,44 +149,32 @@ class BuiltInWorld(BaseWorld):
     def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
         """Begin a run to which the caller passes the decisions, for an ADS with the given sight."""
 
-    @property
-    def has_traffic_styles(self) -> bool:
-        """True, because NPCs keep to the style of a scenario's traffic."""
-        return True
+    has_traffic_styles = True
+    """True, because NPCs keep to the style of a scenario's traffic."""
 
-    @property
-    def has_lane_instructions(self) -> bool:
-        """True, because NPCs can have Lane-Instructions."""
-        return True
+    has_lane_instructions = True
+    """True, because NPCs can have Lane-Instructions."""
 
-    @property
-    def has_manoeuvres(self) -> bool:
-        """True, because NPCs can have manoeuvres."""
-        return True
+    has_manoeuvres = True
+    """True, because NPCs can have manoeuvres."""
 
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
         return self.rules.road.can_drive(vehicle)
 
-    @property
-    def has_free_npcs(self) -> bool:
-        """True, because drivers of NPCs see any road from their places."""
-        return True
+    has_free_npcs = True
+    """True, because drivers of NPCs see any road from their places."""
 
     @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step, one decision at a time."""
         return True
 
-    @property
-    def can_last(self) -> bool:
-        """True, because :meth:`lasting` gives this world with longer runs."""
-        return True
+    can_last = True
+    """True, because :meth:`lasting` gives this world with longer runs."""
 
-    @property
-    def replays_in_gym(self) -> bool:
-        """True, because ``rollout_in_gym`` repeats a run with ``env.step``."""
-        return True
+    replays_in_gym = True
+    """True, because ``rollout_in_gym`` repeats a run with ``env.step``."""
 
     @property
     def longest_run(self) -> float:

@@ -121,10 +121,8 @@ class Highway(BuiltInWorld):
         with closing(ads.given, self.hang_limit):
             return self._planned(rules, scenario, ads.given, decisions)
 
-    @property
-    def is_resumable(self) -> bool:
-        """True, because :meth:`rollout` accepts ``decisions``."""
-        return True
+    is_resumable = True
+    """True, because :meth:`rollout` accepts ``decisions``."""
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Return whether ``ads`` is a vehicle class that the kernel can drive in this world."""
@@ -156,13 +154,6 @@ class Highway(BuiltInWorld):
 
         lane = self.road.lanes[0]
         return SearchedLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
-
-    @property
-    def stock_road(self) -> Any:
-        """The road as a road of highway-env without vehicles."""
-        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
-
-        return Road(self.network)
 
     @cached_property
     def _rules(self) -> Rules:

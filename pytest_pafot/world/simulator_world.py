@@ -214,13 +214,6 @@ class SimulatorWorld(BuiltInWorld):
         lane = self.road.lanes[0]
         return SearchedLanes(straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit))
 
-    @property
-    def stock_road(self) -> Any:
-        """The road as a road of highway-env without vehicles."""
-        from pytest_pafot.world.stock import Road  # noqa: PLC0415  (imports highway-env)
-
-        return Road(self.network)
-
     @cached_property
     def _rules(self) -> Rules:
         road, duration, hz = self.road, self.duration, self.physics_hz
@@ -278,15 +271,11 @@ class SimulatorWorld(BuiltInWorld):
                     "follows_recordings = True",
                 )
 
-    @property
-    def replays_in_gym(self) -> bool:
-        """False, because a simulator is no environment."""
-        return False
+    replays_in_gym = False
+    """False, because a simulator is no environment."""
 
-    @property
-    def is_resumable(self) -> bool:
-        """True, because :meth:`rollout` accepts ``decisions``."""
-        return True
+    is_resumable = True
+    """True, because :meth:`rollout` accepts ``decisions``."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, *, decisions: Sequence[Any] = ()) -> Trace:
         """Simulate a scenario with a fresh ADS.

@@ -216,7 +216,7 @@ def _moment_of(
         where = placed(other.x - ego.x, other.y - ego.y, other.speed - ego.speed, *boxes)
     elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
         where = "nowhere"
-    elif sight is None or sight.is_exact:  # otherwise only the environment knows where it seemed to be
+    elif sight is None or not (sight.latency or sight.noise or sight.own_bias):  # else only the world knows where
         where = seen_of(trace, npc, number)
     hidden = otherwise = None
     tries = [] if is_planner else [("", without_it.at)]

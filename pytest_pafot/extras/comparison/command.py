@@ -47,16 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "S seconds, and with NAME@paper it has the paper's scenarios; the first algorithm is compared with each of the "
         "others (default: %(default)s)",
     )
-    parser.add_argument(
-        "--ads",
-        required=True,
-        metavar="ADS",
-        help="the policy: a module of example_ads, module:factory, or module:factory:argument",
-    )
+    of_ads = "the policy: a module of example_ads, module:factory, or module:factory:argument"
+    parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results and the report")
-    parser.add_argument(
-        "--runs", type=int, default=10, metavar="N", help="runs of each algorithm (default: %(default)s)"
-    )
+    of_runs = "runs of each algorithm (default: %(default)s)"
+    parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--generations", type=int, metavar="N", help="generations of each run (default: 100)")
     budget.add_argument("--seconds", type=float, metavar="S", help="simulated time of each run, instead of generations")
@@ -70,14 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "reference driver is not at fault; avoidable: also for those that the rules excuse although braking late, but "
         "hard, avoids them (default: %(default)s, as in the paper)",
     )
-    parser.add_argument(
-        "--fitness",
-        help="fitness for all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
-        "(default: that of each algorithm)",
-    )
-    parser.add_argument(
-        "--population", type=int, metavar="N", help="scenarios per generation (default: that of each algorithm)"
-    )
+    of_fitness = "fitness for all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
+    of_fitness += "(default: that of each algorithm)"
+    parser.add_argument("--fitness", help=of_fitness)
+    of_population = "scenarios per generation (default: that of each algorithm)"
+    parser.add_argument("--population", type=int, metavar="N", help=of_population)
     add_world_arguments(parser, "default: a highway, in SI units")
     for name, number, metavar, meaning in (
         ("--lanes", int, "N", f"number of lanes (default: {Highway().lanes})"),
@@ -89,24 +81,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--gene-seconds", float, "S", f"duration of a gene [s] (default: {SAMPLED_GENES})"),
     ):
         parser.add_argument(name, type=number, metavar=metavar, help=meaning)
-    parser.add_argument(
-        "--traffic", metavar="STYLE", help="how the NPCs drive (default: as in a test with the algorithm)"
-    )
-    parser.add_argument(
-        "--vehicles",
-        type=lambda text: text.split(","),
-        metavar="A,B",
-        help="what vehicles NPCs can be, such as car,truck (default: cars)",
-    )
-    parser.add_argument(
-        "--ego-lane", type=int, metavar="N", help=f"first lane of the ego, from 0 at the left (default: 1{START})"
-    )
-    parser.add_argument(
-        "--ego-speed",
-        type=float,
-        metavar="V",
-        help=f"first speed of the ego and of NPCs that do not cross [m/s] (default: 22{START})",
-    )
+    of_traffic = "how the NPCs drive (default: as in a test with the algorithm)"
+    parser.add_argument("--traffic", metavar="STYLE", help=of_traffic)
+    of_vehicles = "what vehicles NPCs can be, such as car,truck (default: cars)"
+    parser.add_argument("--vehicles", type=lambda text: text.split(","), metavar="A,B", help=of_vehicles)
+    of_ego_lane = f"first lane of the ego, from 0 at the left (default: 1{START})"
+    parser.add_argument("--ego-lane", type=int, metavar="N", help=of_ego_lane)
+    of_ego_speed = f"first speed of the ego and of NPCs that do not cross [m/s] (default: 22{START})"
+    parser.add_argument("--ego-speed", type=float, metavar="V", help=of_ego_speed)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:

@@ -92,29 +92,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_whom = "a module of example_ads, module:factory, or module:factory:argument; with @planner after it if it gets "
     of_whom += "pafot.Observation and answers with acceleration and steering"
     parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
-    parser.add_argument(
-        "--against",
-        action="append",
-        default=[],
-        metavar="ADS",
-        help="another policy, on the same seeds; may be given several times",
-    )
+    of_against = "another policy, on the same seeds; may be given several times"
+    parser.add_argument("--against", action="append", default=[], metavar="ADS", help=of_against)
     add_world_arguments(parser, "one with an environment", is_needed=True)
-    parser.add_argument(
-        "--episodes", type=int, default=1000, metavar="N", help="episodes to drive (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the first episode (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--episode", type=int, metavar="SEED", help="drive only the episode with this seed, and draw its end"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for rows, page and pictures (default: none; with --episode: here)",
-    )
+    of_episodes = "episodes to drive (default: %(default)s)"
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help=of_episodes)
+    of_seed = "seed of the first episode (default: %(default)s)"
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
+    of_episode = "drive only the episode with this seed, and draw its end"
+    parser.add_argument("--episode", type=int, metavar="SEED", help=of_episode)
+    of_out = "folder for rows, page and pictures (default: none; with --episode: here)"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=of_out)
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
     parser.add_argument(

@@ -20,25 +20,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
     names = ", ".join(entry.name for entry in BUILT_IN)
     parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario: its file, or its id")
-    parser.add_argument(
-        "--to", required=True, metavar="FORMAT", help=f"the format: {names}, or one that a package registers in {GROUP}"
-    )
-    parser.add_argument(
-        "--ads",
-        metavar="ADS",
-        help="the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument",
-    )
-    parser.add_argument(
-        "--driver",
-        action="append",
-        default=[],
-        metavar="NAME=ADS",
-        help="a driver of free NPCs that the file names, as in drivers= of its test; again for each",
-    )
+    of_to = f"the format: {names}, or one that a package registers in {GROUP}"
+    parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
+    of_ads = "the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument"
+    parser.add_argument("--ads", metavar="ADS", help=of_ads)
+    of_driver = "a driver of free NPCs that the file names, as in drivers= of its test; again for each"
+    parser.add_argument("--driver", action="append", default=[], metavar="NAME=ADS", help=of_driver)
     add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own", has_config=False)
-    parser.add_argument(
-        "--out", type=Path, default=Path(), metavar="DIR", help="the folder for the files (default: the current one)"
-    )
+    of_out = "the folder for the files (default: the current one)"
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:

@@ -221,11 +221,6 @@ class Program:
         """
 
     @property
-    def is_running(self) -> bool:
-        """True if the program has not ended."""
-        return not _has_ended(self._process, 0.0)
-
-    @property
     def is_ready(self) -> bool:
         """True if the program waits for a line: it has not ended, and has written nothing since its last answer."""
         with suppress(ProgramEnded, BadAction):
@@ -283,7 +278,7 @@ class Program:
             self._read()
         elif self._to in ready:
             return True
-        elif not self.is_running and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
+        elif _has_ended(self._process, 0.0) and self._from not in {descriptor for descriptor, _ in pipes.poll(0)}:
             self._gone()  # A process that the program has started may keep the pipe open.
         return False
 

@@ -157,14 +157,10 @@ def _highway(world: Any, ego_speed: float, *npcs: Any) -> Scenario:
     return Scenario(npcs=chains, ego_lane=lane, ego_speed=_tenths(ego_speed))
 
 
-def _inwards(side: float) -> Any:
-    """Return the direction from a side to the ego's lane."""
-    return "left" if side > 0 else "right"
-
-
 def _cutting_in(v: Mapping[str, float], side: float, gap: float, lead: float = LEAD) -> Manoeuvre:
     speed, gap = v["ego_speed"] + v["relative_speed"], _tenths(gap)
-    steps = (Step(gap=gap, lane=_inwards(side), lateral_speed=_tenths(v["lateral_speed"])),)
+    inwards: Any = "left" if side > 0 else "right"
+    steps = (Step(gap=gap, lane=inwards, lateral_speed=_tenths(v["lateral_speed"])),)
     ahead = _tenths(gap - lead * v["relative_speed"])
     return Manoeuvre(beside=1 if side > 0 else -1, ahead=ahead, speed=_tenths(speed), steps=steps)
 

@@ -147,16 +147,6 @@ class Sweep:
         return self.count("preventable")
 
     @property
-    def unavoidable(self) -> int:
-        """The number of points that fail and that no reference driver avoids."""
-        return self.count("unavoidable")
-
-    @property
-    def avoided(self) -> int:
-        """The number of points that the policy avoids."""
-        return self.count("avoided")
-
-    @property
     def errors(self) -> int:
         """The number of points at which the policy raised, took too long or gave no valid action."""
         return self.count("ADS error")

@@ -162,6 +162,17 @@ STEP_BOUNDS = (
 
 
 DEFAULT_STEP = Step()
+
+
+def checked_steps(given: Any) -> tuple[Step, ...]:
+    """Return the steps of an NPC; refuse other objects and too many steps."""
+    steps = tuple(given) if isinstance(given, (list, tuple)) else (given,)
+    if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
+        expected = f"at most {MOST_STEPS} of pafot.Step(...)"
+        raise ScenarioError(field="steps", expected=expected, received=repr(given))
+    return steps
+
+
 """A step that holds lane and speed."""
 
 
@@ -191,11 +202,7 @@ class Manoeuvre(WithStart):
 
     def __post_init__(self) -> None:
         self.check_start()
-        steps = tuple(self.steps) if isinstance(self.steps, (list, tuple)) else (self.steps,)
-        if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
-            expected = f"at most {MOST_STEPS} of pafot.Step(...)"
-            raise ScenarioError(field="steps", expected=expected, received=repr(self.steps))
-        object.__setattr__(self, "steps", steps)
+        object.__setattr__(self, "steps", checked_steps(self.steps))
 
     @property
     def goal(self) -> str:

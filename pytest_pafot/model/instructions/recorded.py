@@ -20,9 +20,9 @@ from pytest_pafot.model.instructions.instruction import (
 )
 from pytest_pafot.model.instructions.manoeuvre import (
     DEFAULT_STEP,
-    MOST_STEPS,
     PLAIN_OF_STEPS,
     Step,
+    checked_steps,
     random_step,
 )
 from pytest_pafot.support.shown import Pasteable
@@ -198,10 +198,7 @@ class Recorded(Instruction):
         if not SLOWEST <= pace <= FASTEST or abs(pace - round(pace, 2)) > 1e-7:
             expected = f"a factor from {SLOWEST:g} to {FASTEST:g} in steps of 0.01"
             raise ScenarioError(field="pace", expected=expected, received=repr(self.pace))
-        steps = tuple(self.steps) if isinstance(self.steps, (list, tuple)) else (self.steps,)
-        if not all(isinstance(step, Step) for step in steps) or len(steps) > MOST_STEPS:
-            expected = f"at most {MOST_STEPS} of pafot.Step(...)"
-            raise ScenarioError(field="steps", expected=expected, received=repr(self.steps))
+        steps = checked_steps(self.steps)
         object.__setattr__(self, "pace", round(pace, 2))
         object.__setattr__(self, "later", tenths_within("later", self.later, -LATEST, LATEST))
         object.__setattr__(self, "shift", tenths_within("shift", self.shift, -SHIFTED, SHIFTED))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, wraps
 from types import FunctionType
 from typing import Any
 
-from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
@@ -72,6 +71,16 @@ def _rollout_batch(world: BaseWorld, scenarios: Sequence[Scenario], ads_factory:
         if is_seeded and not GENERATORS.is_shared():
             made = [rollout_of(world)(each, ads_factory) for each in scenarios]
         return made
+
+
+def _declared(name: str, default: object) -> Any:
+    """Return a property with what a world of the user's states under a name, or else the default."""
+    return property(lambda self: getattr(self.world, name, default))
+
+
+def _is_declared(name: str) -> Any:
+    """Return a property that is true only if a world of the user's has True under a name."""
+    return property(lambda self: getattr(self.world, name, False) is True)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -187,11 +196,8 @@ class OwnWorld(BaseWorld):
         road = getattr(self.world, "road", None)
         return road if isinstance(road, StraightRoad) else None
 
-    @property
-    def crossings(self) -> Crossings | None:
-        """The ways on which other traffic meets the ego's way."""
-        found: Crossings | None = getattr(self.world, "crossings", None)
-        return found
+    crossings = _declared("crossings", None)
+    """The ways on which other traffic meets the ego's way."""
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
@@ -201,46 +207,31 @@ class OwnWorld(BaseWorld):
         """
         return self.world.unused_roads if "unused_roads" in vars(type(self.world)) else frozenset()
 
-    @property
-    def action_space(self) -> Any:
-        """The gymnasium space of actions."""
-        return getattr(self.world, "action_space", None)
+    action_space = _declared("action_space", None)
+    """The gymnasium space of actions."""
 
-    @property
-    def least_action_speed(self) -> float:
-        """The lowest speed to which actions can slow the ego down [m/s]."""
-        return float(getattr(self.world, "least_action_speed", 0.0))
+    least_action_speed = _declared("least_action_speed", 0.0)
+    """The lowest speed to which actions can slow the ego down [m/s]."""
 
-    @property
-    def left_out(self) -> Mapping[str, tuple[str, ...]]:
-        """The methods of the environment that change its state, but are not called in runs of a policy."""
-        found: Mapping[str, tuple[str, ...]] = getattr(self.world, "left_out", {})
-        return found
+    left_out = _declared("left_out", {})
+    """The methods of the environment that change its state, but are not called in runs of a policy."""
 
-    @property
-    def has_traffic_in_reset(self) -> bool:
-        """True if a reset of the environment changes its traffic."""
-        return getattr(self.world, "has_traffic_in_reset", False) is True
+    has_traffic_in_reset = _is_declared("has_traffic_in_reset")
+    """True if a reset of the environment changes its traffic."""
 
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the given options of the environment that have no effect in a search."""
         known = getattr(self.world, "options_without_effect", None)
         return {} if known is None else known(drives_itself=drives_itself, simulates=simulates)
 
-    @property
-    def has_traffic_styles(self) -> bool:
-        """True if the world declares that NPCs keep to the style ``scenario.traffic``."""
-        return getattr(self.world, "has_traffic_styles", False) is True
+    has_traffic_styles = _is_declared("has_traffic_styles")
+    """True if the world declares that NPCs keep to the style ``scenario.traffic``."""
 
-    @property
-    def has_lane_instructions(self) -> bool:
-        """True if the world declares that NPCs can have Lane-Instructions."""
-        return getattr(self.world, "has_lane_instructions", False) is True
+    has_lane_instructions = _is_declared("has_lane_instructions")
+    """True if the world declares that NPCs can have Lane-Instructions."""
 
-    @property
-    def has_manoeuvres(self) -> bool:
-        """True if the world declares that NPCs can have manoeuvres."""
-        return getattr(self.world, "has_manoeuvres", False) is True
+    has_manoeuvres = _is_declared("has_manoeuvres")
+    """True if the world declares that NPCs can have manoeuvres."""
 
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether the world declares that NPCs can be any vehicle; if it does not, they are cars."""
