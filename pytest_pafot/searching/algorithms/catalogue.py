@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -19,6 +18,7 @@ from pytest_pafot.searching.fitness import Fitness, Weights
 from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.errors import install
 from pytest_pafot.support.references import referred_to
+from pytest_pafot.support.text import meant
 
 OF_CORE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
     each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch, RandomManoeuvreSearch)
@@ -88,9 +88,8 @@ def _named(given: str) -> Any:
             return referred_to(given)
         except ValueError as error:
             raise ValueError(f"algorithm: {error}") from error
-    near = difflib.get_close_matches(given, ALGORITHMS, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else "or give module:Class for an algorithm of your own"
-    raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {given!r}; {hint}")
+    hint = meant(given, ALGORITHMS) or "; or give module:Class for an algorithm of your own"
+    raise ValueError(f"algorithm: expected one of {', '.join(ALGORITHMS)}, received {given!r}{hint}")
 
 
 def _check_class(given: Any) -> None:
