@@ -41,16 +41,8 @@ from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = (
-    "npcs",
-    "genes",
-    "gene_seconds",
-    "ego_lane",
-    "ego_speed",
-    "traffic",
-    "acts",
-    "instructions",
-    "vehicles",
-)
+    "npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts", "instructions", "vehicles",
+)  # fmt: skip
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6

@@ -92,28 +92,10 @@ REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
 """The fields of dataclasses that a file must have, although they have a default in code. A field without a default is
 required, too, and any other field may be left out."""
 
-SIGNED = frozenset(
-    {
-        "slot",
-        "value",
-        "at_most",
-        "at_least",
-        "ahead",
-        "lane",
-        "npc_enters",
-        "ego_enters",
-        "ego_speed",
-        "npc_speed",
-        "ego_mean_speed",
-        "beside",
-        "gap",
-        "headway",
-        "recorded_gap",
-        "offset",
-        "later",
-        "shift",
-    }
-)
+SIGNED = frozenset({
+    "slot", "value", "at_most", "at_least", "ahead", "lane", "npc_enters", "ego_enters", "ego_speed", "npc_speed",
+    "ego_mean_speed", "beside", "gap", "headway", "recorded_gap", "offset", "later", "shift",
+})  # fmt: skip
 """The fields of dataclasses whose numbers may be negative."""
 
 MARKS: Mapping[str, type] = MappingProxyType({"npc_enters": ZoneSituation})

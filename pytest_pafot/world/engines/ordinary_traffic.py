@@ -99,18 +99,8 @@ def _shown(start: Start) -> dict[int, Any]:
     road, ego = start.env.road, start.env.vehicle
     found: dict[int, Any] = {id(lane): lane.speed_limit for lane in road.network.lanes_list()}
     for each in (*road.vehicles, *road.objects):
-        names = [
-            "heading",
-            "speed",
-            "crashed",
-            "lane_index",
-            "solid",
-            "collidable",
-            "check_collisions",
-            "timer",
-            "route",
-        ]
-        names += ["MAX_SPEED", "MIN_SPEED", "enable_lane_change", "is_yielding", *CONSTANTS]
+        names = ["heading", "speed", "crashed", "lane_index", "solid", "collidable", "check_collisions", "timer"]
+        names += ["route", "MAX_SPEED", "MIN_SPEED", "enable_lane_change", "is_yielding", *CONSTANTS]
         if each is not ego or start.kind != "policy":  # whose action sets the goal, which compiled code takes
             names += ["target_lane_index", "target_speed"]
         held = [getattr(each, name, None) for name in names]
