@@ -24,7 +24,6 @@ If the output has changed on purpose, this command updates the samples whose wor
 import html
 import importlib
 import importlib.util
-import multiprocessing
 import os
 import re
 import shlex
@@ -49,9 +48,8 @@ import pytest_pafot.strategies
 import pytest_pafot.world.engines.policies
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
-from pytest_pafot.execution.pool import START_METHOD
 from pytest_pafot.world import Highway, from_dict
-from tests.helpers.sessions import command_in_a_copy, in_process, quick_sessions
+from tests.helpers.sessions import command_in_a_copy, copied_workers, in_process, quick_sessions
 from tests.helpers.tables import table
 
 pytest.importorskip("pytest_pafot.extras", reason="the pages are also about the extras")
@@ -258,9 +256,7 @@ class Folder:
 @pytest.fixture
 def folder(pytester, monkeypatch, document):
     quick_sessions(monkeypatch)
-    if START_METHOD == "fork":  # the workers of a command are copies, too: importing takes longer than their part
-        copies = multiprocessing.get_context("fork")
-        monkeypatch.setattr(multiprocessing, "get_context", lambda method: copies)
+    copied_workers(monkeypatch)
     for name in (
         "CI",
         "BUILD_NUMBER",

@@ -6,6 +6,7 @@ import gc
 import importlib
 import inspect
 import json
+import multiprocessing
 import os
 import pkgutil
 import re
@@ -31,6 +32,7 @@ import pytest
 from pytest_pafot import __main__
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.commands import search_command
+from pytest_pafot.execution.pool import START_METHOD
 from pytest_pafot.report.session_record import FINDING, VERSION, ItemRecord, SessionRecord
 from pytest_pafot.world import Highway
 
@@ -152,6 +154,13 @@ def quick_sessions(monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", Copy)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # rewritten code is already in KNOWN_CODE
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
+
+
+def copied_workers(monkeypatch):
+    """Let the workers of a command, which are new processes, be copies: importing takes longer than their part."""
+    if START_METHOD == "fork":
+        copies = multiprocessing.get_context("fork")
+        monkeypatch.setattr(multiprocessing, "get_context", lambda method: copies)
 
 
 def remember_reference_runs(monkeypatch):

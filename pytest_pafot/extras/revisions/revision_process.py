@@ -43,6 +43,8 @@ class Served:
     count: int = 0  # the number of such drivers so far
     _known: set[str] = field(default_factory=set)  # the paths that were looked at
     _modules: set[str] = field(default_factory=set)  # the names of modules that were looked at
+    _imported: set[str] = field(default_factory=set)  # those whose files were looked at
+    _maps: set[bytes] = field(default_factory=set)  # the lines of the system on the memory of this process
     _strangers: set[str] = field(default_factory=set)
 
     def refused(self) -> str:
@@ -124,8 +126,13 @@ class Served:
 
     def _present(self) -> list[str]:
         """Return the files of the user's present checkout that this process has opened, imported, mapped or started."""
-        modules = [getattr(module, "__file__", None) for module in [*sys.modules.values()]]
-        new = {name for name in [*self.opened, *modules, *_in_memory()] if isinstance(name, str)} - self._known
+        # This happens after each run, so only what is new since the last one is looked at: a process has imported a
+        # thousand modules and mapped as many pieces of files.
+        names = sys.modules.keys() - self._imported
+        self._imported |= names
+        modules = [getattr(sys.modules.get(name), "__file__", None) for name in names]
+        seen = [*(self.opened - self._known), *modules, *self._in_memory()]
+        new = {name for name in seen if isinstance(name, str)} - self._known
         self._known |= new
         kept_out = [Path(os.path.realpath(each)) for each in (self.policy.tree, PACKAGE, sys.prefix)]
         for real in real_paths(name for name in new if not _is_no_part(Path(name))):
@@ -133,6 +140,13 @@ class Served:
             if is_present and not _is_no_part(real) and real.is_file():
                 self._strangers.add(str(real))
         return sorted(self._strangers)
+
+    def _in_memory(self) -> set[str]:
+        """Return the files that were mapped into the memory since the last call, which native code may have opened."""
+        maps = Path("/proc/self/maps")
+        lines = {*maps.read_bytes().splitlines()} if maps.exists() else set()
+        new, self._maps = lines - self._maps, lines
+        return {os.fsdecode(line[line.index(b"/") :]) for line in new if b"/" in line}
 
     def hashes(self) -> dict[str, str]:
         """Return the hashes of the files of the revision that this process has seen, by path in the repository."""
@@ -163,13 +177,6 @@ def _is_no_part(path: Path) -> bool:
     return path.match(f"*.{sys.implementation.cache_tag}*.pyc") or bool(NO_PART & {*path.parts})
 
 
-def _in_memory() -> set[str]:
-    """Return the files that are mapped into the memory of this process, which native code may have opened."""
-    maps = Path("/proc/self/maps")
-    lines = maps.read_text(errors="surrogateescape").splitlines() if maps.exists() else []
-    return {line[line.index("/") :] for line in lines if "/" in line}
-
-
 @functools.cache
 def _importable(tree: Path) -> dict[str, list[tuple[Path, Path]]]:
     """Return the files of a copy by each name of a module that may be theirs, with its folder of imports."""
@@ -187,15 +194,17 @@ def imported_elsewhere(names: Iterable[str], own: Path, tree: Path, root: Path) 
     A module of the copy ``tree`` is known by its name with its packages. A name without packages is common, so its file
     has to be that of the copy or of the present repository ``root`` as well.
     """
-    foreign = [name for name in sorted(names) if name.partition(".")[0] not in sys.stdlib_module_names]
-    found = {name: getattr(sys.modules.get(name), "__file__", None) for name in foreign}
-    files = {name: file for name, file in found.items() if isinstance(file, str)}
+    importable = _importable(tree)
+    # Few of the thousand modules of a process have such a name, and to look at a file takes longer.
+    found = {name: getattr(sys.modules.get(name), "__file__", None) for name in sorted(names) if name in importable}
+    foreign = {name: file for name, file in found.items() if name.partition(".")[0] not in sys.stdlib_module_names}
+    files = {name: file for name, file in foreign.items() if isinstance(file, str)}
     prefix = os.path.realpath(sys.prefix)
     for name, real in zip(files, real_paths(files.values()), strict=True):
         is_own = real.is_relative_to(own) and not real.is_relative_to(prefix)
         if is_own or real.is_relative_to(PACKAGE) or not real.is_file():
             continue
-        for place, folder in _importable(tree).get(name, ()):
+        for place, folder in importable[name]:
             same = [each / place for each in (tree, root) if (each / place).is_file()]
             is_alike = real.stat().st_size > 0 and digest_of(real) in map(digest_of, same)
             if "." in name or is_alike:

@@ -19,10 +19,13 @@ from pytest_pafot import VAN, Highway, Scenario, World
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
+from pytest_pafot.extras.comparison import figures
+from pytest_pafot.extras.comparison.figures import FIGURES
 from pytest_pafot.extras.comparison.markdown import PAPER
 
 pytestmark = pytest.mark.processes
 
+DRAW_ALL = figures.draw_all
 SMALL = ["--ads", "constant_speed", "--runs", "3", "--generations", "4", "--duration", "20", "--workers", "1"]
 
 
@@ -134,11 +137,20 @@ def the_same_again_changes_nothing_but_takes_no_time(made, report):
     before = {
         path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")
     }
-    with redirect_stdout(io.StringIO()) as printed:
+    with redirect_stdout(io.StringIO()) as printed, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "draw_all", draw_first_failure)
         assert compare(made) == 0
     after = {path.name: path.read_bytes() for path in made.rglob("*") if path.suffix in (".csv", ".png", ".svg", ".md")}
     assert after == before
     assert printed.getvalue() == f"{made / 'report.md'}\n"
+
+
+def draw_first_failure(measured, folder):
+    """Draw one of the figures, which takes a seventh of the time; return the titles of all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "FIGURES", {"first-failure": FIGURES["first-failure"]})
+        DRAW_ALL(measured, folder)
+    return {name: title for name, (title, *_) in FIGURES.items()}
 
 
 CHECKS = (
@@ -173,7 +185,7 @@ def test_the_papers_numbers_agree_with_each_other():
 
 @pytest.mark.usefixtures("undrawn")
 def test_runs_of_equal_seconds_are_compared_separately(tmp_path):
-    arguments = ["--ads", "constant_speed", "--runs", "2", "--seconds", "200", "--duration", "20", "--workers", "1"]
+    arguments = ["--ads", "constant_speed", "--runs", "2", "--seconds", "100", "--duration", "20", "--workers", "1"]
     algorithms = ["--algorithms", "pafot,av-fuzzer@5,random@15"]
     assert main(["compare", *arguments, *algorithms, "--out", str(tmp_path)]) == 0
     found = tables_of((tmp_path / "report.md").read_text())
@@ -185,7 +197,7 @@ def test_runs_of_equal_seconds_are_compared_separately(tmp_path):
             assert {json.loads(row["executed"])[4] for row in csv.DictReader(file)} <= set(seconds), "of a gene"
 
 
-@pytest.mark.processes
+@pytest.mark.usefixtures("undrawn")
 def test_requested_traffic_and_vehicles_apply_to_all_algorithms(tmp_path):
     arguments = ["--algorithms", "distinct,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
     assert compare(tmp_path, *arguments, "--traffic", "everyday", "--vehicles", "van") == 0
@@ -250,7 +262,7 @@ def standing():
 
 @pytest.mark.usefixtures("undrawn")
 def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
-    assert compare(tmp_path, "--algorithms", "random") == 0
+    assert compare(tmp_path, "--algorithms", "random", "--generations", "1") == 0
     assert "There is only one algorithm" in (tmp_path / "report.md").read_text()
 
 
@@ -294,6 +306,7 @@ def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, argume
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("copies")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_unfitting_scenario_is_reported_in_one_line(tmp_path, capsys, workers):
     assert compare(tmp_path, "--ego-lane", "7", "--workers", workers) == BAD_USE
@@ -312,7 +325,7 @@ def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "copies")
 @pytest.mark.parametrize(("name", "workers"), [("runs", "1"), ("runs", "2"), ("results.csv", "1"), ("report.md", "1")])
 def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys, name, workers):
     taken = tmp_path / name
@@ -355,7 +368,7 @@ def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, mon
     assert "did you mean 'constant_speed'?" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "copies")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
     """The cause may be a policy for an environment without --world; the folder stays free for the right command."""
@@ -395,7 +408,7 @@ def test_planner_given_an_environment_gets_a_hint(tmp_path, capsys):
     assert "a planner in SI units needs @planner after its name, or the road without --world.\n" in error
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.usefixtures("undrawn")
 def test_policy_that_raises_later_is_an_ads_fault(tmp_path):
     arguments = ["--ads", "tests.extras.comparison.test_command:raising_later", "--algorithms", "pafot,random"]
     assert compare(tmp_path, *arguments) == 0
@@ -439,16 +452,16 @@ def wrapped():
 
 
 def compare_in(world, folder, ads, *arguments):
-    given = ["--ads", ads, "--out", str(folder), "--runs", "1", "--generations", "1", "--workers", "2", *arguments]
+    given = ["--ads", ads, "--out", str(folder), "--runs", "1", "--generations", "1", *arguments]
     return main(["compare", *given, "--world", f"{__name__}:{world}"])
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
-    random = ("--algorithms", "random")
-    assert compare_in("Road", tmp_path / "own", "constant_speed", *random) == 0
+    random = ("--algorithms", "random", "--workers")
+    assert compare_in("Road", tmp_path / "own", "constant_speed", *random, "2") == 0
     assert '"class": "Road"' in (tmp_path / "own" / "comparison.json").read_text()
-    given = (f"{__name__}:of_an_environment", *random, "--duration", "5")
+    given = (f"{__name__}:of_an_environment", *random, "1", "--duration", "5")
     assert compare_in("wrapped", tmp_path / "wrapped", *given) == 0
     assert json.loads((tmp_path / "wrapped" / "comparison.json").read_text())["plan"]["world"]["duration"] == 5.0
 

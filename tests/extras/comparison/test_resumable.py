@@ -362,6 +362,7 @@ def dying():
 
 
 @pytest.mark.processes
+@pytest.mark.usefixtures("copies")
 def test_killed_worker_is_reported_with_the_way_out(tmp_path, quick, quiet):
     plan = quick(ads="tests.extras.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
@@ -373,6 +374,7 @@ def raising():
 
 
 @pytest.mark.processes
+@pytest.mark.usefixtures("copies")
 def test_worker_exception_is_raised_with_its_place(tmp_path, quick, quiet):
     plan = quick(ads="tests.extras.comparison.test_resumable:raising", algorithms=("random",), runs=1)
     with pytest.raises(LookupError, match="no such planner") as raised:

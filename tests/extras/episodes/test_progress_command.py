@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
-from tests.helpers.sessions import command_in_a_copy
+from tests.helpers.sessions import Copy, command_in_a_copy
 
 POLICY = """\
 import os
@@ -69,7 +69,7 @@ class Road:
 def planned():
     return pafot.World("highway-fast-v0", config={"duration": 4}, planner_hz=5)
 """
-SHORT = ["--scenarios", "20", "--workers", "1"]
+SHORT = ["--scenarios", "6", "--workers", "1"]
 
 
 def slow(run):
@@ -99,6 +99,7 @@ def progress(old, new, *more):
 def repository(here, monkeypatch):
     """Return the folder as a repository, in whose commit each policy drives with a limit of 20 m/s."""
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
+    monkeypatch.setattr(subprocess, "Popen", Copy)
     (here / "limits.py").write_text("LIMIT = 20.0\n")
     text = POLICY.replace("import pytest_pafot as pafot", "import pytest_pafot as pafot\nfrom limits import LIMIT")
     (here / "versions.py").write_text(text.replace("20.0 - ego", "LIMIT - ego"))
@@ -115,6 +116,7 @@ def git(folder, *arguments):
 
 
 @pytest.mark.processes
+@pytest.mark.usefixtures("copies")
 def test_old_policy_may_come_from_a_revision(repository, capsys):
     (repository / "limits.py").write_text("LIMIT = 40.0\n")
     assert progress("rev:main", "Careful", "--json", "one.json", "--workers", "2") == 0
@@ -184,7 +186,8 @@ def test_policy_is_not_compared_with_itself(here, capsys):
 
 @pytest.mark.processes
 def test_progress_reports_better_version_and_exits_by_option(here, capsys):
-    assert progress("Careful", "Blind", "--fail-on", "worse", "--json", "p.json", "--report", "p.md") == 1
+    many = ("--scenarios", "20")
+    assert progress("Careful", "Blind", *many, "--fail-on", "worse", "--json", "p.json", "--report", "p.md") == 1
     out = capsys.readouterr().out
     said = json.loads((here / "p.json").read_text())
     assert said["verdict"] == said["lines"][0]["verdict"] == "worse"
@@ -197,7 +200,7 @@ def test_progress_reports_better_version_and_exits_by_option(here, capsys):
     assert "| failures of its own | 0 | 14 | 0 | 14 | 19 | " in joined
     assert all(part in joined for part in (sentence, *notes))
     assert page.startswith("# From versions:Careful to versions:Blind\n\n```sh\npython -m pytest_pafot progress ")
-    assert progress("Blind", "Careful", "--fail-on", "not-better") == 0
+    assert progress("Blind", "Careful", *many, "--fail-on", "not-better") == 0
     better = capsys.readouterr().out
     assert better.startswith("versions:Careful is better than versions:Blind: fewer failures of its own: ")
 
@@ -210,7 +213,7 @@ def test_printed_command_saves_the_new_failures(here, capsys):
     command_in_a_copy(*command.split(), "--", "--pafot-shrink-rollouts=0", "--pafot-neighbours=0")
     saved = sorted(path.name.removesuffix(".pafot.yaml") for path in here.rglob("*.pafot.yaml"))
     assert saved == sorted(row["name"] for row in rows if row["part"] == "alone" and row["new"]["failed"])
-    progress("Blind", "Careful")
+    progress("Blind", "Careful", "--scenarios", "1")
     labels = re.search(r"^- (\d+) saved scenarios?: (.*)$", capsys.readouterr().out, re.MULTILINE)
     assert labels
     assert int(labels[1]) == len(saved)
@@ -266,8 +269,9 @@ def test_named_environment_adds_ordinary_traffic(here, capsys):
 
 @pytest.mark.processes
 def test_same_seed_agrees_for_any_worker_count(here, capsys):
-    progress("Careful", "Blind", "--json", "one.json")
-    progress("Careful", "Blind", "--json", "two.json", "--workers", "2")
+    progress("Careful", "Blind", "--scenarios", "3", "--json", "one.json")
+    progress("Careful", "Blind", "--scenarios", "3", "--json", "two.json", "--workers", "2")
+    assert len(json.loads((here / "one.json").read_text())["rows"]) > 3
     assert (here / "one.json").read_bytes() == (here / "two.json").read_bytes()
 
 

@@ -477,7 +477,7 @@ from pkg.adapter import Adapter
 import pkg.core
 
 
-@pafot.search(SHORT, ads=Adapter, drivers={"last": "rev:main"}, runs=8)
+@pafot.search(SHORT, ads=Adapter, drivers={"last": "rev:main"}, runs=4)
 def test_others_are_driven_by_the_last_version(run):
     for number, chain in enumerate(run.scenario.npcs):
         if getattr(chain[0], "driver", "") == "last":
@@ -594,14 +594,14 @@ def test_workers_of_xdist_each_have_their_own_copy(repository):
 
 def test_resumed_search_agrees_on_the_commit_and_not_its_name(repository):
     options = ("--pafot-resume=states", "--pafot-save=none")
-    run(repository, *options, generations=2)
+    run(repository, *options)
     git(repository, "branch", "same", "main")
-    result = run(repository, *options, revision="rev:same", generations=4)
+    result = run(repository, *options, revision="rev:same", generations=2)
     result.stdout.fnmatch_lines(["*resumed after * of earlier sessions*"])
     git(repository, "checkout", "-q", "pkg")
     commit(repository, **{"other.py": ""})
     write(repository, {"pkg/core.py": NOW})
-    result = run(repository, *options, generations=6)
+    result = run(repository, *options, generations=2)
     result.stdout.no_fnmatch_line("*resumed after*")
 
 
