@@ -1,6 +1,7 @@
 """A session against a revision: whose files make the reference, what is the same, and what cannot be compared."""
 
 import json
+import mmap
 import os
 import shutil
 import signal
@@ -10,6 +11,7 @@ import tempfile
 import time
 from fnmatch import fnmatch
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -17,7 +19,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.extras.revisions.revision import PROCESS, _may_count
 from pytest_pafot.extras.revisions.revision_policy import RevisionPolicy
-from pytest_pafot.extras.revisions.revision_process import real_paths
+from pytest_pafot.extras.revisions.revision_process import Served, real_paths
 from tests.helpers.processes import begun
 from tests.helpers.tables import table
 
@@ -135,6 +137,24 @@ def test_real_paths_are_those_of_the_system(tmp_path, monkeypatch):
     names = ["link.py", "./a/file.py", "folder/new.py", "folder/../file.py", "folder/.", "loop/x", "/", ""]
     names += [f"{tmp_path}/{name}" for name in names]
     assert [*map(str, real_paths(names))] == [os.path.realpath(name) for name in names]
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="the system does not say what is mapped")
+def test_present_files_are_seen_when_they_are_imported_opened_or_mapped_later(tmp_path, monkeypatch):
+    served = Served(None, SimpleNamespace(root=tmp_path, tree=tmp_path / "tree"), set())
+    files = [tmp_path / name for name in ("a_late.py", "b.txt", "c.npz")]
+    for file in files:
+        file.write_text("0.0")
+    assert served._present() == []
+    module = ModuleType("a_late")
+    module.__file__ = str(files[0])
+    monkeypatch.setitem(sys.modules, "a_late", module)
+    assert served._present() == [str(files[0])]
+    served.opened.add(str(files[1]))
+    assert served._present() == [*map(str, files[:2])]
+    with files[2].open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ):
+        assert served._present() == [*map(str, files)]
+    assert served._present() == [*map(str, files)]
 
 
 @pytest.mark.parametrize(
