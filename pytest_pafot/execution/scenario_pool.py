@@ -27,6 +27,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts
+from pytest_pafot.support.versions import cgroup_limits
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.simulation import CLOSING, Simulators
@@ -326,9 +327,7 @@ def _memory(job: Job, size: int) -> int | None:
         return job.memory << 20 or None
     if METHOD != "fork":
         return None
-    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
-    with suppress(OSError, ValueError):  # the file contains "max" if the container has no limit
-        limits.append(int(Path("/sys/fs/cgroup/memory.max").read_text("ascii")))
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), *map(int, cgroup_limits("memory.max"))]
     return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import metadata
+from pathlib import Path, PurePosixPath
 
 PACKAGES = ("pytest-pafot", "highway-env", "numpy")
 
@@ -41,8 +44,36 @@ def _version_of(package: str) -> str:
         return "unknown"
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use, at least one."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+def cores(root: Path = Path("/")) -> int:
+    """Return the number of cores that this process may use, at least one: by its affinity and its cgroup's quota.
+
+    Args:
+        root: the folder with ``proc`` and ``sys``.
+    """
+    counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
+    for text in cgroup_limits("cpu.max", root):
+        quota, period = text.split()  # [us] of all cores together in each period
+        counts.append(math.ceil(int(quota) / int(period)))
+    return min(counts)
+
+
+def cgroup_limits(name: str, root: Path = Path("/")) -> Iterator[str]:
+    """Yield what the file ``name`` of this process's cgroup and of those around it says, where there is a limit.
+
+    A container, a job of Slurm or a unit of systemd is a cgroup. Only version 2 is read, which Linux alone has.
+
+    Args:
+        name: such as ``cpu.max`` or ``memory.max``.
+        root: the folder with ``proc`` and ``sys``.
+    """
+    # Where a container hides its own path, this is its root, and the file is directly in the mounted folder.
+    groups = [PurePosixPath()]
+    with suppress(OSError):
+        lines = os.fsdecode((root / "proc/self/cgroup").read_bytes()).splitlines()
+        own = [PurePosixPath(line.removeprefix("0::/")) for line in lines if line.startswith("0::/")]
+        groups = [group for path in own for group in (path, *path.parents)] or groups
+    for group in dict.fromkeys(groups):
+        with suppress(OSError):  # the outermost cgroup of a machine has no limits
+            text = (root / "sys/fs/cgroup" / group / name).read_text("ascii").strip()
+            if not text.startswith("max"):
+                yield text

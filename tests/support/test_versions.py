@@ -1,0 +1,53 @@
+"""The cores and limits that the operating system gives this process, in a folder in place of its root."""
+
+import os
+
+import pytest
+
+from pytest_pafot.support.versions import cgroup_limits, cores
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """Return a function that writes a cgroup and limits by their paths, for a process that may use eight cores."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
+
+    def write(group, **limits):
+        files = {"proc/self/cgroup": f"4:memory:/elsewhere\n0::{group}\n"}
+        files |= {f"sys/fs/cgroup/{path.replace('__', '/')}/cpu.max": text for path, text in limits.items()}
+        for path, text in files.items():
+            (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / path).write_text(text)
+        return tmp_path
+
+    return write
+
+
+def test_cores_without_a_quota_are_those_of_the_affinity(machine, tmp_path):
+    assert cores(tmp_path) == 8  # a system without cgroups
+    assert cores(machine("/job", job="max 100000\n")) == 8
+
+
+def test_a_quota_limits_the_cores_and_a_part_of_one_counts(machine):
+    assert cores(machine("/job", job="250000 100000\n")) == 3
+    assert cores(machine("/job", job="20000 100000\n")) == 1
+    assert cores(machine("/job", job="1600000 100000\n")) == 8
+
+
+def test_the_smallest_quota_of_a_cgroup_and_those_around_it_counts(machine):
+    root = machine("/slurm/job_7/step_0", slurm="600000 100000\n", slurm__job_7="400000 200000\n")
+    assert cores(root) == 2
+    assert sorted(cgroup_limits("cpu.max", root)) == ["400000 200000", "600000 100000"]
+
+
+def test_a_container_has_its_limits_at_the_root_of_its_cgroups(machine):
+    root = machine("/", **{"": "200000 100000\n"})
+    (root / "sys/fs/cgroup/memory.max").write_text("1073741824\n")
+    assert cores(root) == 2
+    assert list(cgroup_limits("memory.max", root)) == ["1073741824"]
+
+
+def test_cores_without_an_affinity_are_those_of_the_machine(monkeypatch, tmp_path):
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 5)
+    assert cores(tmp_path) == 5
