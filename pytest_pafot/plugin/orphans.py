@@ -331,7 +331,7 @@ def _is_test_folder(folder: Path, root: Path, tests: Collection[Path], collected
     shared = _shared(root, collected)
     if shared is None:
         return folder in tests
-    if len(folder.parts) < len(shared.parts) + 2:
+    if not folder.is_relative_to(shared) or len(folder.parts) < len(shared.parts) + 2:
         return False
     # A deeper folder may be that of a test file in a deeper folder, which this session did not collect.
     directory = collected.rootpath / folder.parents[1].relative_to(shared)

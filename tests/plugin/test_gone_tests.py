@@ -457,6 +457,15 @@ def test_a_misnamed_file_in_a_shared_corpus_fails_a_ci_session(saved, ci):
     assert is_red(replay(saved, f"--pafot-corpus={shared}"))
 
 
+def test_a_shared_corpus_may_have_fewer_folders_above_it_than_the_tests(saved, ci):
+    deep, shared = saved.path / "a" / "b" / "c", saved.path / "all"
+    deep.mkdir(parents=True)
+    (saved.path / "test_it.py").rename(deep / "test_it.py")
+    shutil.copytree(saved.path / "pafot_corpus", shared / "a" / "b" / "c")
+    shutil.rmtree(saved.path / "pafot_corpus")
+    replay(saved, f"--pafot-corpus={shared}").assert_outcomes(failed=1, skipped=1)
+
+
 def test_other_files_in_a_corpus_are_no_saved_scenarios(saved, ci):
     folder = saved.only_file.parent
     saved.only_file.unlink()
