@@ -1,6 +1,6 @@
 """What extras, and packages of others, may import in addition to the public names of ``pytest_pafot``.
 
-The page docs/reference/extending.md says of each name what it is for. The module of a name is loaded when it is first
+The page docs/reference/extending.md lists them by what they are for. The module of a name is loaded when it is first
 used.
 """
 
