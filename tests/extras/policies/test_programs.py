@@ -195,7 +195,7 @@ def test_program_without_timely_answer_is_killed(tmp_path):
     with pytest.raises(programs.ProgramTimeout, match=r"did not answer within 0.1 s"):
         ads([1])
     ads.close()
-    assert not ads._program.is_running
+    assert programs._has_ended(ads._program._process, 0.0)
 
 
 def test_hanging_program_is_ended_by_world_hang_limit(tmp_path):
