@@ -15,12 +15,6 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
-import pytest_pafot.world.stock  # noqa: F401  before any test imports highway-env, with matplotlib
-
-# After a session within a session, pytester forgets what that one imported, and pandas cannot be imported twice.
-with suppress(ImportError):
-    import pandas as pd  # noqa: F401
-
 pytest_plugins = ["pytester"]
 
 # Every session tries the same examples. Of 60 seeded faults, 20 examples a test missed one that 60 found; it has a test
@@ -49,6 +43,12 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Make every warning an error, except those of other plugins' own configuration, which comes before this hook."""
     config.addinivalue_line("filterwarnings", "error")
+    if not config.getoption("numprocesses", None):  # a process that only hands out tests to others needs none of it
+        import pytest_pafot.world.stock  # noqa: F401, PLC0415  before any test imports highway-env, with matplotlib
+
+        # After a session in a session, pytester forgets what that one imported, and pandas cannot be imported twice.
+        with suppress(ImportError):
+            import pandas as pd  # noqa: F401, PLC0415
     # Hypothesis also tries constants from those of the project's modules that are already imported. A test's examples
     # would then depend on the tests that ran before it in its process.
     if settings.default.derandomize:
@@ -60,6 +60,8 @@ EXTRAS = TESTS / "extras"
 LONG = set((TESTS / "long.txt").read_text(encoding="utf-8").split())
 STAGES = ("processes", "long", "stories", "oracle", "extras")
 NAMED = re.compile(rf"\bmark\.({'|'.join(STAGES)})\b|\bhelpers\.stages\b")
+WHOLE = re.compile(rf"^pytestmark = (?:\[\s*)?pytest\.mark\.({'|'.join(STAGES)})\b", re.MULTILINE)
+TEST = re.compile(r"^ *def (test_\w+)\(", re.MULTILINE)
 
 
 def has_stages(path: Path) -> bool:
@@ -69,19 +71,48 @@ def has_stages(path: Path) -> bool:
     return is_listed or path.is_relative_to(EXTRAS) or bool(NAMED.search(path.read_text(encoding="utf-8")))
 
 
+def left_out(config: pytest.Config) -> set[str]:
+    """Return the stages that a session of all files leaves out, as README's command does."""
+    words = config.option.markexpr.split(" and ")
+    is_whole = config.args == config.getini("testpaths") and all(word.startswith("not ") for word in words)
+    return {word.removeprefix("not ") for word in words} if is_whole else set()
+
+
+def is_left_out(path: Path, stages: set[str]) -> bool:
+    """Return whether all tests of a test file are in one of some stages, by a mark of the file or by the list."""
+    text, file = path.read_text(encoding="utf-8"), path.relative_to(TESTS.parent).as_posix()
+    listed = {each.rpartition("::")[2] for each in LONG if each.startswith(f"{file}::")}
+    mark = WHOLE.search(text)
+    return mark[1] in stages if mark else "long" in stages and {*TEST.findall(text)} <= listed
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Leave out what a whole session would import only to deselect, unless a path names it.
 
-    The main stage leaves out the tests of extras, which import pandas, matplotlib and others, and the other stages the
-    files without tests of theirs, which are a third.
+    The main stage leaves out the tests of extras, which import pandas, matplotlib and others, and the files that are
+    wholly of other stages; the other stages leave out the files without tests of theirs, which are a third.
     """
+    is_test = collection_path.suffix == ".py" and collection_path.name.startswith("test_")
     if config.option.markexpr.startswith("not "):
         is_named = any("extras" in argument for argument in config.args)
-        return True if collection_path == EXTRAS and not is_named else None
+        stages = left_out(config)
+        is_of_others = bool(stages) and is_test and is_left_out(collection_path, stages)
+        return True if is_of_others or (collection_path == EXTRAS and not is_named) else None
     words = set(re.findall(r"\w+", config.option.markexpr))
     is_of_stages = bool(words) and words <= {*STAGES, "or"} and config.args == config.getini("testpaths")
-    is_test = collection_path.suffix == ".py" and collection_path.name.startswith("test_")
     return True if is_of_stages and is_test and not has_stages(collection_path) else None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(
+    collector: pytest.Module | pytest.Class, name: str, obj: object
+) -> list[pytest.Item] | None:
+    """Make no items that a whole session would only deselect, which are a third of all."""
+    if not name.startswith("test_") or not (stages := left_out(collector.config)):
+        return None
+    marks = {mark.name for mark in getattr(obj, "pytestmark", ())}
+    marks |= {"long"} if f"{collector.nodeid}::{name}" in LONG else set()
+    return None if marks.isdisjoint(stages) else []
 
 
 @pytest.hookimpl(wrapper=True)
@@ -108,12 +139,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, o
     for item in items:
         if item.nodeid.partition("[")[0] in LONG:
             item.add_marker("long")
-    for path in {item.path for item in items if any(map(item.get_closest_marker, STAGES))}:
+    stages = {item: {mark.name for mark in item.iter_markers()}.intersection(STAGES) for item in items}
+    for path in {item.path for item in items if stages[item]}:
         if not has_stages(path):
             raise pytest.UsageError(f"{path}: expected a file with tests of a stage to name it, as `mark.<stage>`")
     items.sort(key=lambda item: item.path)  # the same order in all workers
     done = yield
-    items.sort(key=lambda item: [item.get_closest_marker(stage) is None for stage in STAGES[:3]])
+    items.sort(key=lambda item: [stage not in stages[item] for stage in STAGES[:3]])
     return done
 
 
