@@ -21,11 +21,11 @@ SAMPLE = {
     "stop-and-go": (30, 30),
     "looks-only-ahead": (1, 10),
     "sees-cut-ins-late": (0, 8),
-    "erratic, other roads": (0, 16),
-    "by hand, junctions": (70, 400),
-    "constant-speed, junctions": (1, 40),
-    "idm, junctions": (0, 20),
-    "erratic, junctions": (2, 60),
+    "erratic, other roads": (0, 10),
+    "by hand, junctions": (70, 170),
+    "constant-speed, junctions": (1, 20),
+    "idm, junctions": (0, 10),
+    "erratic, junctions": (2, 25),
 }
 """The number of collisions of each policy in every session, and with ``-m oracle``; those found soon come first."""
 

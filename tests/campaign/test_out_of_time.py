@@ -102,7 +102,7 @@ def test_search_without_findings_leaves_time_to_confirm_one(clock):
     assert (result.summary.runs, result.summary.reason) == (26, "--pafot-max-time")
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", [1, 4])
 def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch, workers):
     """Also in the beginning, when most failures are new and confirmed, and other processes are hardly in use."""
 

@@ -183,7 +183,7 @@ def test_unknown_act_is_refused_in_words():
 )
 def test_sampled_and_varied_manoeuvres_fit_the_road(world, given):
     space, rng = space_of(world, instructions="manoeuvres", **given), np.random.default_rng(3)
-    for _ in range(60):
+    for _ in range(25):
         scenario = sample(space, rng)
         world.check_fits(scenario)
         for _ in range(5):

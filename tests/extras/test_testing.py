@@ -333,7 +333,7 @@ BROKEN = [
 @table(("broken", "promise"), BROKEN)
 def test_broken_promise_of_a_world_is_named(broken, promise):
     with pytest.raises(AssertionError, match=f"^expected that {promise}"):
-        check_world(broken(), runs=3, **SHORT)
+        check_world(broken(), runs=2, **SHORT)
 
 
 @table("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
@@ -701,7 +701,7 @@ WRONG = [
 @table(("wrong", "promise"), WRONG)
 def test_wrong_world_is_refused_by_name_of_field(wrong, promise):
     with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
-        check_world(wrong(), runs=4)
+        check_world(wrong(), runs=2)
 
 
 def test_world_with_decisions_and_drivers_passes_without_warning(recwarn):

@@ -111,9 +111,10 @@ def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
     apart, same = session(project, "--pafot-isolate")
     assert same == contents
     assert summary(apart) == summary(here)
-    several, same = session(project, "--pafot-isolate", "--pafot-workers=2")
-    assert same == contents
-    assert summary(several) == summary(here)
+    if drive == "keep":  # what isolation and workers do does not depend on the policy
+        several, same = session(project, "--pafot-isolate", "--pafot-workers=2")
+        assert same == contents
+        assert summary(several) == summary(here)
 
 
 def test_ads_never_runs_in_the_session_process(isolated):

@@ -62,7 +62,7 @@ def searched(project, ads, source=PLANNERS + SEARCH, args=()):
 
 @pytest.mark.parametrize(("ads", "plain", "most"), [("Pure", "Planner", 0.9), ("Copyable", "Integrating", 0.95)])
 def test_ads_is_asked_less_for_same_findings(project, ads, plain, most):
-    source = PLANNERS + SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=80")
+    source = PLANNERS + SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=40")
     finds, calls, output = searched(project, f"lambda: {ads}()", source)
     plain_finds, plain_calls, plain_output = searched(project, plain, source)
     assert finds == plain_finds != {}
@@ -144,7 +144,7 @@ class Remembering(Pure):
         {MEMORIES[memory].strip()}
 """
     )
-    search = SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=80")
+    search = SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=40")
     _, _, output = searched(project, "lambda: Remembering()", source + search)
     assert " ".join(output.split()).count("warning: the ADS is marked as pure, but decided otherwise in ") == 1
     _, _, output = searched(project, "lambda: Remembering()", source.replace("(Pure)", "(Planner)") + search)
@@ -169,7 +169,7 @@ SHARED = {
 @pytest.mark.parametrize("shared", SHARED)
 def test_copies_that_share_a_state_are_found_out_at_the_end(project, shared):
     source = PLANNERS + f"class Sharing(Copyable):{SHARED[shared]}\n"
-    search = SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=80").replace("gene_seconds=2", "gene_seconds=1")
+    search = SEARCH.replace("shrink_rollouts=8", "shrink_rollouts=40").replace("gene_seconds=2", "gene_seconds=1")
     _, _, output = searched(project, "lambda: Sharing()", source + search)
     told = " ".join(output.split())
     assert told.count("warning: the ADS is marked as copyable, but decided otherwise in ") == 1

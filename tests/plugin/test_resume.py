@@ -135,7 +135,7 @@ def test_workers_resume_each_search_with_same_files(project):
 @pytest.mark.parametrize("kill_at", [3, 300, 900])
 def test_killed_session_resumes_and_leaves_the_same_files(project, monkeypatch, kill_at):
     project.write(KILLED)
-    project.run("--pafot-runs=24", generations=None)
+    project.run_once("--pafot-runs=24", generations=None)
     whole = forget(project)
     assert whole
     monkeypatch.setenv("KILL_AT", str(kill_at))
@@ -206,13 +206,13 @@ def simulated(state):
 
 
 @pytest.mark.processes
-def test_four_times_forty_runs_are_a_hundred_and_sixty(project):
+def test_four_times_twenty_runs_are_eighty(project):
     source = SOURCE.replace("SHORT, shrink_rollouts=10", "blame='ego', shrink_rollouts=30")
     project.write(source)
-    project.run("--pafot-runs=160", generations=None)
+    project.run("--pafot-runs=80", generations=None)
     whole = forget(project)
     for _ in range(4):
-        night(project, runs=40)
+        night(project, runs=20)
     assert project.contents == whole
 
 

@@ -202,12 +202,12 @@ def test_it(run):
 def test_record_is_the_same_for_any_number_of_workers(project, seconds, generations, note):
     project.write(SLOW_ADS.format(seconds=seconds))
     texts = []
-    for workers in (1, 2, 2):
+    for workers in (1, 2):
         options = "--pafot-json=pafot.json", f"--pafot-workers={workers}", "--pafot-save=none"
         result = project.run(*options, generations=generations)
         texts.append((project.path / "pafot.json").read_text())
     result.stdout.fnmatch_lines([f"*note: --pafot-workers=2: {note}"])
-    assert texts[0] == texts[1] == texts[2]
+    assert texts[0] == texts[1]
     assert json.loads(texts[0])["findings"]
 
 

@@ -167,7 +167,7 @@ def test_all_scenarios_fit_a_road_of_any_shape(env_id):
     """Their free NPCs start in the ego's lane, as far from it as the road goes."""
     world = base_world(World(env_id, planner_hz=5))
     space, rng = space_of(world, {"idm": "idm", "mobil": "mobil"}), np.random.default_rng(0)
-    found = [sample(space, rng) for _ in range(40)]
+    found = [sample(space, rng) for _ in range(16)]
     found += [mutate(each, space, rng) for each in found]
     for each in found:
         world.check_fits(each)
@@ -181,7 +181,7 @@ def test_search_among_crossing_and_free_npcs_is_the_same_with_other_processes():
     one, two = (
         pafot.explore(
             lambda: keeping, holds=no_collision, world=world, drivers={"policy": "policy", "mobil": "mobil"},
-            workers=workers, runs=40, seed=5, neighbours=0, shrink_rollouts=10,
+            workers=workers, runs=20, seed=5, neighbours=0, shrink_rollouts=10,
         )
         for workers in (1, 2)
     )  # fmt: skip
@@ -245,7 +245,10 @@ def anything(run):
 @pytest.mark.processes
 def test_search_is_the_same_with_other_processes_and_its_findings_run_again():
     drivers = {"policy": "policy", "mobil": "mobil", "drawing": Drawing}
-    one, two = (explored(holds=no_collision, drivers=drivers, workers=workers) for workers in (1, 2))
+    one, two = (
+        explored(holds=no_collision, drivers=drivers, workers=workers, runs=60, shrink_rollouts=15)
+        for workers in (1, 2)
+    )
     assert one.summary.outcomes == two.summary.outcomes
     assert [each.scenario for each in one.findings] == [each.scenario for each in two.findings]
     assert one.summary.coverage.split("; requested")[0].endswith("6/6 free starts, 6/6 speed bins")
@@ -281,7 +284,7 @@ def test_cached_decisions_are_those_of_a_run_with_all_drivers():
     drivers = {"drawing": Drawing, "policy": "policy"}
     cached, anew = (
         pafot.explore(
-            ads, holds=no_collision, drivers=drivers, world=SHORT, runs=120, seed=6, blame="ego", neighbours=0, npcs=2
+            ads, holds=no_collision, drivers=drivers, world=SHORT, runs=60, seed=6, blame="ego", neighbours=0, npcs=2
         )
         for ads in (Pure, lambda: following)
     )

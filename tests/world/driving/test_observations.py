@@ -24,7 +24,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.features import FEATURES
 from tests.helpers.c_library import c_library
 from tests.helpers.interpreted import InterpretedWorld
-from tests.helpers.road_cases import ENVIRONMENTS
+from tests.helpers.road_cases import ROADS
 from tests.helpers.stages import mostly_oracle
 
 ranges = st.dictionaries(
@@ -140,14 +140,14 @@ def assert_the_same_is_observed(env, config, observers):
 EVERY_ROAD = pytest.mark.parametrize(
     "env_id",
     mostly_oracle(
-        ("highway-v0", *ENVIRONMENTS), "highway-v0", "merge-v1", "racetrack-v1", "intersection-v1", "lane-keeping-v0"
+        ("highway-v0", *ROADS), "highway-v0", "merge-v1", "racetrack-v1", "intersection-v1", "lane-keeping-v0"
     ),
 )
 several = st.lists(vehicles, min_size=1, max_size=8)
 
 
 @EVERY_ROAD
-@settings(max_examples=8)
+@settings(max_examples=6)
 @given(
     config=tables("Kinematics"),
     states=several,
@@ -167,7 +167,7 @@ def test_tables_with_an_exit_equal_those_of_highway_env(observers, config, state
 
 
 @EVERY_ROAD
-@settings(max_examples=8)
+@settings(max_examples=6)
 @given(config=grids, states=several)
 def test_grids_equal_those_of_highway_env(env_id, observers, config, states):
     populate(environment(env_id), Vehicle, states)
@@ -175,7 +175,7 @@ def test_grids_equal_those_of_highway_env(env_id, observers, config, states):
 
 
 @EVERY_ROAD
-@settings(max_examples=8)
+@settings(max_examples=6)
 @given(
     config=times, states=several, speeds=st.sampled_from([[20, 25, 30], [0, 4.5, 9], [10, 20]]), index=st.integers(0, 1)
 )

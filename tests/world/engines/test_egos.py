@@ -100,7 +100,7 @@ def test_run_equals_that_of_env_step_exactly(seed):
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("ego", ALL_EGOS, ids=lambda ego: ego.__name__)
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(seed=st.integers(10_000, 2**32))
 def test_every_ego_drives_exactly_as_by_env_step(ego, seed):
     assert_same(replace(Case.random(seed), ego=ego))

@@ -648,7 +648,7 @@ def world_of():
     def make(cls, **config):
         names.append(f"{cls.__name__}-v0")
         gymnasium.register(names[-1], entry_point=cls)
-        return pafot.World(names[-1], {"vehicles_count": 9, "duration": 5, **config})
+        return pafot.World(names[-1], {"vehicles_count": 9, "duration": 3, **config})
 
     yield make
     for name in names:

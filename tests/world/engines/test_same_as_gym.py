@@ -147,7 +147,7 @@ def continuous(rng):
 )
 def test_policy_sees_and_acts_as_in_gymnasium(exact, env_id, action_type, choose):
     config = {"action": action_type, "observation": {"type": "Kinematics", "vehicles_count": 4, "see_behind": True}}
-    world = World(env_id, config=config, duration=6.0)
+    world = World(env_id, config=config, duration=4.0)
     (scenario,) = random_scenarios(1, lanes=world.lanes, speed_limit=30.0, seed=env_id)
     rng, seen = np.random.default_rng(5), []
 

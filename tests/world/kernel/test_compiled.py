@@ -40,7 +40,7 @@ def test_interpreted_and_compiled_kernel_give_same_traces(interpreted, seeds):
 
 @pytest.mark.parametrize("style", mostly_oracle(STYLES, STYLES[0]))
 def test_interpreted_and_compiled_npcs_match_in_bends(interpreted, style):
-    world = world_of("roundabout-v1", duration=10.0)
+    world = world_of("roundabout-v1", duration=6.0)
     scenario = sample(space_of(world, traffic=style), np.random.default_rng(2))
     compiled = digest(world.rollout(scenario, IDMVehicle))
     with interpreted.in_place():

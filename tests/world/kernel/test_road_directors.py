@@ -265,9 +265,9 @@ EGOS = (Steady, slowing, IDMVehicle)
         ("intersection-v0", 0, 12),
         ("roundabout-v0", 0, 6),
         ("intersection-v0", 2, 9),
-        oracle("intersection-v0", 0, 150),
-        oracle("intersection-v1", 2, 60),
-        oracle("roundabout-v0", 2, 60),
+        oracle("intersection-v0", 0, 60),
+        oracle("intersection-v1", 2, 30),
+        oracle("roundabout-v0", 2, 30),
     ],
 )
 def test_npcs_without_clash_never_touch_and_respect_limits(env_id, on_grid, runs):

@@ -234,7 +234,7 @@ def follows():
     ],
 )
 def test_planner_drives_the_same_in_environment_steps(env_id, sight):
-    world = World(env_id, duration=10.0, planner_hz=5)
+    world = World(env_id, duration=5.0, planner_hz=5)
     ads = Perception(follows, **sight)
     runs = [roll(scenario_of(world), ads) for roll in (world.rollout, world.rollout_in_gym)]
     assert runs[0].error is None

@@ -49,7 +49,7 @@ def constant():
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "roundabout-v1"))
 def test_limits_hold_and_executed_chain_stays_fixed(env_id):
-    world, rng = world_of(env_id, duration=10.0), np.random.default_rng(3)
+    world, rng = world_of(env_id, duration=6.0), np.random.default_rng(3)
     for ego, style in itertools.product((idm, constant), STYLES):
         trace = world.rollout(sample(space_of(world, traffic=style), rng), ego)
         assert violations(trace, world) == [], trace.scenario.canonical()
@@ -110,7 +110,7 @@ def test_npc_at_bend_end_starts_with_turning_speed():
     ),
 )
 def test_the_plain_environment_agrees(env_id, ego):
-    world, rng = world_of(env_id, duration=10.0), np.random.default_rng(5)
+    world, rng = world_of(env_id, duration=6.0), np.random.default_rng(5)
     for style in STYLES:
         first = world.rollout(sample(space_of(world, traffic=style), rng), ego)
         again = world.rollout_in_gym(first.executed, ego)
@@ -559,7 +559,7 @@ UNUSED |= {name: {"joins"} for name in ("merge", "merge-generic", "roundabout", 
 
 def test_a_world_knows_the_roads_that_nobody_uses():
     """On other roads nothing meets the ego's way: the exit leaves it, and circuits and bends have no other road."""
-    assert {env_id: set(world_of(env_id, duration=10.0).unused_roads) for env_id in ROADS} == {
+    assert {env_id: set(world_of(env_id, duration=6.0).unused_roads) for env_id in ROADS} == {
         env_id: UNUSED.get(env_id.rpartition("-")[0], set()) for env_id in ROADS
     }
     assert World("highway-v0").unused_roads == frozenset()
