@@ -8,8 +8,6 @@ from functools import cached_property, wraps
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from pytest_pafot.model.instructions.cell import PositionInstruction, random_position
 from pytest_pafot.model.instructions.crossing import (
     ACTS,
@@ -147,7 +145,7 @@ def _checked(function: Callable[..., Any], name: str, returns: str) -> Callable[
 
 def _plain(value: Any) -> Any:
     """Return a value with Python's own numbers and truth values instead of numpy's, also in lists, tuples and dicts."""
-    if isinstance(value, np.generic):
+    if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():  # numpy is slow to import
         return value.item()
     if type(value) is dict:
         return {key: _plain(each) for key, each in value.items()}
