@@ -20,7 +20,7 @@ from pytest_pafot import (
     World,
 )
 from pytest_pafot.extending import base_world, sample
-from pytest_pafot.extras.testing import OBSERVED, _check_lasting, check_world
+from pytest_pafot.extras.testing import OBSERVED, _Calls, _check_lasting, _check_obedience, _run, check_world
 from pytest_pafot.extras.testing.traces import (
     ACROSS,
     ALONG,
@@ -30,6 +30,7 @@ from pytest_pafot.extras.testing.traces import (
     contacts,
     end,
     form,
+    motion,
     of_runs,
     places_at_start,
     touching,
@@ -737,6 +738,46 @@ def test_instructions_without_time_to_show_are_not_demanded():
             return replace(trace, scenario=scenario, executed=scenario)
 
     check_world(Late(), gene_seconds=10.0)
+
+
+class InPlace(Stubborn):
+    """It ignores instructions where the ego is in the leftmost lane."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        follows = Stubborn if scenario.ego_lane == 0 else Driven
+        return follows.rollout(self, scenario, ads_factory, decisions=decisions)
+
+
+def test_runs_in_which_no_npc_can_follow_do_not_count_if_one_follows_in_another():
+    npcs = [[PositionInstruction(Cell.REAR, 20.0), PositionInstruction(Cell.REAR, 5.0)]]
+    asked = [Scenario(npcs=npcs, ego_lane=lane, gene_seconds=5.0) for lane in (0, 0, 1)]
+    calls = _Calls(lambda: lambda observation: (0.0, 0.0))
+    done = [_run(InPlace(), scenario, calls) for scenario in asked]
+    _check_obedience(InPlace(), done, [], 2)
+    with pytest.raises(AssertionError, match="NPCs follow their instructions"):
+        _check_obedience(InPlace(), done[:2], [], 2)
+
+
+def broken_motion(*traces):
+    return next(((promise, received) for is_kept, promise, received in motion(traces) if not is_kept), ("", ""))
+
+
+def test_vehicle_that_jumps_is_named_by_its_step_and_wrong_speeds_by_theirs():
+    scenario = Scenario(npcs=[[PositionInstruction(Cell.REAR, 20.0)]])
+    trace = Highway(duration=4.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    jumps = with_states(trace, lambda states: np.add(states[20:, 1, X], -119.0, out=states[20:, 1, X]))
+    slow = with_states(trace, lambda states: np.divide(states[..., SPEED], 3.6, out=states[..., SPEED]))
+    promise, received = broken_motion(jumps)
+    assert promise.startswith("states has a row for each tick, at 15 Hz, none repeated, and no vehicle jumps")
+    assert received.endswith("of NPC 0 to tick 20")
+    assert broken_motion(slow)[0].startswith("states[..., SPEED] of the ego is its speed")
+
+
+def test_collision_in_the_first_tick_shows_no_motion_and_no_error():
+    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]])
+    trace = Highway(duration=20.0).rollout(stops, lambda: lambda seen: (0.0, 0.0))
+    assert trace.outcome is Outcome.COLLISION
+    assert broken_motion(replace(trace, states=trace.states[-2:]), trace) == ("", "")
 
 
 def test_cell_beyond_the_road_asks_for_no_place():

@@ -315,8 +315,8 @@ class EpisodeEnds(OwnEnds):
 
     def __init__(self, outer: Any, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> None:
         env = outer.unwrapped
-        super().__init__(env, ENDS, rules, guard, showing(env, vehicles))
-        self._outer, self._loop = outer, vehicles.loop
+        super().__init__(env, ENDS, rules, guard)
+        self._outer, self._loop, self._put = outer, vehicles.loop, showing(env, vehicles)
         self._move: Callable[[], AdsError | None] = _nothing
         self._error: AdsError | None = None
         _stand_in(env, "_simulate", self._simulate)
@@ -355,7 +355,7 @@ class EpisodeEnds(OwnEnds):
         self._guard.decision_ends()
         if self._error is None and not self._loop.is_over:
             self._error = self._move()
-        self._show()
+        self._put()
         self._env.steps = self._loop.tick
         self._guard.decision_starts()
 

@@ -258,6 +258,12 @@ class OwnStep(HighwayEnvFast):
         return seen, reward, terminated or self.vehicle.position[0] > 260.0, truncated, info
 
 
+class Counting(HighwayEnvFast):
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated, truncated or self.steps >= 15, info
+
+
 class LooksAhead(OwnStep):
     """Its step goes ahead in a copy of it first."""
 
@@ -279,6 +285,7 @@ class LooksAhead(OwnStep):
         (HighwayEnvFast, [Twice, limited], "the limit of 4 steps"),
         (Goal, [Twice], "Goal._is_terminated"),
         (OwnStep, None, "OwnStep.step"),
+        (Counting, None, "Counting.step"),
     ],
 )
 def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_point, wrappers, name):
@@ -326,6 +333,12 @@ class Failing(Fenced):
         return seen, reward, terminated, bool(truncated and info["fence"]), info
 
 
+class Endless(gymnasium.Wrapper):
+    def step(self, action):
+        seen, reward, _, _, info = super().step(action)
+        return seen, reward, False, False, info
+
+
 class Lazy(gymnasium.Wrapper):
     """Its steps do nothing."""
 
@@ -333,22 +346,25 @@ class Lazy(gymnasium.Wrapper):
         return self.observation_space.sample(), 0.0, False, False, {}
 
 
-def test_wrappers_that_fail_or_do_nothing_do_not_stop_reference_drivers():
+def test_wrappers_that_fail_or_do_nothing_do_not_stop_reference_drivers(register):
     scenario = scenario_in(World("highway-fast-v0"))
     failed = World("highway-fast-v0", wrappers=[Failing]).rollout_reference(scenario, "careful-human")
     expected = "Failing failed: KeyError: 'fence'"
     assert (failed.ended, failed.ticks, failed.outcome) == (expected, 30, Outcome.INVALID)
+    register("ending-v0", entry_point=Wrong)
+    failed = World("ending-v0", wrappers=[Endless]).rollout_reference(scenario, "careful-human")
+    assert (failed.ended, failed.outcome) == ("Wrong._is_terminated failed: KeyError: 'goal'", Outcome.INVALID)
     driven = World("highway-fast-v0", wrappers=[Lazy]).rollout_reference(scenario, "careful-human")
     assert (driven.ended, driven.duration) == ("", 30.0)
 
 
 def test_a_collision_within_a_step_ends_the_run_of_a_reference_driver_as_a_collision():
-    """Nobody can avoid what stops 5 m ahead within two steps of a second each."""
+    """It takes over a tick before the collision, and the wrappers' step goes on after it."""
     stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0)
-    plain, wrapped = World("highway-fast-v0"), World("highway-fast-v0", wrappers=[Twice])
+    plain, wrapped = World("highway-fast-v0"), World("highway-fast-v0", wrappers=[Twice] * 3)
     hit = plain.rollout(stops, idle)
     first, second = (world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped))
-    assert (second.outcome, second.ticks % 10 > 0) == (Outcome.COLLISION, True)
+    assert (second.outcome, second.ticks % 40 < 35) == (Outcome.COLLISION, True)  # a step is 8 of 5 ticks
     assert second.states.tobytes() == first.states.tobytes()
 
 
