@@ -361,10 +361,10 @@ def test_wrappers_that_fail_or_do_nothing_do_not_stop_reference_drivers(register
 def test_a_collision_within_a_step_ends_the_run_of_a_reference_driver_as_a_collision():
     """It takes over a tick before the collision, and the wrappers' step goes on after it."""
     stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0)
-    plain, wrapped = World("highway-fast-v0"), World("highway-fast-v0", wrappers=[Twice] * 3)
+    plain, wrapped = World("highway-fast-v0"), World("highway-fast-v0", wrappers=[Twice] * 4)
     hit = plain.rollout(stops, idle)
     first, second = (world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped))
-    assert (second.outcome, second.ticks % 40 < 35) == (Outcome.COLLISION, True)  # a step is 8 of 5 ticks
+    assert (second.outcome, second.ticks % 80 < 75) == (Outcome.COLLISION, True)  # a step is 16 of 5 ticks
     assert second.states.tobytes() == first.states.tobytes()
 
 
