@@ -225,7 +225,7 @@ class World(BuiltInWorld):
                     return self._planned(rules, scenario, ads.given)
         from pytest_pafot.world.engines import policies  # noqa: PLC0415  (imports highway-env)
 
-        return policies.rollout(self.environment, rules, scenario, policy)
+        return policies.rollout(self.environment, rules, scenario, policy, self._own_ends)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
@@ -240,8 +240,9 @@ class World(BuiltInWorld):
         return replay_environment(self.environment, rules, scenario, Policy(ads_factory), is_planner=is_planner)
 
     def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
-        from pytest_pafot.world.engines.policies import ends_beside  # noqa: PLC0415  (imports highway-env)
+        from pytest_pafot.world.engines import gym_replay, policies  # noqa: PLC0415  (import highway-env)
 
+        ends_beside = gym_replay.episode_beside if rules.ends_in_steps else policies.ends_beside
         return ends_beside(self.environment, rules, scenario, vehicles, guard)
 
     def _can_drive_npcs(self, factory: AdsFactory) -> bool:

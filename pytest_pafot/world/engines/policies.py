@@ -46,8 +46,17 @@ OF_HIGHWAY_ENV = frozenset(
 """The attributes with which highway-env's classes and roads control some vehicles."""
 
 
-def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
-    """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy."""
+def rollout(
+    environment: GymEnvironment,
+    rules: Rules,
+    scenario: Scenario,
+    policy: Policy,
+    own_ends: Callable[..., OwnEnds | None],
+) -> Trace:
+    """Simulate a scenario, which fits the rules, with a fresh ADS that is a vehicle class or a policy.
+
+    ``own_ends`` returns what may end a run whose ego is none of the environment's vehicles, as :func:`ends_beside`.
+    """
     with ExitStack() as at_the_end:
         env, view = _env_of(environment, scenario), None
         if policy.drives_itself:
@@ -69,14 +78,14 @@ def rollout(environment: GymEnvironment, rules: Rules, scenario: Scenario, polic
                     put_ego(env, ego)
                 begun = _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard, env)
                 if rules.ends_in_steps:
-                    begun.ends = ends_beside(environment, rules, scenario, begun.vehicles, guard)
+                    begun.ends = own_ends(rules, scenario, begun.vehicles, guard)
                 return begun.finish()
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             model_driver = ModelDriver(model, others, egos_rules(env.road, model, vehicles.places, rules, lanes))
             run = SteppedRun(vehicles, model_driver, guard)
-            run.ends = ends_beside(environment, rules, scenario, vehicles, guard)
+            run.ends = own_ends(rules, scenario, vehicles, guard)
             return run.finish()
         driver = _policy_driver(environment, rules, scenario, ads.decides, env, guard, view, ads.sight)
         return _begun(rules, scenario, driver, guard, env).finish()
@@ -96,10 +105,6 @@ def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:
     """Return the environment's own ends in a run whose ego is none of its vehicles; None if it has none."""
-    if rules.ends_in_steps:
-        from pytest_pafot.world.engines.gym_replay import episode_beside  # noqa: PLC0415  (it imports this module)
-
-        return episode_beside(environment, rules, scenario, vehicles, guard)
     if not rules.ends:
         return None
     env = _env_of(environment, scenario)
