@@ -1,6 +1,5 @@
 """The installed package: its content, what works in a folder that is no clone, and what works without extras."""
 
-import ast
 import os
 import re
 import shutil
@@ -88,37 +87,9 @@ def test_safe(run):
 MISSING = "expected a whole installation of pytest-pafot, received one without pytest_pafot.extras; install it again"
 
 
-EACH = """\
-import os, runpy, sys, tempfile
-import gymnasium, highway_env, hypothesis, numpy, pytest, yaml  # once for all commands
-
-for line in sys.argv[1:]:
-    with tempfile.TemporaryFile("w+") as out:
-        if not os.fork():
-            os.dup2(out.fileno(), 1)
-            os.dup2(out.fileno(), 2)
-            code, sys.argv = 1, line.split()
-            sys.orig_argv = [sys.executable, "-m", *sys.argv]
-            try:
-                runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
-            except SystemExit as ended:
-                code = int(ended.code or 0)
-            finally:
-                sys.stdout.flush()
-                os._exit(code)
-        code = os.waitstatus_to_exitcode(os.wait()[1])
-        out.seek(0)
-        print([code, out.read()], flush=True)
-"""
-"""Runs each line as `python -m` would, in a copy of one interpreter that has imported all except this package."""
-
-
 @pytest.fixture
 def core(tmp_path, monkeypatch):
-    """Return a folder with a policy, and a function that runs commands there with a copy of the package without extras.
-
-    It returns the exit code and the output of each.
-    """
+    """Return a folder with a policy, and a function that runs Python there with a copy without extras."""
     copy, here = tmp_path / "core", tmp_path / "here"
     # With what Python has compiled, which takes seconds, but not with a file that it is just writing.
     shutil.copytree(ROOT / "pytest_pafot", copy / "pytest_pafot", ignore=shutil.ignore_patterns("extras", "*.pyc.*"))
@@ -128,48 +99,41 @@ def core(tmp_path, monkeypatch):
     for name, value in (("DISABLE_PLUGIN_AUTOLOAD", "1"), ("PLUGINS", "pytest_pafot.plugin"), ("ADDOPTS", "")):
         monkeypatch.setenv(f"PYTEST_{name}", value)
     monkeypatch.delenv("CI", raising=False)
-
-    def do(*lines):
-        done = run(copy, here, "-c", EACH, *lines)
-        assert (done.returncode, done.stderr) == (0, "")
-        return [ast.literal_eval(each) for each in done.stdout.splitlines()]
-
-    return here, do
+    return here, lambda *arguments: run(copy, here, "-m", *arguments)
 
 
 def test_core_without_extras_searches_and_replays(core):
     here, do = core
     (here / "test_it.py").write_text(MARKED)
-    found, replayed, searched, listed = do(
-        "pytest -p no:cacheprovider test_it.py",
-        "pytest -p no:cacheprovider test_it.py --pafot-generations=0",
-        "pytest_pafot search policy:make --runs 8 --seed 1 -- --pafot-shrink-rollouts=20",
-        "pytest_pafot corpus list",
-    )
-    count = len([*here.glob("pafot_corpus/test_it/**/*.pafot.yaml")])
-    assert found[0] == 1, found[1]
+    done = do("pytest")
+    assert (done.returncode, done.stderr) == (1, ""), done.stdout
+    count = len([*here.rglob("*.pafot.yaml")])
     assert count > 0
-    assert f"{count} still failing" in replayed[1]
-    assert (searched[0], "new finding" in searched[1]) == (1, True), searched[1]
-    assert listed[0] == 0
+    assert f"{count} still failing" in do("pytest", "--pafot-generations=0").stdout
+    done = do("pytest_pafot", "search", "policy:make", "--runs", "8", "--seed", "1")
+    assert done.returncode == 1, done.stderr
+    assert "new finding" in done.stdout
+    assert do("pytest_pafot", "corpus", "list").returncode == 0
 
 
 def test_core_without_extras_says_what_is_missing(core):
     here, do = core
-    (here / "test_swept.py").write_text(
+    for code, command in (
+        (2, "map r157/cut-in --ads policy:make --over gap=10:60:2"),
+        (1, "search policy:make -- --pafot-algorithm=av-fuzzer"),  # an error of its item
+    ):
+        done = do("pytest_pafot", *command.split())
+        assert (done.returncode, MISSING in " ".join((done.stdout + done.stderr).split())) == (code, True), done
+    (here / "test_it.py").write_text(
         f"{MARKED}\ndef test_swept():\n    pafot.sweep('r157/cut-in', make, over={{'gap': '10:60:3'}})\n\n"
         "def test_other():\n    pass\n"
     )
-    (here / "test_listed.py").write_text(
+    done = do("pytest", "--pafot-generations=0", "-p", "no:randomly")
+    assert (done.returncode, "1 failed, 1 passed" in done.stdout) == (1, True), done.stdout
+    assert MISSING in done.stdout
+    (here / "test_it.py").write_text(
         "import pytest_pafot as pafot\nfrom policy import make\n"
         "@pafot.catalogue('r157/cut-in', ads=make)\ndef test_it(run):\n    pass\n"
     )
-    done = do(
-        "pytest_pafot map r157/cut-in --ads policy:make --over gap=10:60:2",
-        "pytest_pafot search policy:make -- --pafot-algorithm=av-fuzzer",  # an error of its item
-        "pytest --pafot-generations=0 -p no:randomly test_swept.py",
-        "pytest test_listed.py",
-    )
-    told = [" ".join(text.split()) for _, text in done]
-    assert ([code for code, _ in done], [MISSING in each for each in told]) == ([2, 1, 1, 1], [True] * 4), done
-    assert "1 failed, 1 passed" in told[2]
+    done = do("pytest")
+    assert (done.returncode, MISSING in " ".join(done.stdout.split())) == (1, True), done.stdout

@@ -87,7 +87,7 @@ class TestAPullRequest:
         files = {"planner.py": f"from core import HEADWAY\n{own}", "core.py": imported, "test_safety.py": TEST}
         commit(repository, files, "A planner")
         git(repository, "switch", "-q", "-c", "closer")
-        commit(repository, {"core.py": "HEADWAY = 0.6\n"}, "Keep less distance")
+        commit(repository, {"core.py": "HEADWAY = 0.0\n"}, "Keep less distance")
         code, printed = self.run(repository, summary, options=QUICK)
         assert (code, "introduces 1 failure, fixes 0, 0 as before" in " ".join(printed.split())) == (1, True), printed
 
@@ -100,7 +100,7 @@ class TestAPullRequest:
 
     def test_every_failure_of_a_new_policy_counts(self, repository, summary):
         git(repository, "switch", "-q", "-c", "begins")
-        commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.6  #"), "test_safety.py": TEST}, "A planner")
+        commit(repository, {"planner.py": PLANNER.replace("2.0  #", "0.0  #"), "test_safety.py": TEST}, "A planner")
         code, printed = self.run(repository, summary, options=QUICK)
         assert "every failure counts" in " ".join(printed.split())
         assert "against rev" not in printed
@@ -125,7 +125,7 @@ class TestAPullRequest:
         )
         (repository / "net.npz").write_text("2.0")
         git(repository, "switch", "-q", "-c", "closer")
-        commit(repository, {"planner.py": reads.replace("open('net.npz').read()", "'0.6'")}, "Keep less distance")
+        commit(repository, {"planner.py": reads.replace("open('net.npz').read()", "'0.0'")}, "Keep less distance")
         assert self.run(repository, summary, runs="4")[0] == 2
         code, printed = self.run(repository, summary, copy="net.npz", options=QUICK)
         assert (code, "introduces 1 failure" in printed) == (1, True), printed
