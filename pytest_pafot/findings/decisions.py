@@ -94,8 +94,9 @@ class Moment:
         otherwise: the smallest change of the vehicle, of those tried, with which it answers otherwise, and that answer;
             empty if none of them changes the answer, None if none was tried.
         reference: what the reference answered, if the test has one and this is the first decision that differs.
-        conditions: the conditions that the policy evaluated in this decision, the last one first, each with its line in
-            the source, its values and its outcome; empty if that is unknown.
+        conditions: the conditions that the policy evaluated in this decision, each with its line in the source, its
+            values and its outcome; first those that come out otherwise with that change, then the others, the last one
+            first; empty if that is unknown.
     """
 
     time: float

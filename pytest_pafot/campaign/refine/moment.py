@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import is_dataclass, replace
 from functools import partial
@@ -29,6 +29,7 @@ from pytest_pafot.findings.decisions import (
     deciding,
     differ,
     is_si,
+    moved_over,
     parts_of,
     placed,
     seen_of,
@@ -43,7 +44,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.conditions import Conditions
+from pytest_pafot.world.driving.conditions import Conditions, parting, shown
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
@@ -56,6 +57,11 @@ Ask = Callable[..., Refining[Aside | None]]
 
 Its arguments are an NPC that is hidden in the whole run, or None, and a question about one decision, or None.
 """
+
+Additions = tuple[float, float, float]
+"""What is added to a vehicle's x and y [m] and to its speed [m/s]."""
+Change = tuple[str, Additions | None]
+"""A change of a vehicle in words and as additions; None hides it."""
 
 MANY = 1_000_000
 """More lanes than there are, for actions that a run has checked before."""
@@ -84,7 +90,12 @@ def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) ->
 
 
 def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
-    """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's."""
+    """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's.
+
+    They are compared with those of a decision that sees the vehicle elsewhere: where the moment says that the policy
+    answers otherwise, or far away. If they do not depend on the vehicle, and the decision began a change of lanes, they
+    are compared with those of the decision before it.
+    """
     harness, moment, run = bench.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
     if moment is None or run is None or not conditions:
@@ -96,8 +107,30 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
     aside = yield from _decided_aside(sighting, trace, state, bench, None, question)
     if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
         return sighting
-    moment = replace(moment, conditions=tuple(aside.conditions))
-    return replace(sighting, moment=moment)
+    # Compare with a decision that is answered otherwise, or at least sees the vehicle elsewhere.
+    compared: list[tuple[str, Question]] = []
+    npc, seen = moment.npc, aside.at
+    if npc is not None and isinstance(seen, Observation) and npc in seen.ids:
+        words, by = _compared(moment, _changes(seen, npc))
+        ads = None if trace.drew else aside.ads
+        compared.append((f"with NPC {npc} {words}", replace(question, instead=changed(seen, npc, by), ads=ads)))
+    if number and number == moved_over(run):
+        compared.append((f"at {times[number - 1]:.1f} s", replace(question, number=number - 1)))
+    first: dict[str, str] = {}
+    for when, other in compared:
+        if not first and (asked := (yield from _decided_aside(sighting, trace, state, bench, None, other))) is not None:
+            is_other = differ(trace.actions[number], asked.of(other.number))
+            first = parting(aside.conditions, asked.conditions, when, is_other=is_other)
+    return replace(sighting, moment=replace(moment, conditions=shown(aside.conditions, first)))
+
+
+def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
+    """Return the change with which a moment says that the policy answers otherwise; if none does, one that is large."""
+    said = moment.otherwise or ""
+    furthest = next(each for each in reversed(changes) if each[0].endswith("further away"))
+    if not said and moment.hidden:
+        return "hidden", None
+    return next((each for each in changes if each[0] and said.startswith(f"{each[0]} ")), furthest)
 
 
 def _on_vehicles(
@@ -277,11 +310,11 @@ def _is_other(action: Any, other: Any) -> bool:
     return not all(is_little(name) for name in told_parts(action, other))
 
 
-def _changes(seen: Observation, npc: int) -> list[tuple[str, tuple[float, float, float] | None]]:
+def _changes(seen: Observation, npc: int) -> list[Change]:
     """Return what is tried of a vehicle, the smallest first: words, and additions to x, y and speed; None hides it."""
     other = seen.others[seen.ids.index(npc)]
     gap = other.x - seen.ego.x
-    found: list[tuple[float, str, tuple[float, float, float] | None]] = [(0.0, "", None)]
+    found: list[tuple[float, str, Additions | None]] = [(0.0, "", None)]
     away, outwards = (1.0 if gap >= 0 else -1.0), (1.0 if other.y >= seen.ego.y else -1.0)
     for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
         found.append((size, f"{size:g} m further away", (away * size, 0.0, 0.0)))

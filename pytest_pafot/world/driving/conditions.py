@@ -10,23 +10,34 @@ import ast
 import gc
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from enum import Enum
+from itertools import count
 from pathlib import Path
 from threading import get_ident
-from types import CodeType, FunctionType, GeneratorType
-from typing import Any
+from types import CodeType, FunctionType, GeneratorType, MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pytest_pafot.support.text import visible
 
 ROWS = 6
-"""The largest number of rows."""
+"""The largest number of rows that are shown of a decision."""
+
+PARTING = 3
+"""The largest number of these rows for conditions that another decision evaluates otherwise."""
+
+FIRST = 500
+"""The largest number of evaluations of a condition that are compared with those of another decision."""
 
 LETTERS, VALUES = 100, 55
 """The approximate length of a row, and the largest length of the values in it [characters]."""
+
+LONG = 220
+"""The approximate length of a row for a condition that another decision evaluates otherwise [characters]."""
 
 _RECORDER = "pytest-pafot: the recorder of conditions"
 """A constant in the copied code, in whose place the recorder is put; so the code needs no name for it."""
@@ -38,6 +49,78 @@ _OTHERS = (ast.Lambda, ast.IfExp, ast.ListComp, ast.SetComp, ast.DictComp, ast.G
 """Parts of a condition whose names are not its values: they have names or conditions of their own."""
 
 _SIMPLE = (bool, int, float, str, type(None))
+
+
+class Evaluation(NamedTuple):
+    """One evaluation of a condition: its number among all of the decision, its outcome, and its values with names."""
+
+    number: int
+    outcome: str
+    values: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluated:
+    """A condition that was evaluated in a decision.
+
+    Attributes:
+        condition: its place and its text.
+        last: the last evaluation with its rarest outcome.
+        first: its first evaluations.
+    """
+
+    condition: str
+    last: Evaluation
+    first: tuple[Evaluation, ...] = ()
+
+    def row(self, evaluation: Evaluation, letters: int = LETTERS) -> str:
+        """Return an evaluation in a line of about so many letters, of which the values take at most some half."""
+        most, text = letters * VALUES // LETTERS, self.condition.partition(": ")[2]
+        told = [
+            f"{_cut(name, letters // 4)} = {value}"
+            for name, value in evaluation.values
+            if value != name and (name, value) != (text, evaluation.outcome)
+        ]
+        fitting = len(told)
+        while len(", ".join(told[:fitting])) > most:
+            fitting -= 1
+        told[fitting:] = ["..."] if fitting < len(told) else []
+        values = f"  ({', '.join(told)})" if told else ""
+        ending = f"{values} -> {evaluation.outcome}"
+        return f"{_cut(self.condition, max(letters - len(ending), letters - most))}{ending}"
+
+
+def parting(
+    evaluated: Iterable[Evaluated], others: Iterable[Evaluated], when: str, *, is_other: bool
+) -> dict[str, str]:
+    """Return the rows of the conditions that another decision evaluates otherwise, by condition.
+
+    If the other decision is answered otherwise, they are those with another outcome, in the order in which they were
+    evaluated, because the first one is the cause of those after it. If it is answered in the same way, they are those
+    with other values, which did not help, the last one first.
+
+    Args:
+        evaluated: the conditions of the decision, the last one first.
+        others: those of the other decision.
+        when: what is different in the other decision, in words.
+        is_other: whether the other decision is answered otherwise.
+    """
+    otherwise = {each.condition: each.first for each in others}
+    found: list[tuple[int, str, str]] = []
+    for each in evaluated:
+        for here, there in zip(each.first, otherwise.get(each.condition, ()), strict=False):
+            if here.outcome != there.outcome or (not is_other and here.values != there.values):
+                ending = f"also {when}" if here.outcome == there.outcome else f"{when} {there.outcome}"
+                found.append((here.number, each.condition, f"{each.row(here, LONG)}; {ending}"))
+                break
+    ordered = sorted(found, reverse=not is_other)[:PARTING]
+    return {condition: row for _, condition, row in ordered}
+
+
+def shown(evaluated: Iterable[Evaluated], first: Mapping[str, str] = MappingProxyType({})) -> tuple[str, ...]:
+    """Return the rows of the conditions of a decision that are shown: some first, then the others, as they come."""
+    rows = [each.row(each.last) for each in evaluated if each.condition not in first]
+    return tuple(visible(row) for row in [*first.values(), *rows][:ROWS])
 
 
 class Conditions:
@@ -71,7 +154,7 @@ class Conditions:
         return any(self._copies.values())
 
     @contextmanager
-    def recorded(self, ads: Any, rows: list[str]) -> Iterator[None]:
+    def recorded(self, ads: Any, rows: list[Evaluated]) -> Iterator[None]:
         """Record the conditions that this thread evaluates while an ADS decides, and add them to rows, the last first.
 
         Nothing is added for a generator with conditions, because it runs the code with which it has begun.
@@ -180,13 +263,16 @@ class _Recorder:
     def __init__(self) -> None:
         self.thread: int | None = None
         self._values: list[tuple[str, str, Any]] = []
-        self._outcomes: dict[str, dict[str, tuple[int, str]]] = {}
+        self._numbers = count()
+        self._outcomes: dict[str, dict[str, tuple[int, Evaluation]]] = {}
+        self._first: dict[str, list[Evaluation]] = {}
 
     def start(self) -> None:
         """Record from now on what this thread evaluates, and forget what was recorded before."""
         self.thread = get_ident()
         self._values.clear()
         self._outcomes.clear()
+        self._first.clear()
 
     def begin(self) -> int:
         """Return the number of values so far, at the beginning of a condition."""
@@ -204,28 +290,25 @@ class _Recorder:
             values = {text: _text(value) for whose, text, value in self._values[since:] if whose == condition}
             del self._values[since:]
             if type(_plain(value)) in _SIMPLE:
-                outcome, is_all = _text(value), condition.partition(": ")[2]
-                told = [
-                    f"{_cut(text, 24)} = {shown}"
-                    for text, shown in values.items()
-                    if shown != text and (text, shown) != (is_all, outcome)
-                ]
-                fitting = len(told)
-                while len(", ".join(told[:fitting])) > VALUES:
-                    fitting -= 1
-                told[fitting:] = ["..."] if fitting < len(told) else []
-                ending = f"  ({', '.join(told)}) -> {outcome}" if told else f" -> {outcome}"
-                row = f"{_cut(condition, max(LETTERS - len(ending), LETTERS - VALUES))}{ending}"
+                evaluation = Evaluation(next(self._numbers), _text(value), tuple(values.items()))
+                if len(first := self._first.setdefault(condition, [])) < FIRST:
+                    first.append(evaluation)
                 outcomes = self._outcomes.pop(condition, {})
-                count, _ = outcomes.pop(outcome, (0, ""))
-                outcomes[outcome] = count + 1, row
+                times, _ = outcomes.pop(evaluation.outcome, (0, None))
+                outcomes[evaluation.outcome] = times + 1, evaluation
                 self._outcomes[condition] = outcomes  # behind the others, because it was evaluated last
         return value
 
-    def rows(self) -> list[str]:
-        """Return a row for each condition, the last one first: of its rarest outcome, with the last values of that."""
-        last_first = [reversed(outcomes.values()) for outcomes in reversed(self._outcomes.values())]
-        return [visible(min(outcomes, key=lambda each: each[0])[1]) for outcomes in last_first[:ROWS]]
+    def rows(self) -> list[Evaluated]:
+        """Return the conditions, the last one first."""
+        return [
+            Evaluated(
+                condition=condition,
+                last=min(reversed(outcomes.values()), key=lambda each: each[0])[1],
+                first=tuple(self._first[condition]),
+            )
+            for condition, outcomes in reversed(self._outcomes.items())
+        ]
 
 
 def _text(value: Any) -> str:

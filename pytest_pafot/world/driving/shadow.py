@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.driving.conditions import Conditions
+from pytest_pafot.world.driving.conditions import Conditions, Evaluated
 from pytest_pafot.world.driving.perception import deciding
 from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure, lane_nearest, with_others
 from pytest_pafot.world.guard.failure import Around
@@ -45,7 +45,7 @@ class Aside:
     answers: list[Any] = field(default_factory=list)
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
-    conditions: list[str] = field(default_factory=list)
+    conditions: list[Evaluated] = field(default_factory=list)
     ads: Any = None
 
     def of(self, number: int) -> Any:

@@ -7,7 +7,7 @@ from textwrap import dedent
 
 import pytest
 
-from pytest_pafot.world.driving.conditions import LETTERS, ROWS, VALUES, Conditions
+from pytest_pafot.world.driving.conditions import LETTERS, ROWS, VALUES, Conditions, parting, shown
 
 
 @pytest.fixture
@@ -29,6 +29,11 @@ def module(tmp_path, monkeypatch):
 
 def recorded(module, source, seen, ads="decide"):
     """Return the rows of a decision of a policy, which decides the same as without them."""
+    return list(shown(evaluated(module, source, seen, ads)))
+
+
+def evaluated(module, source, seen, ads="decide"):
+    """Return the conditions of a decision of a policy, which decides the same as without them."""
     loaded = module(source)
     policy = getattr(loaded, ads)
     plain, rows = policy(seen), []
@@ -126,7 +131,7 @@ def test_values_are_short_safe_and_call_no_code_of_the_user(module, value, text)
     rows = []
     with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(loaded.ads, rows):
         loaded.ads(loaded.value)
-    assert rows == [f"line 17: value is None  (value = {text}) -> False"]
+    assert list(shown(rows)) == [f"line 17: value is None  (value = {text}) -> False"]
 
 
 def test_truth_is_asked_for_once(module):
@@ -157,6 +162,44 @@ def test_rows_are_few_and_short(module):
     assert max(map(len, rows)) <= LETTERS + VALUES / 2
 
 
+FREE = """
+def decide(gaps):
+    if len(gaps) > 9: return "none"
+    for gap in gaps:
+        if gap < 0: continue
+        if gap < 10: return "stay"
+    return "change" if gaps else "stay"
+"""
+
+
+def test_conditions_that_come_out_otherwise_in_another_decision_are_first(module):
+    here, there = evaluated(module, FREE, (30.0, 20.0, 40.0)), evaluated(module, FREE, (30.0, 8.0, 40.0))
+    assert shown(here, parting(here, there, "with NPC 0 nearer", is_other=True)) == (
+        "line 6: gap < 10  (gap = 20) -> False; with NPC 0 nearer True",
+        "line 7: gaps  (gaps = tuple of 3) -> True",
+        "line 5: gap < 0  (gap = 40) -> False",
+        "line 3: len(gaps) > 9  (len(gaps) = 3) -> False",
+    )
+
+
+def test_the_cause_is_before_what_it_causes(module):
+    source = "def decide(gaps):\n    return [1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99\n"
+    here, there = evaluated(module, source, (20.0,)), evaluated(module, source, (5.0,))
+    assert list(parting(here, there, "then", is_other=True)) == [
+        "line 2: gap < 10",
+        "line 2: [1 for gap in gaps if gap < 10] == [] and sum(gaps) < 99",
+    ]
+
+
+def test_conditions_with_other_values_are_those_of_an_answer_that_stays_the_same(module):
+    here, there = evaluated(module, FREE, (30.0, 20.0, 40.0)), evaluated(module, FREE, (30.0, 52.0, 40.0))
+    assert list(parting(here, there, "with NPC 0 further away", is_other=False).values()) == [
+        "line 6: gap < 10  (gap = 20) -> False; also with NPC 0 further away",
+        "line 5: gap < 0  (gap = 20) -> False; also with NPC 0 further away",
+    ]
+    assert not parting(here, there, "", is_other=True)
+
+
 TWO_FILES = """
 from helper_of_conditions import gap
 
@@ -178,6 +221,7 @@ def test_conditions_of_several_files_are_told_with_the_file(module):
     with Conditions(files, module.root).recorded(policy, rows):
         assert policy(3.0)
     helper = "helper_of_conditions.py line 2: seen > 0  (seen = 3) -> True"
+    rows = shown(rows)
     assert rows[-1] == helper
     assert rows[0].startswith("policy_of_conditions.py line 8: ")
     assert "gap(seen) = 3" in rows[0]
@@ -211,7 +255,7 @@ def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
             assert (seen, rows) == (10, [])
         else:
             value = 2 + 2 * number
-            assert rows[0] == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
+            assert shown(rows)[0] == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
         assert policy.__code__ is code
     cells = policy.__closure__[0].cell_contents
     assert len(cells) == (4 if seen == 1 else 2)
