@@ -562,14 +562,24 @@ def text_lines(table: Table, *, course: bool) -> Iterator[str]:
         for name, text in _parts(requirement):
             yield from wrapped_to(ascii_text(f"  {name:9} {text}"), width)
         if course or len(table.sessions) > 1:
-            rows = [list(map(str, cells[1:])) for cells in (COURSE, *_course_cells(requirement))]
-            widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-            for row in rows if len(rows) > 1 else ():
-                cells = (f"{cell:{width}}" for cell, width in zip(row, widths, strict=True))
-                yield ascii_text(f"    {'  '.join(cells)}".rstrip())
+            yield from _course_lines(requirement, width)
     for title, names in _left_over(table):
         yield ""
         yield from wrapped_to(ascii_text(f"{title}: {_named(names)}"), width)
+
+
+def _course_lines(requirement: Requirement, width: int) -> list[str]:
+    """Return the table of a requirement's days, without the intervals of the rates if it is wider than a width."""
+    rows = [list(map(str, cells[1:])) for cells in (COURSE, *_course_cells(requirement))]
+    lines: list[str] = []
+    for parted in ("\n", " ("):  # a rate has no line break
+        shown = [[*cells, rate.partition(parted)[0]] for *cells, rate in rows]
+        widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+        padded = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in shown)
+        lines = [line for row in padded for line in wrapped_to(ascii_text(f"    {row}"), width)]
+        if len(lines) == len(rows):
+            break
+    return lines if len(rows) > 1 else []
 
 
 def _parts(requirement: Requirement) -> Iterator[tuple[str, str]]:

@@ -278,6 +278,19 @@ SEARCHES = st.sampled_from(
 )
 
 
+@pytest.mark.parametrize(
+    ("width", "rate"), [(120, "1 of 5, 20.0 % (95 %: 0.51 to 71.6 %)"), (80, "1 of 5, 20.0 %"), (60, None)]
+)
+def test_days_fit_into_the_width_and_lose_the_interval_before_they_wrap(monkeypatch, width, rate):
+    monkeypatch.setenv("COLUMNS", str(width))
+    first, second = night(20, finding()), night(21)
+    lines = list(text_lines(table_of(replace(first, commit="1a2b3c4d5e"), second), course=True))
+    days = lines[next(n for n, line in enumerate(lines) if line.startswith("    day")) :]
+    assert max(map(len, days)) <= width
+    (day,) = [line for line in days if line.startswith("    2026-11-20")]
+    assert rate is None or day.endswith(f"  {rate}")
+
+
 @given(SEARCHES)
 def test_test_of_a_search_is_its_node_id_without_the_part_of_the_search(named):
     node_id, test = named
