@@ -104,6 +104,7 @@ class Reporter:
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
+        self._has_story = False
         self._expanded: set[str] = set()
         self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was shown
         self._lines = config.stash[SUMMARY_LINES]
@@ -252,7 +253,10 @@ class Reporter:
         self._live.erase_progress()
         width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
         if sighting.is_first and verbosity >= 0:
-            self._live.write(terminal.found_lines(sighting, width, **(whole or {})))
+            # The first finding of a session has its story at once; those of later searches would bury it.
+            story = whole if whole is not None and not self._has_story else {}
+            self._has_story = self._has_story or whole is not None
+            self._live.write(terminal.found_lines(sighting, width, **story))
         elif whole is not None and verbosity == -1:
             self._live.write(terminal.found_lines(sighting, width))
 

@@ -10,7 +10,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.events import Ending, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
@@ -593,17 +593,20 @@ def _is_quiet(search: SearchSummary) -> bool:
 def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) -> list[str]:
     """Summarise all searches of a session: many without a failing run in a line each, and all others whole.
 
-    Warnings and notes of the former are printed once if they differ only in figures.
+    Warnings and notes of the former are printed once if they differ only in figures, and what searches draw once if it
+    is the same.
     """
     searches = session.searches
     quiet = [] if verbose else [each for each in searches if _is_quiet(each)]
     quiet = quiet if len(quiet) > MAX_WHOLE else []
-    short, lines = {each.node_id for each in quiet}, list[str]()
+    short, lines, drawn = {each.node_id for each in quiet}, list[str](), set[str]()
     for search in searches:
         if search.node_id in short:
             lines.append(f"{search.node_id}: {_figures(search)}, ended: {search.reason}")
         else:
-            lines += search_lines(search, verbose=verbose, width=width, traced=session.traced.get(search.node_id))
+            new = replace(search, drawn="") if search.drawn in drawn and not verbose else search
+            lines += search_lines(new, verbose=verbose, width=width, traced=session.traced.get(search.node_id))
+            drawn.add(search.drawn)
     if not quiet:
         return lines
     alike: dict[str, list[tuple[str, str]]] = {}

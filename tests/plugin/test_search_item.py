@@ -78,6 +78,14 @@ def test_first_finding_is_told_whole_at_once_and_others_in_a_line(project, monke
     assert "run it with" not in (project.path / "out.json").read_text()
 
 
+def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project):
+    test = "@pafot.search(SHORT, stop_after=1)\ndef test_{}(run):\n    assert not run.collision\n\n"
+    project.write(test.format("a") + test.format("b"))
+    first, second = announced(project.run("--pafot-shrink-rollouts=0", generations=10, seed=2))
+    assert any(line.startswith("  saved; run it with") for line in first)
+    assert len(second) == 1
+
+
 def test_first_collision_has_the_sentences_of_its_verdict(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_collides(run):\n    assert not run.collision\n")
     (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2))

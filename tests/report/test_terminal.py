@@ -209,7 +209,9 @@ def test_a_search_that_finds_nothing_has_five_lines_and_verbose_ones_name_all():
     told = terminal.session_lines(SessionSummary(searches=many))
     assert len(told) == 501
     few = many[: terminal.MAX_WHOLE]
-    assert len(terminal.session_lines(SessionSummary(searches=few))) == 5 * len(few)
+    assert len(terminal.session_lines(SessionSummary(searches=few))) == 5 + 4 * (
+        len(few) - 1
+    )  # what they draw is said once
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
@@ -266,6 +268,16 @@ def test_many_searches_without_a_failing_run_have_a_line_each():
         "warning: only 3 % reached (in t.py::test_0, and likewise in 2 more)"
     ]
     assert any(line.startswith("9 searches without a failing run, from --pafot-seed=") for line in rest)
+
+
+def test_what_searches_draw_is_said_once_if_it_is_the_same():
+    searches = [replace(SEARCH, node_id=f"t.py::test_{n}", drawn="4 cars" if n < 3 else "a truck") for n in range(5)]
+    said = [
+        line for line in terminal.session_lines(SessionSummary(searches=searches)) if line in ("  4 cars", "  a truck")
+    ]
+    assert said == ["  4 cars", "  a truck"]
+    verbose = terminal.session_lines(SessionSummary(searches=searches), verbose=True)
+    assert [verbose.count("  4 cars"), verbose.count("  a truck")] == [3, 2]
 
 
 def test_few_searches_and_those_of_verbose_sessions_are_whole():
