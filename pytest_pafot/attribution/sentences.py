@@ -78,6 +78,8 @@ ADVICE: Mapping[What, str] = MappingProxyType(
     }
 )
 """What the ego should have done by when, in a few words for a headline, by the fact that says it."""
+DRIFT_ADVICE = "drifts from {at}, over the line at {later}: keep the lane"
+"""The same for a motion over the line that is too slow for a change of lanes."""
 BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
 LONGEST = 97
@@ -223,6 +225,14 @@ def _lines(fact: Fact) -> list[str]:
     return lines
 
 
+def drift_advice(fact: Fact) -> str:
+    """Return what an ego should have done that drifted over a line.
+
+    The fact has the time when the drift began, and, as the later one, the time when the ego was over the line.
+    """
+    return _filled(DRIFT_ADVICE, fact)
+
+
 def advice(reason: Reason) -> str:
     """Return in a few words what the ego should have done by when; empty if the facts on the ego do not say it.
 
@@ -323,8 +333,8 @@ def _place(fact: Fact) -> str:
         leader = capitalised(_name(fact.vehicle or fact.other))
         return f"{place}. {leader} braked at up to {fact.leader_m_per_s2:.1f} m/s^2"
     if abs(faster) < 0.05:
-        return f"{place}. Both were equally fast then"
-    return f"{place}. {capitalised(whom)} was {abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'} then"
+        return f"{place}. Both drove equally fast"
+    return f"{place}. {capitalised(whom)} drove {abs(faster):.1f} m/s {'faster' if faster > 0 else 'slower'}"
 
 
 def _entered(fact: Fact) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.attribution.responsibility import Fault, frame_of
-from pytest_pafot.attribution.sentences import advice
+from pytest_pafot.attribution.sentences import advice, drift_advice
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
@@ -36,6 +36,8 @@ STEADY = 0.003
 """The sideways speed, or change of it from one decision to the next, that no steering causes [m/s]."""
 HARDER = 1.0
 """The least difference between two accelerations with which one decision brakes harder than another [m/s^2]."""
+DRIFT_SECONDS = 3.0
+"""The least time of a drift to a line [s]: a change of lanes begins slowly, too, but is over the line earlier."""
 NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
 """The faults of an ego that should not have braked."""
 
@@ -203,7 +205,7 @@ def advice_on(run: Run) -> str:
     """Return in a few words what the ego should have done by when to avoid the collision; empty if it is not at fault.
 
     It is what a simulation has found, else what the rules say. A change of lanes has the time of the decision that
-    began it, by :func:`moved_over`.
+    began it, by :func:`moved_over`. A drift over the line also has the time at the line.
     """
     if run.collision is None or run.responsibility not in ("ego", "both"):
         return ""
@@ -211,9 +213,23 @@ def advice_on(run: Run) -> str:
         return f"brake by {run.avoided_by.time:.1f} s"
     facts, number = run.attribution.facts, moved_over(run)
     if number is not None:
-        began = run.trace.decision_ticks[number] / run.trace.physics_hz
-        facts = (facts[0].in_full._replace(time_s=began),)
+        crossed, began = facts[0].in_full, run.trace.decision_ticks[number] / run.trace.physics_hz
+        facts = (crossed._replace(time_s=began, later_s=crossed.time_s),)
+        if _drifted(run.trace, number, crossed.time_s):
+            return drift_advice(facts[0])
     return advice(facts)
+
+
+def _drifted(trace: Trace, number: int, crossed: float) -> bool:
+    """Return whether the ego only drifted from a decision on to a line: for long, and no faster than a vehicle wanders.
+
+    ``crossed`` is when the ego was over the line [s]. An ego that has answered another lane changes lanes.
+    """
+    begin, end = trace.decision_ticks[number], round(crossed * trace.physics_hz)
+    lane = getattr(trace.actions[number], "lane", None) if number < len(trace.actions) else None
+    if lane not in (None, trace.ego[begin, LANE]) or end - begin < DRIFT_SECONDS * trace.physics_hz:
+        return False
+    return bool(abs(frame_of(trace).drift[0, begin + 1 : end + 1].mean()) < DRIFTING)
 
 
 def _begun(trace: Trace, tick: int, number: int) -> int:

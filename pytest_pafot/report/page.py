@@ -32,7 +32,6 @@ from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     Chains,
-    CheckView,
     Errors,
     Paragraph,
     Report,
@@ -90,6 +89,12 @@ SYMBOLS = {"ego": "\u25cf", "npc": "\u25cb", "both": "\u25d0", "none": "\u2013",
 
 They differ at a glance, even without colour.
 """
+
+FOUND_IN = "found in generation"
+MEANINGS = {
+    FOUND_IN: "The search drives one generation of scenarios after another; 0 is the first.",
+}
+"""Explanations of the tags that begin with these words."""
 
 WHO = {**AT_FAULT, "check": "failed check", "error": "policy error"}
 
@@ -250,19 +255,21 @@ def _filter(findings: Sequence[RunView]) -> str:
 def finding_article(finding: RunView, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     claim = f'<p class="assertion"><code>{text(finding.assertion)}</code></p>' if finding.assertion else ""
-    tags = _tags(finding)[1 if finding.sentences and finding.check is None else 0 :]  # who is responsible
+    tags = _tags(finding)[1 if finding.sentences or finding.check is not None else 0 :]  # said above
     sentences = "".join(f'<p class="sentence">{text(each)}</p>' for each in finding.sentences)
     tags += [finding.traffic] if finding.traffic else []
     mark = f'<span class="mark" aria-hidden="true">{SYMBOLS.get(_who(finding), "?")}</span>'
     deadline = f'; <span class="deadline">{text(finding.deadline)}</span>' if finding.deadline else ""
+    besides = f'<p class="besides">{text(finding.besides)}{deadline}</p>' if finding.besides else ""
+    own = "" if finding.besides else deadline
     parts = [
         f'<article id="finding-{index}" data-index="{index}" tabindex="-1" aria-labelledby="headline-{index}">',
         f'<header><p class="id">{text(finding.id)}</p>',
-        f'<h2 id="headline-{index}">{mark} {text(finding.headline)}{deadline}</h2>',
-        sentences + claim if finding.check is None else _check_figures(finding.check),
-        f'<p class="besides">{text(finding.besides)}</p>' if finding.besides else "",
+        f'<h2 id="headline-{index}">{mark} {text(finding.headline)}{own}</h2>',
+        sentences + (claim if finding.check is None else ""),
+        besides,
         copyable(finding.command) if finding.command else "",
-        f'<ul class="tags">{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul>',
+        f'<ul class="tags">{"".join(map(_tag, tags))}</ul>',
         f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
         "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
@@ -272,6 +279,12 @@ def finding_article(finding: RunView, index: int) -> str:
         "</article>",
     ]
     return "".join(parts)
+
+
+def _tag(tag: str) -> str:
+    """Return the HTML of a tag, with an explanation if it is a word of the search."""
+    meaning = next((words for beginning, words in MEANINGS.items() if tag.startswith(beginning)), "")
+    return f"<li{f' title={chr(34)}{meaning}{chr(34)}' if meaning else ''}>{text(tag)}</li>"
 
 
 def _happened_section(paragraphs: Iterable[Paragraph]) -> str:
@@ -306,22 +319,6 @@ def _file_section(finding: RunView) -> str:
     )
 
 
-def _check_figures(check: CheckView) -> str:
-    """Return the HTML of a failed check: its value, bound and moment, and for how long the bound was broken."""
-    unit = f' <span class="unit">{text(check.unit)}</span>' if check.unit else ""
-    seconds = ' <span class="unit">s</span>'
-    bounds = (("at most", check.at_most), ("at least", check.at_least))
-    figures = [(check.name, "no number" if check.value is None else f"{check.value:.4g}{unit}")]
-    figures += [(name, f"{bound:g}{unit}") for name, bound in bounds if bound is not None]
-    figures += [] if check.time is None else [("worst at", f"{check.time:.2f}{seconds}")]
-    if check.broken:
-        times = f" {len(check.broken)} times" if len(check.broken) > 1 else ""
-        first, last = check.broken[0][0], check.broken[-1][1]
-        figures.append((f"broken{times}", f"{first:.1f} to {last:.1f}{seconds}"))
-    shown = "".join(f"<div><dt>{text(name)}</dt><dd>{figure}</dd></div>" for name, figure in figures)
-    return f'<dl class="figures">{shown}</dl>'
-
-
 def _who(finding: RunView) -> str:
     if finding.check is not None:
         return "check"
@@ -338,7 +335,7 @@ def _tags(finding: RunView) -> list[str]:
     if finding.check is not None and finding.responsibility != "none" and not finding.besides:
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
     tags += [plural(finding.runs, "run")] if finding.runs else []
-    tags += [] if finding.sighting is None else [f"first in generation {finding.sighting.finding.found.generation}"]
+    tags += [] if finding.sighting is None else [f"{FOUND_IN} {finding.sighting.finding.found.generation}"]
     return [*tags, finding.label] if finding.label else tags
 
 

@@ -234,11 +234,11 @@ class RunView:
     """A run, as the report page shows it, and the finding that it shows, if any.
 
     Attributes:
-        sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it;
-            empty without a collision, and for a failed check, whose run may have had a collision besides.
+        sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
+            a failed check, what the headline does not say of it; otherwise empty.
         besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
-        deadline: what the ego should have done by when, in a few words; empty if unknown, if it is not at fault, or of
-            a failed check, of which ``besides`` has it.
+        deadline: what the ego should have done by when to avoid the collision, in a few words; empty if unknown, or if
+            it is not at fault.
         happened: what else is known of the run and of the finding, in prose.
         found: the scenario as the search found it, if shrinking has replaced it by a simpler one; otherwise None.
         shrunk: the scenario of the run, to compare it with ``found``; None without that.

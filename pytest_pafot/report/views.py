@@ -237,6 +237,8 @@ def _axis(check: Check, values: FloatArray) -> tuple[float, float]:
     return round(math.floor(low / step) * step, 12), round(max(math.ceil(high / step) * step, low + step), 12)
 
 
+LITTLE = 0.05
+"""The least difference between two times that the sentences on a check tell apart [s]."""
 FRAMES_PER_SECOND = 7
 """Approximate number of frames per second of a run. The page interpolates between them, so more are not needed."""
 
@@ -264,21 +266,23 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     deadline = "" if run is None else _deadline(run, action_names(finding.world))
     if check is not None and run is not None:
         written, check = str(check), _with_curve(check, run.trace)
-        headline = headline.replace(written, _check_in_short(check, run.trace))
+        short = _check_in_short(check, run.trace)
+        said = () if written in headline else (short,)
+        headline = headline.replace(written, short)
         if sentences:  # they are on the collision, and would read as the check's
-            besides = "; ".join(filter(None, [f"Also in this run: {collision_in_short(run)}", deadline]))
-            collision, sentences = _prose([first, *sentences]), ()
+            besides, collision = f"Also in this run: {collision_in_short(run)}", _prose([first, *sentences])
+        sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
     if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
         headline = f"ego's policy failed at {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
     found = None if finding.original is None or finding.shrunk is None else finding.original
-    if headline.endswith("at fault") and run is not None and run.event_npc is not None:
+    if check is None and headline.endswith("at fault") and run is not None and run.event_npc is not None:
         sentences = sentences[:-1]  # the headline says who is responsible
     view = RunView(
         headline=headline or first or expect.message or expect.failure,
         sentences=sentences,
         besides=besides,
-        deadline=deadline if check is None else "",
+        deadline=deadline,
         happened=(*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
         found=None if found is None else _chains(found, finding.longest_run),
         shrunk=None if found is None else _chains(finding.scenario, finding.longest_run),
@@ -341,6 +345,18 @@ def _check_in_short(check: Check, trace: Trace) -> str:
     view = check_view(check, trace, ())
     when = "" if view.begin is None else f" {'from' if view.broken else 'at'} {view.begin:.1f} s"
     return f"ego fails the check{when}: {replace(check, time=None)}"
+
+
+def _check_sentences(check: CheckView) -> tuple[str, ...]:
+    """Return what the headline does not say of a failed check: when it is worst, and until when its bound is broken."""
+    if not check.broken or check.time is None:
+        return ()
+    first, last, times = check.broken[0][0], check.broken[-1][1], len(check.broken)
+    worst = f"it is worst at {check.time:.1f} s" if check.time - first >= LITTLE else ""
+    often = f" {times} times," if times > 1 else ""
+    until = f"the bound is broken{often} until {last:.1f} s" if last - check.time >= LITTLE or often else ""
+    told = ", and ".join(filter(None, [worst, until]))
+    return (f"{capitalised(told)}.",) if told else ()
 
 
 def _explained(run: Run, sentences: Sequence[str]) -> list[str]:

@@ -45,7 +45,7 @@ class TestInOneLane:
         assert found.responsibility == "ego"
         assert found.time == pytest.approx((100.0 - 5.0 - 47.1) / 10.0, abs=0.1)
         assert found.sentences == (
-            "The ego was only 47.0 m behind NPC 0 at 4.8 s (safe: 47.1 m). NPC 0 was 10.0 m/s slower then.",
+            "The ego was only 47.0 m behind NPC 0 at 4.8 s (safe: 47.1 m). NPC 0 drove 10.0 m/s slower.",
             "The ego should have braked hard by 8.6 s but did not.",
         )
 
@@ -80,7 +80,7 @@ class TestInOneLane:
         found = rss_rule(crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
         assert (
-            "NPC 0 was only 55.0 m behind the ego at 0.0 s (safe: 57.3 m). The ego was 6.0 m/s slower then."
+            "NPC 0 was only 55.0 m behind the ego at 0.0 s (safe: 57.3 m). The ego drove 6.0 m/s slower."
             in found.reason
         )
 
@@ -228,7 +228,7 @@ class TestCutIn:
         found = rss_rule(crash(ego, driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "ego"
         assert found.sentences == (
-            "The ego crossed into lane 1 at 2.4 s, 10.7 m ahead of NPC 0. NPC 0 was 8.1 m/s faster then.",
+            "The ego crossed into lane 1 at 2.4 s, 10.7 m ahead of NPC 0. NPC 0 drove 8.1 m/s faster.",
             "The ego should have left NPC 0 a gap of 34.1 m.",
             "The ego kept 20.0 m/s from 0.4 s on. It changed into lane 1 at 3.1 s.",
         )
@@ -242,7 +242,7 @@ class TestCutIn:
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-45.0, speed=24.0), side="rear", cell=Cell.REAR))
         assert found.responsibility == "npc"
-        assert "30.3 m ahead of NPC 0. NPC 0 was 4.1 m/s faster then." in found.reason
+        assert "30.3 m ahead of NPC 0. NPC 0 drove 4.1 m/s faster." in found.reason
         assert found.sentences[1] == "The ego gave way: it left NPC 0 more than the required 24.3 m."
 
     def test_simultaneous_lane_change_with_enough_room_blames_npc(self):

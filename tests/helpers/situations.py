@@ -1043,7 +1043,7 @@ SITUATIONS = {
                 plan("grid", 7.2, 12),
                 others=[plan("south straight", 6.0, 8)],
             ),
-            "npc", None, "7", "Both were equally fast",
+            "npc", None, "7", "Both drove equally fast",
         ),
         Situation(
             "crossing-brakes-hard-for-none-and-is-hit",

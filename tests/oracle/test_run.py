@@ -132,7 +132,7 @@ def test_explanation_covers_event_fault_and_npc_instructions():
     text = crash(arrivals=((12,), (None,))).explain()
     assert text.splitlines() == [
         "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
-        "  The ego was only 21.0 m behind NPC 0 at 0.0 s (safe: 47.1 m). NPC 0 was 10.0 m/s slower then.",
+        "  The ego was only 21.0 m behind NPC 0 at 0.0 s (safe: 47.1 m). NPC 0 drove 10.0 m/s slower.",
         "  The ego should have braked hard by 1.2 s but did not.",
         "  The ego is responsible.",
         "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",

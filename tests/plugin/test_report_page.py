@@ -35,8 +35,8 @@ def read_page(path):
     findings = []
     for data, article in zip(drawn, articles, strict=True):
         words = {name: html.unescape(found) for name, found in re.findall(r'<p class="(id|test)">(.*?)</p>', article)}
-        tags = re.findall(r"<li>(.*?)</li>", article)
-        generation = next(place for place, tag in enumerate(tags) if tag.startswith("first in generation "))
+        tags = re.findall(r"<li(?: title=[^>]*)?>(.*?)</li>", article)
+        generation = next(place for place, tag in enumerate(tags) if tag.startswith("found in generation "))
         command = re.search(r'<span class="label">Command</span><code>(.*?)</code>', article)
         findings.append(
             SimpleNamespace(

@@ -109,10 +109,11 @@ def test_values_of_unknown_ticks_have_no_curve():
 def test_article_starts_with_check_value_bound_and_moment():
     article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
     headline = "ego fails the check from 4.1 s: jerk 35.1 &gt; 20 m/s^3<"
-    assert article.index(headline) < article.index('<dl class="figures">')
-    assert article.index('<dl class="figures">') < article.index('class="tags"') < article.index('class="player"')
-    for figure in ('<dt>jerk</dt><dd>35.1 <span class="unit">m/s^3', "<dt>at most</dt><dd>20 ", "<dd>4.07 "):
-        assert figure in article
+    assert article.index(headline) < article.index('class="tags"') < article.index('class="player"')
+    assert (article.partition('class="yaml"')[0].count("35.1"), article.count("failed check")) == (
+        1,
+        0,
+    )  # each fact once
     assert 'class="assertion"' not in article
     assert "No collision in 20.0 s." in article[article.index("What happened") :]
 
@@ -130,16 +131,20 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     check, collided = failed.value.check, view_of(trace)
     view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
     assert collided.deadline.startswith("brake by ")
-    assert view.deadline == ""
+    assert view.deadline == collided.deadline
     assert view.sentences == ()
     assert view.besides.startswith("Also in this run: collision after ")
-    assert view.besides.endswith(f", both at fault; {collided.deadline}")
+    assert view.besides.endswith(", both at fault")
     title, words, _ = view.happened[0]
     assert title == "The collision"
     assert words.startswith("Collision after ")
     assert words.endswith(" ".join(collided.sentences))
     article = finding_article(view, 0)
-    assert article.index('class="figures"') < article.index(view.besides) < article.index('class="player"')
+    assert (
+        f'{view.besides}; <span class="deadline">{collided.deadline}</span></p>' in article
+    )  # in red, as a collision's
+    assert article.count("deadline") == 1
+    assert article.index("</h2>") < article.index(view.besides) < article.index('class="player"')
     assert article.index('class="player"') < article.index("The collision.")
     assert "for the collision" not in article
 
@@ -157,8 +162,31 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     assert view.headline.startswith(f"ego fails the check from {begin:.1f} s: room ")
     assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
     assert len(view.check.values) == len(view.times)
-    other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.25))
+    other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.2))
     assert (other.check.values, other.check.time) == ((), None)
+    assert other.sentences[0] == f"ego fails the check: room 1.2 < 1.5 {unit}"  # which its headline does not say
+
+
+@pytest.mark.parametrize("at", [1.0, None])
+def test_a_least_value_whose_time_the_user_gives_keeps_that_time_and_has_no_other_curve(at):
+    trace = cut_in_trace()
+    with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
+        pafot.check(Run(trace).min_ttc, name="room", unit="s", at_least=1.5, at=at)
+    view = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=failed.value.check)
+    assert (view.check.time == at, view.check.values == ()) == ((True, True) if at else (False, False))
+
+
+@table(
+    ("values", "sentence"),
+    [
+        (peaks(t30=21), ()),
+        (peaks(t30=21, t45=35, t46=1), ("It is worst at 3.0 s, and the bound is broken 2 times, until 3.0 s.",)),
+        (np.linspace(0.0, 30.0, TICKS + 1), ("It is worst at 20.0 s.",)),
+        (np.linspace(30.0, 0.0, TICKS + 1), ("The bound is broken until 6.6 s.",)),
+    ],
+)
+def test_sentences_on_a_check_say_when_it_is_worst_and_until_when_it_is_broken(values, sentence):
+    assert shown(values, at_most=20).sentences == sentence
 
 
 def test_list_calls_it_failed_check_and_blames_none():

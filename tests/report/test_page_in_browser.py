@@ -11,6 +11,7 @@ from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import CheckView, Report
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import picture_at
+from tests.helpers.situations import lane_change
 from tests.report.builders import (
     HOSTILE,
     as_seen,
@@ -541,6 +542,40 @@ def test_no_text_of_the_picture_covers_another(browser, tmp_path, report, width)
             page.press(key, shift=key == "ArrowRight")
             covered = page.evaluate(OVERLAPPING)
             assert covered == [], (finding.id, page.evaluate(TIME))
+    page.close()
+
+
+UNDER_THE_MARK = """(() => {
+  const current = document.querySelector('article.current');
+  const mark = current.querySelector('.impact').getBoundingClientRect();
+  const [x, y, radius] = [(mark.left + mark.right) / 2, (mark.top + mark.bottom) / 2, mark.width / 2];
+  const clamped = (value, low, high) => Math.min(high, Math.max(low, value));
+  return [...current.querySelectorAll('.vehicle-label')].filter(each => {
+    const box = each.getBoundingClientRect();
+    const place = [clamped(x, box.left, box.right), clamped(y, box.top + 4, box.bottom - 4)];
+    return Math.hypot(place[0] - x, place[1] - y) < 0.8 * radius;
+  }).map(each => each.textContent);
+})()"""
+"""The numbers of vehicles under the mark at the contact."""
+
+
+@pytest.mark.parametrize("width", [420, 1400])
+@pytest.mark.parametrize(("gap", "away"), [(-5.0, 2), (-1.0, 0)], ids=["side by side", "at a corner"])
+def test_the_mark_at_the_contact_covers_no_number_of_a_vehicle(browser, tmp_path, gap, away, width):
+    path = tmp_path / "contact.html"
+    path.write_text(render_page(Report.of(view_of(lane_change(gap, faster=0.1)))), encoding="utf-8")
+    page = browser.open(path.as_uri(), width=width)
+    assert (
+        page.evaluate("document.querySelector('article.current .impact-group').getAttribute('visibility')") == "visible"
+    )
+    assert page.evaluate(UNDER_THE_MARK) == []
+    leaders = page.evaluate(
+        "[...document.querySelectorAll('[data-vehicle] .leader')].filter(each => each.getAttribute('d')).length"
+    )
+    moved = page.evaluate("document.querySelectorAll('.vehicle-label.away').length")
+    assert leaders == moved == (away if width == 420 else 0)  # a larger vehicle has room for its number
+    page.press("Home")
+    assert page.evaluate("document.querySelectorAll('.vehicle-label.away').length") == 0
     page.close()
 
 

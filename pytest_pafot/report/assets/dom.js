@@ -32,8 +32,8 @@ function onResize(element, layout) {
 }
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
-// The text with a space that does not break between each number and its unit.
-const tied = (text) => text.replace(/(\d) (?=(?:s|m|m\/s|m\/s\^[23])(?![\w/]))/g, "$1\u00a0");
+// The text with spaces that do not break between each number and its unit, in a vehicle's or a lane's name, and after a sign.
+const tied = (text) => text.replace(/(\d) (?=(?:s|m|m\/s|m\/s\^[23]|rad|%|runs?|times)(?![\w/]))|\b(NPC|lane|cell) (?=\d)|([<>]=?) (?=[-\d])/g, "$1$2$3\u00a0");
 const fixed = (value, digits) => (value === null || value === undefined ? "-" : value.toFixed(digits));
 const px = (value) => (Math.round(value * 100) / 100).toString();
 

@@ -103,6 +103,7 @@ class Player {
     const goals = [isOnGrid ? "cell" : "", isLaned ? "lane" : ""].filter(Boolean).join(" or ");
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
       `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
+      (this.finding.grid.length || !this.scene.isWorld ? "Numbered boxes: the cells around the ego; 2 is ahead of it, 6 behind. " : "") +
       (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
       (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's; the text at an NPC says when it is to be there. " : "") +
       (this.finding.plans.length ? "Thin line ahead of the ego: its plan at that time. " : "") +

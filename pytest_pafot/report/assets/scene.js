@@ -117,6 +117,7 @@ const LANE_NAME = 50;
 const NAME_WIDTH = 40;
 const POINTER_ROOM = 210;
 const SHOULDER = 1.4;
+const LABEL = 7; // Half of the height and of the width of a vehicle's number [px].
 const HALF_HEIGHT = 18; // Half of the height [m] that the picture of a bent road shows ...
 const CROSSED_HALF_HEIGHT = 45; // ... and if a vehicle crosses, which would otherwise come into sight only 2 s before contact.
 const CLOSE_UP = 2.2; // So much larger is the picture of such a road around the moment that a finding is about ...
@@ -187,13 +188,15 @@ class Scene {
     this.offsets = [];
     for (let dx = -320; dx <= 320; dx += 16) for (let dy = -90; dy <= 90; dy += 3) if (Math.abs(dy - 4) > 22 || dx) this.offsets.push([dx, dy]);
     this.offsets.sort((a, b) => Math.hypot(...a) - Math.hypot(...b));
+    this.star = clamp(1.3 * this.scale, 8, 13);  // its radius [px]
     this.impact = svg("g", { class: "impact-group" }, [
-      svg("path", { d: "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z", class: "impact" }),
+      svg("path", { class: "leader c-ego" }),
+      svg("path", { transform: `scale(${px(this.star / 13)})`, d: "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z", class: "impact" }),
       svg("text", { class: "impact-label" }, this.impactText()),
     ]);
     this.root.append(
       defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, this.plan, ...this.lines.flat(), ...this.names,
-      ...this.bodies.map((body) => body.group), ...this.pointers, this.impact, this.ruler(),
+      ...this.bodies.map((body) => body.group), this.ruler(), ...this.pointers, this.impact,
     );
   }
 
@@ -239,8 +242,9 @@ class Scene {
     const row = vehicle.zone ? this.finding.instructions.find((each) => each.npc === index - 1) : null;
     const title = row ? `${vehicle.name}, ${row.words}` : vehicle.name;
     const slot = row ? [svg("text", { class: "zone-label halo", y: px(-length / 2 - 6) }, row.slot)] : [];
-    const group = svg("g", { "data-vehicle": vehicle.name }, [svg("title", {}, title), body, label, ...slot]);
-    return { group, body, brake };
+    const leader = svg("path", { class: "leader c-ego" });
+    const group = svg("g", { "data-vehicle": vehicle.name }, [svg("title", {}, title), body, leader, label, ...slot]);
+    return { group, body, brake, leader, label };
   }
 
   impactText() {
@@ -317,7 +321,7 @@ class Scene {
   // The centre of each vehicle, and half of the width and the height of the rectangle around it.
   boxes(states) {
     return states.filter(Boolean).map((state) => {
-      const [cos, sin] = this.isWorld ? [Math.abs(Math.cos(state.heading)), Math.abs(Math.sin(state.heading))] : [1, 0];
+      const [cos, sin] = [Math.abs(Math.cos(state.heading)), Math.abs(Math.sin(state.heading))];
       const [wide, high] = [state.length * cos + state.width * sin, state.length * sin + state.width * cos];
       return [this.x(state.along), this.y(state.across), (wide / 2) * this.scale, (high / 2) * this.scale];
     });
@@ -391,13 +395,16 @@ class Scene {
   }
 
   drawVehicle(state, index) {
-    const { group, body, brake } = this.bodies[index];
+    const { group, body, brake, leader, label } = this.bodies[index];
     const isInside = state && this.isInside(state);
     group.setAttribute("visibility", isInside ? "visible" : "hidden");
     if (!state) return;
     const [x, y] = [this.x(state.along), this.y(state.across)];
     change(group, { transform: `translate(${px(x)} ${px(y)})`, "data-along": fixed(state.along, 3), "data-across": fixed(state.across, 3) });
     body.setAttribute("transform", `rotate(${px(state.heading * 180 / Math.PI)})`);
+    leader.setAttribute("d", "");
+    change(label, { x: 0, y: 0 });
+    label.classList.remove("away");
     brake.setAttribute("visibility", isInside && state.acceleration < -1 ? "inherit" : "hidden");
     if (isInside && x < POINTER_ROOM) this.taken.push({ isLeft: true, y, room: 20 });
     if (isInside && x > this.width - POINTER_ROOM) this.taken.push({ isLeft: false, y, room: 20 });
@@ -470,12 +477,42 @@ class Scene {
     const place = event.kind === "collision" && other ? this.contact(ego, other) : ego;
     const [x, y] = [this.x(place.along), this.y(place.across)];
     this.impact.setAttribute("transform", `translate(${px(x)} ${px(y)})`);
+    if (event.kind === "collision") states.forEach((state, index) => { if (state && this.isInside(state)) this.moveLabel(states, index, x, y); });
     const [dx, dy] = this.labelOffset(states, x, y);
-    change(this.impact.children[1], { x: px(dx), y: px(dy), "text-anchor": "middle" });
+    const [line, , text] = this.impact.children;
+    change(text, { x: px(dx), y: px(dy), "text-anchor": "middle" });
+    // A text that is not at the contact has a line to it.
+    const edge = [clamp(0, dx - 3.7 * this.impactText().length, dx + 3.7 * this.impactText().length), dy > 0 ? dy - 11 : dy + 3];
+    line.setAttribute("d", Math.hypot(...edge) > 2.5 * this.star ? linePath([[0, 0], edge]) : "");
+  }
+
+  moveLabel(states, index, x, y) {
+    // The number of a vehicle moves out of the mark at the contact and off other vehicles: along its own, else beside it, with a line to it.
+    const state = states[index];
+    const [cx, cy] = [this.x(state.along), this.y(state.across)];
+    const others = this.boxes(states.filter((_, other) => other !== index));
+    const isAway = ([dx, dy]) => Math.hypot(cx + dx - x, cy + dy - y) > this.star + LABEL
+      && others.every(([bx, by, wide, high]) => Math.abs(bx - cx - dx) > wide + 4 || Math.abs(by - cy - dy) > high + 4);
+    const { label, leader } = this.bodies[index];
+    const end = Math.max(state.length * this.scale / 2 - LABEL, 0);
+    const within = [0, 0.5, -0.5, 1, -1].map((share) => [share * end * Math.cos(state.heading), share * end * Math.sin(state.heading)]);
+    let place = within.find(isAway);
+    if (!place) {
+      const own = this.boxes([state])[0];
+      const isFree = ([dx, dy]) => isAway([dx, dy]) && cx + dx > LABEL && cx + dx < this.width - LABEL && cy + dy > LABEL && cy + dy < this.height - RULER - LABEL
+        && (Math.abs(dx) > own[2] + LABEL || Math.abs(dy) > own[3] + LABEL)
+        && this.texts.every(([tx, ty, wide, high]) => Math.abs(tx - cx - dx) > wide + LABEL || Math.abs(ty - cy - dy) > high + LABEL);
+      place = this.offsets.find(isFree);
+      if (!place) return;
+      label.classList.add("away");
+      leader.setAttribute("d", linePath([[0, 0], place.map((each) => each * (1 - LABEL / Math.hypot(...place)))]));
+    }
+    change(label, { x: px(place[0]), y: px(place[1]) });
+    this.texts.push([cx + place[0], cy + place[1], LABEL, LABEL]);
   }
 
   contact(ego, other) {
-    const [cos, sin] = this.isWorld ? [Math.cos(ego.heading), Math.sin(ego.heading)] : [1, 0];
+    const [cos, sin] = [Math.cos(ego.heading), Math.sin(ego.heading)];
     const [dx, dy] = [other.along - ego.along, other.across - ego.across];
     const ahead = clamp(dx * cos + dy * sin, -ego.length / 2, ego.length / 2);
     const right = clamp(dy * cos - dx * sin, -ego.width / 2, ego.width / 2);
@@ -505,6 +542,6 @@ class Scene {
     });
     const isFree = (boxes) => ([dx, dy]) => y + dy > 12 && y + dy < this.height - RULER && x + dx > half && x + dx < this.width - half
       && boxes.every(([bx, by, wide, high]) => Math.abs(bx - x - dx) > wide || Math.abs(by - y - dy + 4) > high);
-    return this.offsets.find(isFree([...boxes, ...edges, ...rings])) ?? this.offsets.find(isFree(boxes)) ?? [0, 32];
+    return this.offsets.find(isFree([...boxes, ...edges, ...rings])) ?? this.offsets.find(isFree([...boxes, ...edges])) ?? this.offsets.find(isFree(boxes)) ?? [0, 32];
   }
 }
