@@ -284,7 +284,8 @@ def finding_article(finding: RunView, index: int) -> str:
 def _tag(tag: str) -> str:
     """Return the HTML of a tag, with an explanation if it is a word of the search."""
     meaning = next((words for beginning, words in MEANINGS.items() if tag.startswith(beginning)), "")
-    return f"<li{f' title={chr(34)}{meaning}{chr(34)}' if meaning else ''}>{text(tag)}</li>"
+    title = f' title="{text(meaning)}"' if meaning else ""
+    return f"<li{title}>{text(tag)}</li>"
 
 
 def _happened_section(paragraphs: Iterable[Paragraph]) -> str:

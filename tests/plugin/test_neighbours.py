@@ -271,6 +271,26 @@ def test_of_a_change_of_lanes_the_condition_that_let_it_pass_is_told_first(proje
     assert re.match(rf"line {line}: .*{ending}", moment["conditions"][0])
 
 
+def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_decision_before_did_not_fulfil(project):
+    project.write(
+        """
+def moves_over(seen):
+    lane = 1 if seen.time > 3.0 else 0
+    slow = seen.ego.speed < 5.0
+    return pafot.Drive(lane=lane, acceleration=0.0 if slow else 0.1)
+
+@pafot.search(npcs=2, genes=3, gene_seconds=3, stop_after=1, ads=lambda: moves_over, vehicles="car", ego_lane=0)
+def test_never_moves_over_at_fault(run):
+    assert not (run.collision and run.attribution.fault == "entered-lane")
+"""
+    )
+    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-runs=400", generations=50)[1][
+        "moment"
+    ]
+    assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
+    assert moment["conditions"][0].endswith("seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False")
+
+
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.refine.moment.Conditions", lambda *_: Otherwise())
     project.write(READS)
