@@ -85,6 +85,9 @@ class LiveTerminal:
         if self.writer is None:
             return
         with uncaptured(self._config):
+            self.writer.ensure_newline()
+            if self._config.get_terminal_writer().width_of_current_line:  # pytest-xdist leaves the dots' line open
+                self.writer.line("")
             for line in lines:
                 self.writer.write_line(ascii_text(line))
             self.writer.flush()

@@ -86,6 +86,13 @@ def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project):
     assert len(second) == 1
 
 
+def test_a_finding_begins_its_own_line_also_behind_the_dots_of_workers(project):
+    pytest.importorskip("xdist")
+    test = "@pafot.search(SHORT, stop_after=1)\ndef test_{}(run):\n    assert not run.collision\n\n"
+    project.write(test.format("a") + test.format("b"))
+    assert len(announced(project.run("-n1", "-q", "--pafot-shrink-rollouts=0", generations=10, seed=2))) == 2
+
+
 def test_first_collision_has_the_sentences_of_its_verdict(project):
     project.write("@pafot.search(SHORT, stop_after=1)\ndef test_collides(run):\n    assert not run.collision\n")
     (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2))
