@@ -162,6 +162,7 @@ STEP_BOUNDS = (
 
 
 DEFAULT_STEP = Step()
+"""A step that holds lane and speed."""
 
 
 def checked_steps(given: Any) -> tuple[Step, ...]:
@@ -171,9 +172,6 @@ def checked_steps(given: Any) -> tuple[Step, ...]:
         expected = f"at most {MOST_STEPS} of pafot.Step(...)"
         raise ScenarioError(field="steps", expected=expected, received=repr(given))
     return steps
-
-
-"""A step that holds lane and speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
