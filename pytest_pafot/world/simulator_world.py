@@ -502,13 +502,14 @@ def _stated(simulator: Any) -> _Stated:
 def _check_names(cls: type[Simulator]) -> None:
     """Refuse a statement under a name that is nearly that of an attribute, and that nothing reads.
 
-    A simulator may have attributes of its own. But if the source of its classes has such a name only once, where it
-    gets its value, the value has no effect.
+    A simulator may have attributes of its own, and bases that are no simulators, of which others read any. But if the
+    source of its classes has such a name only once, where it gets its value, the value has no effect.
     """
     classes = [each for each in cls.__mro__[:-1] if each is not Simulator and each.__module__ in sys.modules]
     stated = [
         name
         for each in classes
+        if issubclass(each, Simulator)
         for name, value in vars(each).items()
         if not name.startswith("_")
         and not hasattr(Simulator, name)

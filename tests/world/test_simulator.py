@@ -602,6 +602,16 @@ def test_a_simulator_may_have_names_of_its_own():
     broken(lane_widths=(4.0, 4.0), colour="red", _speed_limit=3.0, obstacle=lambda self: self.lane_widths).check()
 
 
+class Client:
+    """A class of somebody else's, whose other modules read this."""
+
+    simulation_frequency = 20
+
+
+def test_a_simulator_may_have_bases_whose_names_others_read():
+    SimulatorWorld(type("Connected", (Client, Bicycle), {}), duration=4.0).check()
+
+
 def along(x, y):
     """Return a step in which vehicles drive along the vector that x and y return for a heading."""
 
