@@ -310,7 +310,7 @@ class EpisodeEnds(OwnEnds):
 
     A step does all that it does in an episode, but in place of its simulation the run goes on, and the environment then
     shows the vehicles of the run. So each end comes at the tick of ``env.step``, unless it depends on the action. The
-    driver has none of the environment, whose steps get one that changes nothing, or any if there is no such action.
+    driver has no action of the environment, so its steps get one that changes nothing, or any if there is no such one.
     """
 
     def __init__(self, outer: Any, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> None:
@@ -345,19 +345,23 @@ class EpisodeEnds(OwnEnds):
             self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
         else:
             if loop.tick == self.asked:  # a step of the user's own that simulates nothing
-                self._simulate()
+                self._go_on()
             if not self.has_failed:  # a method that has ended it is named, unless a wrapper goes on
                 self.ended = (self.ended or _end_of(self._outer)) if terminated or truncated else ""
         return self._error
 
     def _simulate(self, *_: Any) -> None:
-        """Drive the run in place of the environment's vehicles, and show these where those of the run are."""
+        """Drive the run in place of the environment's vehicles, within its step."""
         self._guard.decision_ends()
+        self._go_on()
+        self._guard.decision_starts()
+
+    def _go_on(self) -> None:
+        """Drive the run, and show the environment's vehicles where those of the run are."""
         if self._error is None and not self._loop.is_over:
             self._error = self._move()
         self._put()
         self._env.steps = self._loop.tick
-        self._guard.decision_starts()
 
 
 def episode_beside(
@@ -484,7 +488,7 @@ class _Loop:
                     AbstractEnv.step(self._env, None)
                 self._check_vehicles("step")
                 self._check_objects()
-                if loop.tick == tick and self._error is None and getattr(driver, "failure", None) is None:
+                if loop.tick == tick and not self._is_over and getattr(driver, "failure", None) is None:
                     raise WorldError(
                         f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
                         f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "

@@ -380,6 +380,17 @@ def test_policy_of_an_environment_meets_free_npcs():
     assert states(trace) == states(world.rollout_in_gym(scenario, lambda: lambda seen: 1))
 
 
+@pytest.mark.parametrize("wrappers", [None, []])
+@pytest.mark.parametrize("begin", [0.0, 2.0])
+def test_failing_driver_makes_an_episode_of_an_environment_invalid(wrappers, begin):
+    """It fails where a step begins, which then moves nothing."""
+    driver = lambda seen: raising(seen) if seen.time >= begin else steady(seen)  # noqa: E731
+    world = World("highway-v0", duration=8.0, wrappers=wrappers).with_drivers({"own": lambda: driver})
+    trace = world.rollout_in_gym(Scenario(npcs=(free("own"),), ego_lane=1), lambda: lambda seen: 1)
+    assert (trace.outcome, trace.duration, trace.error) == (Outcome.INVALID, begin, None)
+    assert trace.npc_error[1].message == "no way ahead"
+
+
 # On other worlds, and whatever the scenario is.
 
 
