@@ -154,8 +154,8 @@ class Conditions:
         return any(self._copies.values())
 
     @contextmanager
-    def recorded(self, ads: Any, rows: list[Evaluated]) -> Iterator[None]:
-        """Record the conditions that this thread evaluates while an ADS decides, and add them to rows, the last first.
+    def recorded(self, ads: Any, evaluated: list[Evaluated]) -> Iterator[None]:
+        """Record the conditions that this thread evaluates while an ADS decides, and add them, the last one first.
 
         Nothing is added for a generator with conditions, because it runs the code with which it has begun.
         """
@@ -175,7 +175,7 @@ class Conditions:
             held = gc.get_referents(*held)
             if any(type(each) is GeneratorType and self._copy(each.gi_code) for each in held):
                 return
-        rows += self._recorder.rows()
+        evaluated += self._recorder.evaluated()
 
     def _found(self) -> list[FunctionType]:
         return [each for each in gc.get_objects() if type(each) is FunctionType and self._copy(each.__code__)]
@@ -299,7 +299,7 @@ class _Recorder:
                 self._outcomes[condition] = outcomes  # behind the others, because it was evaluated last
         return value
 
-    def rows(self) -> list[Evaluated]:
+    def evaluated(self) -> list[Evaluated]:
         """Return the conditions, the last one first."""
         return [
             Evaluated(
