@@ -333,31 +333,20 @@ class EpisodeEnds(OwnEnds):
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
         """Drive the run by ``move`` within a step of the wrapped environment; return an error of the ADS."""
         self._move, self.asked = move, loop.tick
-        try:
-            try:
-                self._guard.decision_starts()
-                *_, terminated, truncated, _ = self._outer.step(self._action)
-            finally:
-                self._guard.decision_ends()
-            self._guard.raise_swallowed()
+        try:  # Only decisions, and what ends episodes, are guarded, as in runs of a policy: a step may take its time.
+            *_, terminated, truncated, _ = self._outer.step(self._action)
         except UNFIT as error:
             failed = error_of(error, self.asked, self._guard).text
             self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
         else:
             if loop.tick == self.asked:  # a step of the user's own that simulates nothing
-                self._go_on()
+                self._simulate()
             if not self.has_failed:  # a method that has ended it is named, unless a wrapper goes on
                 self.ended = (self.ended or _end_of(self._outer)) if terminated or truncated else ""
         return self._error
 
     def _simulate(self, *_: Any) -> None:
-        """Drive the run in place of the environment's vehicles, within its step."""
-        self._guard.decision_ends()
-        self._go_on()
-        self._guard.decision_starts()
-
-    def _go_on(self) -> None:
-        """Drive the run, and show the environment's vehicles where those of the run are."""
+        """Drive the run in place of the environment's vehicles, and show these where those of the run are."""
         if self._error is None and not self._loop.is_over:
             self._error = self._move()
         self._put()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import random
+import time
 import warnings
 from contextlib import suppress
 
@@ -339,6 +340,14 @@ class Endless(gymnasium.Wrapper):
         return seen, reward, False, False, info
 
 
+class Thinking(gymnasium.Wrapper):
+    """Its step takes longer than a decision may."""
+
+    def step(self, action):
+        time.sleep(0.25)
+        return super().step(action)
+
+
 class Lazy(gymnasium.Wrapper):
     """Its steps do nothing."""
 
@@ -346,7 +355,7 @@ class Lazy(gymnasium.Wrapper):
         return self.observation_space.sample(), 0.0, False, False, {}
 
 
-def test_wrappers_that_fail_or_do_nothing_do_not_stop_reference_drivers(register):
+def test_wrappers_that_fail_or_do_nothing_or_take_long_do_not_stop_reference_drivers(register):
     scenario = scenario_in(World("highway-fast-v0"))
     failed = World("highway-fast-v0", wrappers=[Failing]).rollout_reference(scenario, "careful-human")
     expected = "Failing failed: KeyError: 'fence'"
@@ -354,6 +363,9 @@ def test_wrappers_that_fail_or_do_nothing_do_not_stop_reference_drivers(register
     register("ending-v0", entry_point=Wrong)
     failed = World("ending-v0", wrappers=[Endless]).rollout_reference(scenario, "careful-human")
     assert (failed.ended, failed.outcome) == ("Wrong._is_terminated failed: KeyError: 'goal'", Outcome.INVALID)
+    slow = World("highway-fast-v0", wrappers=[Thinking], hang_limit=0.2, duration=2.0)
+    for driven in (slow.rollout(scenario, idle), slow.rollout_reference(scenario, "careful-human")):
+        assert (driven.ended, driven.outcome, driven.duration) == ("", Outcome.SAFE, 2.0)
     driven = World("highway-fast-v0", wrappers=[Lazy]).rollout_reference(scenario, "careful-human")
     assert (driven.ended, driven.duration) == ("", 30.0)
 
