@@ -23,7 +23,7 @@ from tests.helpers.stories import entry_of, stories_of
 NUMBER = r"(-?\d+\.\d\d?)"
 WHO = r"(?:the ego|The ego|NPC #)"
 PACE = (
-    rf"(?:{WHO} was {NUMBER} m/s (?:faster|slower) then|Both drove equally fast"
+    rf"(?:{WHO} drove {NUMBER} m/s (?:faster|slower)|Both drove equally fast"
     rf"|NPC # braked at up to {NUMBER} m/s\^2)"
 )
 PLACE = rf"(?:next to {WHO}|{NUMBER} m (?:ahead of|behind) {WHO}\. {PACE})"
