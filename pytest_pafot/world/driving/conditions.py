@@ -270,6 +270,7 @@ class _Recorder:
     def start(self) -> None:
         """Record from now on what this thread evaluates, and forget what was recorded before."""
         self.thread = get_ident()
+        self._numbers = count()
         self._values.clear()
         self._outcomes.clear()
         self._first.clear()
