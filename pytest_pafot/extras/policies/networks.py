@@ -123,7 +123,7 @@ class TorchPolicy(NetworkLoader):
         if not isinstance(module, torch.nn.Module):
             fix = "make the module, load the weights into it, and give the module itself"
             name = type(module).__name__
-            article = "an" if name[0] in "AEIOU" else "a"  # such as an OrderedDict of weights
+            article = "an" if name[0].lower() in "aeiou" else "a"  # such as an OrderedDict of weights
             raise refused("a torch.nn.Module", f"{self.described()}, which contains {article} {name}", fix)
         module = module.to("cpu").eval()
         first = next(module.parameters(), None)
