@@ -327,7 +327,10 @@ def _memory(job: Job, size: int) -> int | None:
         return job.memory << 20 or None
     if METHOD != "fork":
         return None
-    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), *map(int, cgroup_limits("memory.max"))]
+    limits = [
+        os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"),
+        *(most for most, *_ in cgroup_limits("memory.max")),
+    ]
     return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 

@@ -51,14 +51,13 @@ def cores(root: Path = Path("/")) -> int:
         root: the folder with ``proc`` and ``sys``.
     """
     counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
-    for text in cgroup_limits("cpu.max", root):
-        quota, period = text.split()  # [us] of all cores together in each period
-        counts.append(math.ceil(int(quota) / int(period)))
+    for quota, *period in cgroup_limits("cpu.max", root):  # [us] of all cores together in each period
+        counts.append(math.ceil(quota / (period or [100_000])[0]))  # the kernel's default
     return min(counts)
 
 
-def cgroup_limits(name: str, root: Path = Path("/")) -> Iterator[str]:
-    """Yield what the file ``name`` of this process's cgroup and of those around it says, where there is a limit.
+def cgroup_limits(name: str, root: Path = Path("/")) -> Iterator[list[int]]:
+    """Yield the numbers in the file ``name`` of this process's cgroup and of those around it, where there is a limit.
 
     A container, a job of Slurm or a unit of systemd is a cgroup. Only version 2 is read, which Linux alone has.
 
@@ -73,7 +72,8 @@ def cgroup_limits(name: str, root: Path = Path("/")) -> Iterator[str]:
         own = [PurePosixPath(line.removeprefix("0::/")) for line in lines if line.startswith("0::/")]
         groups = [group for path in own for group in (path, *path.parents)] or groups
     for group in dict.fromkeys(groups):
-        with suppress(OSError):  # the outermost cgroup of a machine has no limits
-            text = (root / "sys/fs/cgroup" / group / name).read_text("ascii").strip()
-            if not text.startswith("max"):
-                yield text
+        # The outermost cgroup of a machine has no limits, "max" is none, and a container may emulate the files badly.
+        with suppress(OSError, ValueError):
+            numbers = [int(word) for word in (root / "sys/fs/cgroup" / group / name).read_text("ascii").split()]
+            if numbers and min(numbers) > 0:
+                yield numbers
