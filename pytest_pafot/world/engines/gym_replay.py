@@ -313,17 +313,32 @@ class EpisodeEnds(OwnEnds):
     driver has no action of the environment, so its steps get one that changes nothing, or any if there is no such one.
     """
 
-    def __init__(self, outer: Any, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> None:
-        env = outer.unwrapped
-        super().__init__(env, ENDS, rules, guard)
-        self._outer, self._loop, self._put = outer, vehicles.loop, showing(env, vehicles)
+    def __init__(
+        self,
+        outer: Any,
+        objects: Sequence[Any],
+        rules: Rules,
+        scenario: Scenario,
+        vehicles: VehiclesOfRun,
+        guard: HangGuard,
+    ) -> None:
+        super().__init__(outer.unwrapped, ENDS, rules, guard)
+        self._outer, self._loop, self._has_begun = outer, vehicles.loop, False
+        self._begin = partial(self._reset, objects, scenario.seed, vehicles)
+        self._put: Callable[[], None] = _nothing
         self._move: Callable[[], AdsError | None] = _nothing
         self._error: AdsError | None = None
+
+    def _reset(self, objects: Sequence[Any], seed: int, vehicles: VehiclesOfRun) -> None:
+        """Begin the episode, and let the run take the place of the environment's simulation from here on."""
+        outer, env = self._outer, self._env
+        _reset_in_place(outer, seed, objects)
+        self._put = showing(env, vehicles)
         _stand_in(env, "_simulate", self._simulate)
         for name in ENDS:
             _stand_in(env, name, partial(self.says, name))
         space, names = outer.action_space, getattr(env.action_type, "actions_indexes", {})
-        space.seed(scenario.seed)
+        space.seed(seed)
         self._action = space.sample()
         if isinstance(space, gymnasium.spaces.Box):
             self._action = np.clip(np.zeros_like(self._action), space.low, space.high)
@@ -334,7 +349,11 @@ class EpisodeEnds(OwnEnds):
         """Drive the run by ``move`` within a step of the wrapped environment; return an error of the ADS."""
         self._move, self.asked = move, loop.tick
         try:  # Only decisions, and what ends episodes, are guarded, as in runs of a policy: a step may take its time.
+            if not self._has_begun:
+                self._has_begun = True
+                self._begin()
             *_, terminated, truncated, _ = self._outer.step(self._action)
+            is_over = bool(terminated) or bool(truncated)
         except UNFIT as error:
             failed = error_of(error, self.asked, self._guard).text
             self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
@@ -342,7 +361,7 @@ class EpisodeEnds(OwnEnds):
             if loop.tick == self.asked:  # a step of the user's own that simulates nothing
                 self._simulate()
             if not self.has_failed:  # a method that has ended it is named, unless a wrapper goes on
-                self.ended = (self.ended or _end_of(self._outer)) if terminated or truncated else ""
+                self.ended = (self.ended or _end_of(self._outer)) if is_over else ""
         return self._error
 
     def _simulate(self, *_: Any) -> None:
@@ -360,8 +379,7 @@ def episode_beside(
     outer = environment.make()
     env, objects = _reset(outer, scenario, environment.config_of_wrappers)
     put_policys_ego(environment, env, rules, scenario)
-    _reset_in_place(outer, scenario.seed, objects)
-    return EpisodeEnds(outer, rules, scenario, vehicles, guard)
+    return EpisodeEnds(outer, objects, rules, scenario, vehicles, guard)
 
 
 def _stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:

@@ -348,6 +348,36 @@ class Thinking(gymnasium.Wrapper):
         return super().step(action)
 
 
+class FailingReset(Fenced):
+    def reset(self, **given):
+        raise KeyError("start")
+
+
+class Doubtful(gymnasium.Wrapper):
+    """Its step does not say whether the episode is over."""
+
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, np.array([terminated, truncated]), truncated, info
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "ticks", "error"),
+    [(FailingReset, 0, "KeyError: 'start'"), (Doubtful, 5, "ValueError: ")],
+)
+@pytest.mark.parametrize("drive", ["reference", "class"])
+def test_wrappers_that_fail_beside_an_episode_end_the_run_there(wrapper, ticks, error, drive):
+    world = World("highway-fast-v0", wrappers=[wrapper])
+    scenario = scenario_in(world)
+    failed = (
+        world.rollout_reference(scenario, "careful-human")
+        if drive == "reference"
+        else world.rollout(scenario, lambda: IDMVehicle)
+    )
+    assert failed.ended.startswith(f"{wrapper.__name__} failed: {error}")
+    assert (failed.ticks, failed.outcome) == (ticks, Outcome.INVALID)
+
+
 class Lazy(gymnasium.Wrapper):
     """Its steps do nothing."""
 
