@@ -509,7 +509,7 @@ def _check_names(cls: type[Simulator]) -> None:
     stated = [
         name
         for each in classes
-        if issubclass(each, Simulator)
+        if issubclass(each, Simulator)  # attributes of others, such as a mixin of a library, state nothing here
         for name, value in vars(each).items()
         if not name.startswith("_")
         and not hasattr(Simulator, name)
@@ -525,7 +525,7 @@ def _check_names(cls: type[Simulator]) -> None:
             sources = {inspect.getsource(sys.modules[each.__module__]) for each in classes} if near else set()
         except (OSError, TypeError):  # typed in, or compiled
             continue
-        if near and sum(len(re.findall(rf"\b{name}\b", source)) for source in sources) == 1:
+        if near and sum(len(re.findall(rf"\b{re.escape(name)}\b", source)) for source in sources) == 1:
             raise WorldError(
                 field=f"{cls.__name__}.{name}",
                 expected="the name of an attribute of pafot.Simulator",

@@ -612,6 +612,10 @@ def test_a_simulator_may_have_bases_whose_names_others_read():
     SimulatorWorld(type("Connected", (Client, Bicycle), {}), duration=4.0).check()
 
 
+def test_a_name_that_is_no_word_is_one_of_the_users_own():
+    broken(**{"lanes(": 2}).check()
+
+
 def along(x, y):
     """Return a step in which vehicles drive along the vector that x and y return for a heading."""
 
