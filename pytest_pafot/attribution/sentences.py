@@ -78,7 +78,7 @@ ADVICE: Mapping[What, str] = MappingProxyType(
     }
 )
 """What the ego should have done by when, in a few words for a headline, by the fact that says it."""
-DRIFT_ADVICE = "drifts from {at}, over the line at {later}: keep the lane"
+DRIFT_ADVICE = "ego drifts from {at}, over the line at {later}: keep the lane"
 """The same for a motion over the line that is too slow for a change of lanes."""
 BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""

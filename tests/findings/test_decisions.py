@@ -548,7 +548,7 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     kept = Avoidance(time=moment)
     advised = f"do not change lanes at {moment:.1f} s"
     if planner is DRIFTS:
-        advised = f"drifts from {moment:.1f} s, over the line at {run.attribution.time:.1f} s: keep the lane"
+        advised = f"ego drifts from {moment:.1f} s, over the line at {run.attribution.time:.1f} s: keep the lane"
     assert advice_on(run) == advice_on(replace(run, avoided_by=kept)) == advised
     told = replace(expecting(run, avoided_by=kept), time=round(run.collision.time, 3)).sentences_on(run)
     assert told[0] == run.sentences[0]
