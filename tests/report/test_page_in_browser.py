@@ -285,6 +285,15 @@ def test_the_scrubber_says_where_it_is(page):
     assert text == f"0.00 s of {real_report().findings[0].duration:.2f} s"
 
 
+def test_the_scrubber_moves_the_picture(page):
+    page.press("Home")
+    page.evaluate(
+        "(scrubber => { scrubber.value = 1.5; scrubber.dispatchEvent(new Event('input', {bubbles: true})); })"
+        "(document.querySelector('article.current input[type=range]'))"
+    )
+    assert page.evaluate(TIME) == 1.5
+
+
 def drawn_vehicles(page):
     """Return where each vehicle is drawn, along and across the road [m]."""
     return page.evaluate(

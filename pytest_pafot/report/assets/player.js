@@ -28,7 +28,11 @@ class Player {
     this.button.addEventListener("click", () => this.toggle());
     this.clock = html("output", { class: "clock", "aria-live": "off" });
     this.scrubber = html("input", { type: "range", min: 0, max: this.duration, step: 0.01, "aria-label": "Time" });
-    this.scrubber.addEventListener("input", () => { this.pause(); this.seek(Number(this.scrubber.value)); });
+    this.scrubber.addEventListener("input", () => {
+      const time = Number(this.scrubber.value);  // before the pause, which draws, and moves the scrubber back
+      this.pause();
+      this.seek(time);
+    });
     this.scrubber.addEventListener("change", () => this.settle());
     const event = html("button", { type: "button" }, "Go to the event");
     event.addEventListener("click", () => this.jump(momentOf(this.finding)));
