@@ -306,7 +306,7 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
 
 
 class EpisodeEnds(OwnEnds):
-    """What ends an episode in the steps of an environment and its wrappers, for a run that moves its vehicles itself.
+    """The ends of an episode by steps of an environment and its wrappers, for a run that moves its vehicles itself.
 
     A step does all that it does in an episode, but in place of its simulation the run goes on, and the environment then
     shows the vehicles of the run. So each end comes at the tick of ``env.step``, unless it depends on the action. The

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, wraps
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
@@ -210,10 +210,12 @@ class OwnWorld(BaseWorld):
     action_space = _declared("action_space", None)
     """The gymnasium space of actions."""
 
-    least_action_speed = _declared("least_action_speed", 0.0)
-    """The lowest speed to which actions can slow the ego down [m/s]."""
+    @property
+    def least_action_speed(self) -> float:
+        """The lowest speed to which actions can slow the ego down [m/s]."""
+        return float(getattr(self.world, "least_action_speed", 0.0))
 
-    left_out = _declared("left_out", {})
+    left_out = _declared("left_out", MappingProxyType({}))
     """The methods of the environment that change its state, but are not called in runs of a policy."""
 
     has_traffic_in_reset = _is_declared("has_traffic_in_reset")
