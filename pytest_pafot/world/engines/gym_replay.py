@@ -323,8 +323,8 @@ class EpisodeEnds(OwnEnds):
         guard: HangGuard,
     ) -> None:
         super().__init__(outer.unwrapped, ENDS, rules, guard)
-        self._outer, self._loop, self._has_begun = outer, vehicles.loop, False
-        self._begin = partial(self._reset, objects, scenario.seed, vehicles)
+        self._outer, self._loop = outer, vehicles.loop
+        self._begin: Callable[[], None] = partial(self._reset, objects, scenario.seed, vehicles)
         self._put: Callable[[], None] = _nothing
         self._move: Callable[[], AdsError | None] = _nothing
         self._error: AdsError | None = None
@@ -349,9 +349,8 @@ class EpisodeEnds(OwnEnds):
         """Drive the run by ``move`` within a step of the wrapped environment; return an error of the ADS."""
         self._move, self.asked = move, loop.tick
         try:  # Only decisions, and what ends episodes, are guarded, as in runs of a policy: a step may take its time.
-            if not self._has_begun:
-                self._has_begun = True
-                self._begin()
+            begin, self._begin = self._begin, _nothing  # before the first step
+            begin()
             *_, terminated, truncated, _ = self._outer.step(self._action)
             is_over = bool(terminated) or bool(truncated)
         except UNFIT as error:
