@@ -6,6 +6,7 @@ import functools
 import hashlib
 import os
 import sys
+import sysconfig
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -121,7 +122,10 @@ class Served:
     def is_whole(self) -> bool:
         """Return whether all files of the user that this process has imported are of the revision."""
         files = [getattr(module, "__file__", None) for module in [*sys.modules.values()]]
-        paths = {*real_paths(file for file in files if isinstance(file, str)), *source_files(self.factory)}
+        library = Path(sysconfig.get_path("stdlib"))
+        # Debian's sitecustomize.py is a link from the standard library to a file in /etc.
+        names = [file for file in files if isinstance(file, str) and Path(file).parent != library]
+        paths = {*real_paths(names), *source_files(self.factory)}
         return all(path.is_relative_to(self.policy.tree) for path in paths if is_users(path))
 
     def _present(self) -> list[str]:

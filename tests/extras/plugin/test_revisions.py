@@ -157,6 +157,20 @@ def test_present_files_are_seen_when_they_are_imported_opened_or_mapped_later(tm
     assert served._present() == [*map(str, files)]
 
 
+@pytest.mark.parametrize(("folder", "is_whole"), [("library", True), ("elsewhere", False)])
+def test_a_link_out_of_the_standard_library_is_no_file_of_the_user(folder, is_whole, tmp_path, monkeypatch):
+    for name in ("library", "elsewhere", "etc"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "etc" / "sitecustomize.py").touch()
+    link = tmp_path / folder / "sitecustomize.py"
+    link.symlink_to("../etc/sitecustomize.py")
+    module = ModuleType("sitecustomize")
+    module.__file__ = str(link)
+    monkeypatch.setattr("sysconfig.get_path", {"stdlib": str(tmp_path / "library")}.get)
+    monkeypatch.setattr(sys, "modules", {"sitecustomize": module})
+    assert Served(None, SimpleNamespace(root=tmp_path, tree=tmp_path / "tree"), set()).is_whole() is is_whole
+
+
 @pytest.mark.parametrize(
     ("changes", "is_same"),
     [
