@@ -193,7 +193,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         problem = f"expected either world= or arguments of the road, received both; pass {part} to the world"
         raise request.error(f"world=..., {part}=...", problem)
     if world is not None and (isinstance(world, type) or not callable(getattr(world, "rollout", None))):
-        problem = f"expected pafot.Highway(...) or pafot.World(...), received {world!r}{hint_at_world(world)}"
+        problem = f"expected a world such as pafot.Highway(...), received {world!r}{hint_at_world(world)}"
         raise request.error("world=...", problem)
     problem_of_ads = _problem_of_ads(request.ads)
     if problem_of_ads:
@@ -428,13 +428,13 @@ def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
     known = (*BUILT_IN_DRIVERS, *world.own_drivers)
     if unknown := [name for name, each in request.drivers.items() if each == "" and name not in known]:
         raise request.error("drivers=...", f"expected {_some_drivers(known)}, received {unknown[0]!r}")
-    kinds = request.algorithm.instructions
-    if request.algorithm.is_papers or "both" not in kinds or request.space.get("instructions") == "manoeuvres":
-        raise request.error(
-            "drivers=...",
-            "expected a search whose NPCs have Position- or Lane-Instructions, in the default algorithm, received "
-            f"{request.algorithm.name}; leave drivers or these arguments out",
-        )
+    problem, algorithm = "", request.algorithm
+    if algorithm.is_papers or "both" not in algorithm.instructions:
+        problem = f"an algorithm that draws free NPCs, such as distinct, received algorithm={algorithm.name!r}"
+    elif request.space.get("instructions") == "manoeuvres":
+        problem = "NPCs with Position- or Lane-Instructions, received instructions='manoeuvres'"
+    if problem:
+        raise request.error("drivers=...", f"expected {problem}; leave that or drivers out")
     if "policy" in request.drivers and world.action_space is not None and "policy" not in world.given.npc_drivers:
         raise request.error(
             "drivers=...",

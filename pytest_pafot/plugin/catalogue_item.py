@@ -37,10 +37,6 @@ class Catalogued:
         if mark is None:
             return None
         try:
-            if arguments_of(pyfuncitem) is not None:
-                raise RequestError(
-                    "expected @pafot.search or @pafot.catalogue, received both; write a test for each of them"
-                )
             name = pyfuncitem.funcargs.get(DEFAULT_ARG)
             if not isinstance(name, str):
                 raise RequestError(
@@ -71,7 +67,7 @@ def _drive(item: pytest.Function, name: str, named: tuple[Any, ...], given: Mapp
     if isinstance(world, str):
         world = named_world(world, "@pafot.catalogue(world=...)")
     if base_world(world).missing:
-        raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
+        raise RequestError(f"world: expected a world such as pafot.Highway(...), received {world!r:.80}")
     # The default highway is too slow for some entries; a world that the user has chosen is used as it is.
     world = None if world == Highway() and "world" not in given else world
     test, file = bound_test(item, DEFAULT_ARG), source_file(item.obj, str(item.path))

@@ -116,6 +116,8 @@ def _check_function(item: pytest.Item) -> None:
         )
     if not isinstance(item, pytest.Function):
         raise RequestError(f"expected a test function, received {item!r}")
+    if all(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK)):
+        raise RequestError("expected @pafot.search or @pafot.catalogue, received both; write a test for each of them")
     if getattr(item.obj, "is_hypothesis_test", False) or hasattr(item.obj, "hypothesis"):
         raise RequestError(
             "expected @pafot.search or @given, received both, and each of them runs the function many times; "

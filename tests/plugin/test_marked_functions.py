@@ -194,6 +194,19 @@ def test_given_and_search_on_one_function_are_refused(project):
         pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([told])
 
 
+def test_search_and_catalogue_on_one_function_are_refused(project):
+    search, catalogue = "@pafot.search", '@pafot.catalogue("r157/cut-in")'
+    project.write(
+        f"{search}\n{catalogue}\ndef test_search_first(run):\n    pass\n\n"
+        f"{catalogue}\n{search}\ndef test_catalogue_first(run):\n    pass\n"
+    )
+    result = project.run()
+    result.assert_outcomes(errors=2)
+    for name in ("test_search_first", "test_catalogue_first"):
+        told = "*expected @pafot.search or @pafot.catalogue, received both; write a test for each of them*"
+        pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([told])
+
+
 WRONG = [
     ("colour='red'", "*(colour=...): expected one of acts, ads, *"),
     ("5", "*expected keyword arguments only, received (5,)*"),
@@ -201,8 +214,8 @@ WRONG = [
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, avoidable, received 'npc'*"),
     ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
-    ("world=pafot.Highway", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received <class*"),
-    ("world=3", "*(world=...): expected pafot.Highway(...) or pafot.World(...), received 3*"),
+    ("world=pafot.Highway", "*(world=...): expected a world such as pafot.Highway(...), received <class*"),
+    ("world=3", "*(world=...): expected a world such as pafot.Highway(...), received 3*"),
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),

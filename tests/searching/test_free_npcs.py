@@ -216,8 +216,8 @@ def test_wrong_drivers_are_refused(drivers, message):
     ("world", "more", "message"),
     [
         (Toy(), {}, "expected a world whose NPCs can have drivers"),
-        (WORLD, {"algorithm": "pafot"}, "expected a search whose NPCs have Position- or Lane-Instructions"),
-        (WORLD, {"instructions": "manoeuvres"}, "expected a search whose NPCs have"),
+        (WORLD, {"algorithm": "pafot"}, "expected an algorithm that draws .*, received algorithm='pafot'; leave"),
+        (WORLD, {"instructions": "manoeuvres"}, "expected NPCs with .*, received instructions='manoeuvres'; leave"),
         (World("highway-v0"), {"drivers": "policy"}, "expected no 'policy' in a world whose policy has the"),
         (WORLD, {"drivers": ["fast"]}, r"expected some of 'idm', 'mobil', 'policy', or a mapping .* received 'fast'"),
         (WORLD, {"around": 3}, "arguments of scenarios beside it, received drivers"),
