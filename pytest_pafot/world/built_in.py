@@ -230,6 +230,7 @@ class BuiltInWorld(BaseWorld):
         Args:
             drivers: their factories by name, for planners in SI units and vehicle classes; under ``policy`` the policy
                 under test, which a run has of its own, but not one in which a reference driver takes the ego's place.
+                There, ``pafot.World`` without ``planner_hz`` ignores all but a vehicle class.
 
         Raises:
             ScenarioError: for a name that no driver can have.

@@ -238,8 +238,8 @@ class FreeNpc:
             raise self._refused(
                 "a run that knows the policy under test, which acts in SI units or is a vehicle class",
                 repr(self._name),
-                "write driver='idm' or 'mobil', give pafot.World planner_hz=, or name the policy by "
-                "world.with_drivers({'policy': MyPlanner})",
+                "write driver='idm' or 'mobil', or name who drives by world.with_drivers({'policy': MyPlanner}): in "
+                "pafot.World with planner_hz= a planner, without it a vehicle class",
             )
         policy = Policy(given)
         if policy.simulates or policy.elsewhere is not None:

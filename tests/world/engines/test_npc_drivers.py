@@ -372,6 +372,17 @@ def test_policy_that_cannot_drive_npcs_is_refused():
         run(free("own"), world=WORLD.with_drivers({"own": Own}))
 
 
+def test_policy_that_is_named_drives_an_npc_where_that_of_the_run_cannot():
+    """These are the ways out of the refusal: a vehicle class, or a world of planners."""
+    scenario, keeps = Scenario(npcs=(free("policy"),), ego_lane=1), {"policy": lambda: steady}
+    world, of_planners = (World("highway-v0", duration=4.0, planner_hz=hz) for hz in (None, 5))
+    with pytest.raises(ScenarioError, match="without it a vehicle class"):
+        world.with_drivers(keeps).rollout(scenario, lambda: lambda seen: 1)
+    named = world.with_drivers({"policy": IDMVehicle}).rollout(scenario, lambda: lambda seen: 1)
+    driven = of_planners.with_drivers(keeps).rollout_reference(scenario, "careful-human")
+    assert named.outcome is driven.outcome is Outcome.SAFE
+
+
 def test_policy_of_an_environment_meets_free_npcs():
     world = World("highway-v0", duration=8.0)
     scenario = Scenario(npcs=(free("mobil", speed=15.0), free("idm", ahead=-30.0, speed=24.0)), ego_lane=1)
