@@ -344,8 +344,8 @@ class _Reader:
         given = event.event
         if given.values.get("priority") == "skip":
             raise given.error("override or parallel", "skip", "write parallel", "priority")
-        if given.number("maximumExecutionCount", 1) != 1:
-            raise given.error("to be done once", "more", "write 1", "maximumExecutionCount")
+        if (count := given.number("maximumExecutionCount", 1)) != 1:
+            raise given.error("to be done once", f"{count:g}", "write 1", "maximumExecutionCount")
         if id(event.act) in npc.acts:
             act = act._replace(time=0.0, trigger={}, after=None, delay=0.0)
         npc.acts.add(id(event.act))

@@ -196,7 +196,8 @@ class Recording:
                 stay near the tracks whatever the policy does.
 
         Raises:
-            RequestError: if nothing drives near the ego at that time, or the road is not straight.
+            RequestError: if the recording lacks the ego or the time, or nothing drives near the ego then, or the road
+                is not straight.
         """
         if ego is None and self.ego is None:
             raise RequestError(f"{self.source}: expected a vehicle in whose place the policy drives; give it as ego=")

@@ -420,6 +420,13 @@ def test_action_or_trigger_without_a_step_is_refused_by_its_name(read, action, t
         read(event(action, trigger))
 
 
+@pytest.mark.parametrize("count", [0, 2])
+def test_event_that_does_not_happen_once_is_refused(read, count):
+    often = event(to_speed(5), at_time(1)).replace("priority", f'maximumExecutionCount="{count}" priority')
+    with pytest.raises(RecordingError, match=rf"@maximumExecutionCount: expected to be done once, received {count};"):
+        read(often)
+
+
 def test_time_after_a_distance_is_refused_because_nobody_knows_when_that_is(read):
     with pytest.raises(
         RecordingError, match=r"Event\[e\].*expected a time before all distances of the vehicle, received"
