@@ -121,7 +121,7 @@ class SearchSummary:
         algorithm, profile: their names.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number; one that a limit of time or findings cut is not counted.
-        asked, budget: requested generations and runs, of all sessions of a resumed search; null for no limit.
+        asked, budget: generations and runs after which it ends, those of earlier sessions included; null for no limit.
         runs, shrink_runs, neighbour_runs: simulated scenarios; further runs to simplify findings; of their neighbours.
         decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions of the policy in this session's
             `runs`, to confirm findings, in `shrink_runs` and in `neighbour_runs`, not in replays.

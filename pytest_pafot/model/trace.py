@@ -543,7 +543,7 @@ class Trace(Shown):
 
     @property
     def users_error_text(self) -> str:
-        """A line on the user's code that made the run invalid, with its error: the driver of a free NPC, or an end."""
+        """A line on the user's code that made the run invalid, a free NPC's driver or an end; empty if none did."""
         if self.npc_error is None:
             return self.ended if self.outcome is Outcome.INVALID else ""
         npc, error = self.npc_error

@@ -279,7 +279,7 @@ class Sweep:
         return {kind: MEANINGS[kind] for kind in KINDS if kind in used}
 
     def explain(self, width: int = WIDTH) -> str:
-        """Return the map as lines of ASCII: a column for each value of the last axis, a row for each of the first."""
+        """Return the map as lines of ASCII: a column for each value of the last axis, a row for each of another."""
         *rows, columns = self.axes
         labels = [short(value) for value in columns.values]
         heads = [short(value) for value in rows[0].values] if rows else [""]
@@ -375,7 +375,7 @@ def sweep(
     if isinstance(world, str):
         world = chosen_world(world, place="world")
     if world is not None and not hasattr(world, "rollout"):
-        raise RequestError(f"world: expected pafot.Highway(...) or pafot.World(...), received {world!r:.80}")
+        raise RequestError(f"world: expected a world such as pafot.Highway(...), received {world!r:.80}")
     name, make = _source(what, world, values)
     if not isinstance(over, Mapping) or not 1 <= len(over) <= 2 or not all(isinstance(each, str) for each in over):
         raise RequestError(f"over: expected one or two axes, such as {{'gap': '0:60:7'}}, received {over!r:.80}")
