@@ -266,7 +266,13 @@ class Collection:
                 met += [each / corpus for each in sorted(above) if each.is_relative_to(self._rootpath)]
                 if self._config.args_source is pytest.Config.ArgsSource.TESTPATHS:
                     met += [each for each in self._corpora_outside(corpus) if each not in {*roots, *met}]
-            roots = dict(_roots_in(met, Path(corpus), self._rootpath)) | roots
+            if is_outside := not Path(self._rootpath, corpus).is_relative_to(self._rootpath):
+                met = [Path(corpus)]  # pytest looks for no test files there
+            roots = {
+                root: directory
+                for root, directory in _roots_in(met, Path(corpus), self._rootpath)
+                if not is_outside or any(map(directory.is_relative_to, self._folders_given))
+            } | roots
         if corpus is not None and Path(corpus).is_absolute() and not os.path.lexists(corpus):
             settings = resolve(self._config, {}, 0)
             if items and not settings.is_search:  # A search makes the folder.

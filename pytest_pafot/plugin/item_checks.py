@@ -202,6 +202,19 @@ class Execution:
         if is_search(item):
             item.config.stash[SHARED].begun.add(item.nodeid)
 
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Let no hook around this one report a failure as passed, so that a session with a finding would pass."""
+        report = yield
+        if call.excinfo is not None and report.passed and is_driven(item):
+            report.outcome = "failed"
+            report.longrepr = report.longrepr or item.repr_failure(call.excinfo)
+            text = "a hook pytest_runtest_makereport called this failure passed; use the mark xfail, or corpus accept"
+            report.sections.append(("pafot", text))
+        return report
+
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
         """Run the search, replay or shrinking of a marked item, in place of pytest's call of the function."""

@@ -233,23 +233,34 @@ class Guard:
 
     def __init__(self) -> None:
         self._ended: set[str] = set()  # node ids of the items that have run
+        self._failed: set[str] = set()  # those that have failed, and of new findings
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note the items that have run, whatever came of them."""
+        """Note the items that have run, and which of them have failed."""
         if report.when == "teardown":
             self._ended.add(report.nodeid)
+        if report.failed:
+            self._failed.add(report.nodeid)
 
     @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Let no session on CI end with 0, as by ``pytest.exit(returncode=0)``, before all policies have driven."""
+        """Let no session on CI end with 0, as by ``pytest.exit(returncode=0)``, unless all policies drove well."""
         cause = _cause(session.config)
         left = sorted(session.config.stash[DRIVEN] - self._ended)
-        if not cause or session.exitstatus != pytest.ExitCode.OK or not left or session.config.getoption("collectonly"):
+        named = left or sorted(self._failed)
+        if (
+            not cause
+            or session.exitstatus != pytest.ExitCode.OK
+            or not named
+            or session.config.getoption("collectonly")
+        ):
             return
-        session.exitstatus = pytest.ExitCode.INTERRUPTED
+        what = "did not run to the end" if left else "failed"
+        session.exitstatus = pytest.ExitCode.INTERRUPTED if left else pytest.ExitCode.TESTS_FAILED
         session.config.stash[SUMMARY_LINES].problems.append(
-            f"{plural(len(left), 'item')} did not run to the end, {left[0]} first, but the session was to end with the "
-            f"exit code 0, as by pytest.exit(returncode=0) or a hook pytest_runtest_protocol; it ends with 2 ({cause})"
+            f"{plural(len(named), 'item')} {what}, {named[0]} first, but the session was to end with the exit code 0, "
+            "as by pytest.exit(returncode=0) or a hook pytest_runtest_protocol; it ends with "
+            f"{int(session.exitstatus)} ({cause})"
         )
 
     @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results

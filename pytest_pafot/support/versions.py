@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 from collections.abc import Iterator, Sequence
@@ -52,7 +51,7 @@ def cores(root: Path = Path("/")) -> int:
     """
     counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
     for quota, *period in cgroup_limits("cpu.max", root):  # [us] of all cores together in each period
-        counts.append(math.ceil(quota / (period or [100_000])[0]))  # the kernel's default
+        counts.append(-(-quota // (period or [100_000])[0]))  # rounded up; the kernel's default
     return min(counts)
 
 

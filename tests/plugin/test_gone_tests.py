@@ -466,6 +466,23 @@ def test_a_shared_corpus_may_have_fewer_folders_above_it_than_the_tests(saved, c
     replay(saved, f"--pafot-corpus={shared}").assert_outcomes(failed=1, skipped=1)
 
 
+def test_a_shared_corpus_outside_of_the_project_does_not_lose_a_folder_of_tests(saved, ci, tmp_path_factory):
+    """Nothing leads there from the tests that are left."""
+    shared, tests = tmp_path_factory.mktemp("shared"), saved.path / "tests"
+    shutil.copytree(saved.path / "pafot_corpus", shared / "tests" / "old")
+    shutil.rmtree(saved.path / "pafot_corpus")
+    for name in ("new", "other"):
+        (tests / name).mkdir(parents=True)
+        (tests / name / f"test_{name}.py").write_text((saved.path / "test_it.py").read_text())
+    (saved.path / "test_it.py").unlink()
+    option = f"--pafot-corpus={shared}"
+    assert is_red(replay(saved, option))
+    replay(saved, option, "tests/other").assert_outcomes(skipped=1)  # it asks for no other folder
+    (tests / "old").mkdir()
+    (tests / "new" / "test_new.py").rename(tests / "old" / "test_it.py")
+    replay(saved, option).assert_outcomes(failed=1, skipped=2)
+
+
 def test_other_files_in_a_corpus_are_no_saved_scenarios(saved, ci):
     folder = saved.only_file.parent
     saved.only_file.unlink()

@@ -219,6 +219,50 @@ def test_no_session_on_ci_passes_whose_items_a_hook_leaves_out(project, monkeypa
     assert "problem: 2 items did not run to the end, test_it.py::test_in_fixture[search] first" in text_of(result)
 
 
+ALWAYS = """
+import pytest_pafot as pafot
+
+@pafot.search(ads=lambda: lambda observation: (0.0, 0.0), runs=3, genes=2)
+def test_fails(run):
+    assert run is None
+"""
+SWALLOWS = """
+import pytest
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    if report.failed:
+        report.outcome, report.longrepr = "passed", None
+    return report
+"""
+LEAVES = """
+import pytest
+
+def pytest_runtest_logfinish():
+    pytest.exit("enough", returncode=0)
+"""
+
+
+def test_no_session_passes_whose_failures_a_hook_calls_passed(project):
+    (project.path / "conftest.py").write_text(SWALLOWS)
+    project.write(ALWAYS)
+    project.run("--pafot-shrink-rollouts=0", "--pafot-neighbours=0").assert_outcomes(failed=2)
+    result = project.run("--pafot-generations=0")
+    result.assert_outcomes(failed=1, skipped=1)
+    assert "a hook pytest_runtest_makereport called this failure passed; use the mark xfail" in text_of(result)
+
+
+@pytest.mark.parametrize(("ci", "code"), [("", 0), ("true", 1)])
+def test_no_session_on_ci_passes_that_ends_in_time_after_a_failure(project, monkeypatch, ci, code):
+    monkeypatch.setenv("CI", ci)
+    (project.path / "conftest.py").write_text(LEAVES)
+    project.write(ALWAYS)
+    result = project.run("--pafot-shrink-rollouts=0", "--pafot-neighbours=0")
+    assert result.ret == code
+    assert ("problem: 2 items failed, test_it.py::test_fails[s" in text_of(result)) is bool(code)
+
+
 @pytest.mark.parametrize(("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)])
 def test_a_day_that_is_over_is_told(day, is_told):
     assert bool(stale_day(day, date(2026, 10, 31))) is is_told

@@ -32,6 +32,7 @@ def test_a_quota_limits_the_cores_and_a_part_of_one_counts(machine):
     assert cores(machine("/job", job="250000 100000\n")) == 3
     assert cores(machine("/job", job="20000 100000\n")) == 1
     assert cores(machine("/job", job="1600000 100000\n")) == 8
+    assert cores(machine("/job", job=f"{10**400} 1\n")) == 8  # more than a float can be
 
 
 def test_the_smallest_quota_of_a_cgroup_and_those_around_it_counts(machine):

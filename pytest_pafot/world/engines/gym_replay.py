@@ -150,8 +150,8 @@ class StockPolicy(GuardedDriver):
         A wrapper's exception is raised later, in the next decision.
         """
         try:
-            self._seen, *others = call()
-            self.is_over = any(map(bool, others[1:3]))  # a reset returns only an info in addition
+            self._seen, *others = result = call()
+            self.is_over = len(others) != 1 and _has_ended(result)  # a reset returns only an info in addition
         except UNFIT as error:
             if self.outer is self.outer.unwrapped:
                 raise
@@ -323,7 +323,7 @@ class EpisodeEnds(OwnEnds):
         guard: HangGuard,
     ) -> None:
         super().__init__(outer.unwrapped, ENDS, rules, guard)
-        self._outer, self._loop = outer, vehicles.loop
+        self._outer, self._loop, self._last = outer, vehicles.loop, rules.ticks(scenario)
         self._begin: Callable[[], None] = partial(self._reset, objects, scenario.seed, vehicles)
         self._put: Callable[[], None] = _nothing
         self._move: Callable[[], AdsError | None] = _nothing
@@ -336,7 +336,7 @@ class EpisodeEnds(OwnEnds):
         self._put = showing(env, vehicles)
         _stand_in(env, "_simulate", self._simulate)
         for name in ENDS:
-            _stand_in(env, name, partial(self.says, name))
+            _stand_in(env, name, partial(self._says, name))
         space, names = outer.action_space, getattr(env.action_type, "actions_indexes", {})
         space.seed(seed)
         self._action = space.sample()
@@ -351,8 +351,7 @@ class EpisodeEnds(OwnEnds):
         try:  # Only decisions, and what ends episodes, are guarded, as in runs of a policy: a step may take its time.
             begin, self._begin = self._begin, _nothing  # before the first step
             begin()
-            *_, terminated, truncated, _ = self._outer.step(self._action)
-            is_over = bool(terminated) or bool(truncated)
+            is_over = _has_ended(self._outer.step(self._action))
         except UNFIT as error:
             failed = error_of(error, self.asked, self._guard).text
             self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
@@ -365,10 +364,17 @@ class EpisodeEnds(OwnEnds):
 
     def _simulate(self, *_: Any) -> None:
         """Drive the run in place of the environment's vehicles, and show these where those of the run are."""
-        if self._error is None and not self._loop.is_over:
+        if not self._is_over:
             self._error = self._move()
         self._put()
         self._env.steps = self._loop.tick
+
+    def _says(self, name: str) -> bool:
+        return self._is_over or self.says(name)  # see _Loop._says
+
+    @property
+    def _is_over(self) -> bool:
+        return self._error is not None or self._loop.is_over or self._loop.tick == self._last
 
 
 def episode_beside(
@@ -391,6 +397,20 @@ def _stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
         return call(*given) if asked is env else getattr(type(asked), name)(asked, *given)
 
     setattr(env, name, MethodType(method, env))
+
+
+def _has_ended(result: Sequence[Any]) -> bool:
+    """Return whether a step says that the episode is over.
+
+    Raises:
+        ValueError: if it returns what steps of the older gym do, in which the third and fourth value are others.
+    """
+    if len(result) != 5:
+        raise ValueError(
+            "step: expected (observation, reward, terminated, truncated, info), as in gymnasium, received "
+            f"{len(result)} values; return both terminated and truncated"
+        )
+    return bool(result[2]) or bool(result[3])
 
 
 def _end_of(outer: Any) -> str:
@@ -455,7 +475,7 @@ class _Loop:
             is_episode = isinstance(driver, StockPolicy)
             self._ends = OwnEnds(env, ENDS if is_episode else ends, vehicles.rules, guard)
             for name in ENDS:
-                _stand_in(env, name, partial(self._ends.says, name) if is_episode else _nothing)
+                _stand_in(env, name, partial(self._says, self._ends, name) if is_episode else _nothing)
         self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
@@ -508,6 +528,13 @@ class _Loop:
         trace = replace(trace, ads_hz=hz)
         # A wrapper or the environment's own step may have repeated actions.
         return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
+
+    def _says(self, ends: OwnEnds, name: str) -> bool:
+        """Return whether a method says that the episode is over, as it is with the run.
+
+        Otherwise, a wrapper whose step goes on until the end of the episode would go on after a collision for ever.
+        """
+        return self._is_over or ends.says(name)
 
     def _end(self, ends: OwnEnds) -> None:
         """End the run after a step if the environment or one of its wrappers ends the episode."""

@@ -361,9 +361,17 @@ class Doubtful(gymnasium.Wrapper):
         return seen, reward, np.array([terminated, truncated]), truncated, info
 
 
+class Old(gymnasium.Wrapper):
+    """Its step returns what the older gym expected."""
+
+    def step(self, action):
+        seen, reward, terminated, truncated, info = super().step(action)
+        return seen, reward, terminated or truncated, info
+
+
 @pytest.mark.parametrize(
     ("wrapper", "ticks", "error"),
-    [(FailingReset, 0, "KeyError: 'start'"), (Doubtful, 5, "ValueError: ")],
+    [(FailingReset, 0, "KeyError: 'start'"), (Doubtful, 5, "ValueError: "), (Old, 5, "ValueError: step: expected (o")],
 )
 @pytest.mark.parametrize("drive", ["reference", "class"])
 def test_wrappers_that_fail_beside_an_episode_end_the_run_there(wrapper, ticks, error, drive):
@@ -408,6 +416,46 @@ def test_a_collision_within_a_step_ends_the_run_of_a_reference_driver_as_a_colli
     first, second = (world.take_over(hit, hit.ticks - 1, "careful-human") for world in (plain, wrapped))
     assert (second.outcome, second.ticks % 80 < 75) == (Outcome.COLLISION, True)  # a step is 16 of 5 ticks
     assert second.states.tobytes() == first.states.tobytes()
+
+
+class Blind(IDMVehicle):
+    def act(self, action=None):
+        self.action = {"steering": 0.0, "acceleration": 0.0}
+
+
+class Unlimited(HighwayEnvFast):
+    def _is_truncated(self):
+        return False
+
+
+class Whole(gymnasium.Wrapper):
+    """A step goes on until the episode is over."""
+
+    def step(self, action):
+        for _ in range(1000):
+            result = super().step(action)
+            if result[2] or result[3]:
+                return result
+        raise TimeoutError("the episode does not end")
+
+
+@pytest.mark.parametrize("duration", [20.0, 2.0])
+def test_the_episode_is_over_for_wrappers_when_the_run_is(register, duration):
+    register("ending-v0", entry_point=Unlimited)
+    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]], ego_speed=30.0, gene_seconds=10.0)
+    plain, wrapped = (World("ending-v0", duration=duration, wrappers=each) for each in (None, [Whole]))
+    for ads in (idle, lambda: Blind):
+        first, second = (world.rollout(stops, ads) for world in (plain, wrapped))
+        assert (second.outcome, second.ticks, second.ended) == (first.outcome, first.ticks, "")
+        assert second.outcome is (Outcome.COLLISION if duration > 7.2 else Outcome.SAFE)
+    assert wrapped.rollout_reference(stops, "careful-human").ended == ""
+
+
+def test_a_policy_has_no_episodes_that_a_step_of_the_older_gym_ends_by_its_info():
+    world = World("highway-fast-v0", wrappers=[Old])
+    trace = world.rollout(scenario_in(world), idle)
+    assert trace.outcome is Outcome.ADS_ERROR
+    assert trace.error.message.startswith("step: expected (observation, reward, terminated, truncated, info), as in g")
 
 
 class Batching:
