@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,7 +66,31 @@ def _of_torch(torch: Any) -> _Generator:
         own = torch.Generator().manual_seed(seed)
         return lambda: float(torch.rand((), generator=own))
 
-    return _Generator(state, give_back, torch.manual_seed, lambda: float(torch.rand(())), seeded)
+    return _Generator(state, give_back, partial(_seed_torch, torch), lambda: float(torch.rand(())), seeded)
+
+
+NO_FRAMES = -1
+"""The value of ``sys.tracebacklimit`` with which :mod:`traceback` takes no frame of a stack."""
+
+
+def _seed_torch(torch: Any, seed: int) -> None:
+    """Seed the generators of torch on all devices, also on those that are initialised later.
+
+    For each kind of device that is not initialised, torch stores the seed with the text of the whole stack: a
+    millisecond within pytest, each time. Without frames, it takes a fortieth of that.
+    """
+    before = vars(sys).get("tracebacklimit")
+    if before == NO_FRAMES:  # another thread seeds at this moment, and gives back what was there before
+        torch.manual_seed(seed)
+        return
+    try:
+        sys.tracebacklimit = NO_FRAMES
+        torch.manual_seed(seed)
+    finally:
+        if before is None:
+            vars(sys).pop("tracebacklimit", None)
+        else:
+            sys.tracebacklimit = before
 
 
 @dataclass(frozen=True)

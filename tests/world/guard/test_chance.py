@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import random
+import sys
+import threading
+import traceback
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +15,7 @@ import pytest
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.world.guard.chance import GENERATORS, Unseeded
+from pytest_pafot.world.guard.chance import GENERATORS, Unseeded, _seed_torch
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 WORLD = Highway(duration=2.0)
@@ -165,3 +169,47 @@ def test_the_generator_of_torch_is_seeded_if_torch_is_imported() -> None:
     assert drive(ads).actions == drive(ads).actions != drive(ads, seed=2).actions
     assert drive(ads).drew
     assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.mark.parametrize("limit", [None, 5, -1])
+def test_torch_is_seeded_without_the_text_of_the_stack(monkeypatch: pytest.MonkeyPatch, limit: int | None) -> None:
+    """Until its devices are initialised, torch stores that text with each seed; a stand-in does the same."""
+    stored = []
+    torch = SimpleNamespace(manual_seed=lambda seed: stored.append((seed, traceback.format_stack())))
+    monkeypatch.delattr(sys, "tracebacklimit", raising=False)
+    if limit is not None:
+        monkeypatch.setattr(sys, "tracebacklimit", limit, raising=False)
+    _seed_torch(torch, 7)
+    assert stored == [(7, [])]
+    assert getattr(sys, "tracebacklimit", None) == limit
+
+
+def test_limit_of_tracebacks_comes_back_if_two_threads_seed_torch_or_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(sys, "tracebacklimit", raising=False)
+    inner = SimpleNamespace(manual_seed=lambda seed: None)
+
+    def seeds_meanwhile(seed: int) -> None:
+        thread = threading.Thread(target=_seed_torch, args=(inner, seed))
+        thread.start()
+        thread.join()
+        raise ValueError(seed)
+
+    with pytest.raises(ValueError, match="7"):
+        _seed_torch(SimpleNamespace(manual_seed=seeds_meanwhile), 7)
+    assert not hasattr(sys, "tracebacklimit")
+
+
+def test_torch_seeds_a_gpu_that_is_initialised_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_initialized():
+        pytest.skip("the GPU is initialised already")
+    _seed_torch(torch, 7)
+    initialise, stack = torch.cuda._lazy_seed_tracker.manual_seed_all_cb
+    gpu, expected = torch.Generator(), torch.Generator().manual_seed(7)
+    monkeypatch.setattr(torch.cuda, "default_generators", (gpu,))
+    monkeypatch.setattr(torch.cuda.random, "device_count", lambda: 1)
+    initialise()
+    assert stack == []
+    assert torch.equal(torch.rand(4, generator=gpu), torch.rand(4, generator=expected))
+    expected.manual_seed(7)
+    assert torch.equal(torch.rand(4), torch.rand(4, generator=expected))
