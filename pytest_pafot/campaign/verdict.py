@@ -16,7 +16,7 @@ from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure, Signature
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import WORLD_HANG, Outcome
 from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
 from pytest_pafot.searching.evaluation import Evaluation
@@ -214,8 +214,9 @@ def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
 
 
 def ads_text(failure: Failure, timing: str = "") -> str:
-    """Return how the ADS itself failed, with the traceback if it raised."""
-    text = f"the ADS failed: {failure.kind}: {failure.message}{timing}"
+    """Return how the ADS itself, or the environment, failed, with the traceback if it raised."""
+    who = "environment" if failure.kind == WORLD_HANG else "ADS"
+    text = f"the {who} failed: {failure.kind}: {failure.message}{timing}"
     return f"{text}\n\n{failure.traceback.rstrip()}" if failure.traceback else text
 
 

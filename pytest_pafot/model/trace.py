@@ -52,7 +52,7 @@ class Outcome(StrEnum):
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned no valid action."""
     HANG = "hang"
-    """A decision took longer than the hang limit, by the wall clock."""
+    """A decision took longer than the hang limit, or the world hung, by the wall clock."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,17 +106,21 @@ class Collision:
         return f"<Collision after {self.time:.1f} s: {what}{where}, {self.side} of the ego>"
 
 
+WORLD_HANG = "WorldHang"
+"""The kind of an error that is not the ADS's: a method of the environment, or of a wrapper, did not return."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdsError:
     """An error of the ADS, which did not return an action.
 
     Attributes:
         kind: name of the exception class; ``BadAction`` for an action that is not valid, ``Hang`` for a decision that
-            took too long.
+            took too long, :data:`WORLD_HANG` for code of the environment that did.
         message: message of the error, one line.
         traceback: traceback through the user's code; empty for a bad action.
         tick: physics tick of the decision.
-        interrupted: whether the ADS hung and was interrupted.
+        interrupted: whether the ADS, or the environment, hung and was interrupted.
     """
 
     kind: str
@@ -124,6 +128,11 @@ class AdsError:
     traceback: str
     tick: int
     interrupted: bool = False
+
+    @property
+    def is_of_ads(self) -> bool:
+        """False if the environment failed, and not the ADS."""
+        return self.kind != WORLD_HANG
 
     @property
     def text(self) -> str:

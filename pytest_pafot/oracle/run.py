@@ -583,8 +583,9 @@ class Run(Shown):
             what = "a fixed object " if hit.npc is None else f"NPC {hit.npc} "
             return f"collision after {hit.time:.1f} s: {what}{place}against the ego's {hit.side}"
         if self.ads_error is not None:
-            kind = "ADS hangs" if self.outcome is Outcome.HANG else "ADS error"
-            return f"{kind} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
+            who = "ADS" if self.ads_error.is_of_ads else "environment"
+            what = f"{who} hangs" if self.outcome is Outcome.HANG else "ADS error"
+            return f"{what} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
         if self.outcome is Outcome.INVALID:
             more = ", or one touched a fixed object" if self.trace.obstacles else ""
             why, npc = self.trace.users_error_text or f"two NPCs touched{more}", self.trace.npc_error

@@ -43,7 +43,7 @@ SHOWN = 6  # the number of innermost frames that are printed
 
 @contextmanager
 def session_ends_if_stuck(item: pytest.Item) -> Iterator[None]:
-    """End the session if a decision of the ADS inside this context hangs and ignores interrupts."""
+    """End the session if the ADS, or its environment, hangs inside this context and ignores interrupts."""
     main, file = threading.get_ident(), _real_stderr(item.config)
     try:
         with last_resort(LastResort(end=lambda: _end(item, main), grace=GRACE, file=file)):
@@ -70,9 +70,9 @@ def _end(item: pytest.Item, thread: int) -> None:
 def _flush(item: pytest.Item, stack: str) -> None:
     """Report a stuck item and end the session as an interrupt would, but from another thread than the item's."""
     reason = (
-        f"{item.nodeid}: a decision of the ADS exceeds the hang limit of the world and ignores every interrupt, so "
+        f"{item.nodeid}: code of the ADS, or of its environment, exceeds its limit and ignores every interrupt, so "
         "this session has to end. The scenario is on disk: the next session runs it again in a separate process and "
-        f"saves it. With {flag('isolate')}, the search continues after such a decision"
+        f"saves it. With {flag('isolate')}, the search continues after such a hang"
     )
     item.ihook.pytest_runtest_logreport(
         report=pytest.TestReport(
@@ -80,12 +80,12 @@ def _flush(item: pytest.Item, stack: str) -> None:
             location=item.location,
             keywords={},
             outcome="failed",
-            longrepr=f"{reason}.\n\nThe decision, innermost call last:\n{stack}",
+            longrepr=f"{reason}.\n\nWhat it calls, innermost call last:\n{stack}",
             when="call",
         )
     )
     try:
-        pytest.exit(f"the ADS hangs in {item.nodeid}, as its failure says", returncode=STATUS)
+        pytest.exit(f"the ADS or its environment hangs in {item.nodeid}, as its failure says", returncode=STATUS)
     except pytest.exit.Exception:
         item.config.hook.pytest_keyboard_interrupt(excinfo=pytest.ExceptionInfo.from_current())
     item.session.exitstatus = STATUS

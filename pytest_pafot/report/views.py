@@ -273,7 +273,8 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
             besides, collision = f"Also in this run: {collision_in_short(run)}", _prose([first, *sentences])
         sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
     if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
-        headline = f"ego's policy failed at {run.event_time:.1f} s: {headline}"
+        who = "ego's policy" if run.ads_error.is_of_ads else "environment"
+        headline = f"{who} failed at {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
     found = None if finding.original is None or finding.shrunk is None else finding.original
     if check is None and headline.endswith("at fault") and run is not None and run.event_npc is not None:

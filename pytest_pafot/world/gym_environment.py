@@ -12,6 +12,7 @@ import inspect
 import itertools
 import math
 import textwrap
+import traceback
 import warnings
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -29,6 +30,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, SearchedLanes, compiled_network, straight_road
 from pytest_pafot.world.guard.failure import UNFIT, let_through
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang, patience_with_world
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.limits import CONNECTED
 from pytest_pafot.world.roads.straight import StraightRoad
@@ -125,11 +127,76 @@ PLAIN = (bool, int, float, str, list, tuple, dict, set, np.ndarray, np.generic)
 MUTABLE = (list, dict, set, bytearray, deque, np.ndarray)
 """The types of attributes that are changed in place."""
 
+IGNORED = 0.5
+"""The time for which an environment may ignore interruptions before the process of a worker ends [s]."""
+
 NEUTRAL = (OrderEnforcing, PassiveEnvChecker, TimeLimit)
 """The wrappers that ``gymnasium.make`` itself puts around any environment.
 
 These wrappers check calls or end episodes; they change neither observations nor actions.
 """
+
+
+class EnvironmentGuard(HangGuard):
+    """A guard of the code of an environment and its wrappers, which may take as long as that of a user's world.
+
+    Args:
+        hang_limit: the limit of a decision in the world [s]. Decisions within a step have guards of their own.
+    """
+
+    def __init__(self, hang_limit: float) -> None:
+        super().__init__(patience_with_world(hang_limit))
+        self._idle_limit = hang_limit
+
+    @contextmanager
+    def call(self) -> Iterator[None]:
+        """Guard a call of a method of the environment in a ``with`` block.
+
+        Raises:
+            WorldHang: if it does not return in time.
+            OutOfTime: if the time of the search is over.
+        """
+        try:
+            try:
+                self.decision_starts()
+                yield
+            finally:
+                self.decision_ends()
+            self.raise_swallowed()
+        except AdsHang as error:
+            self.decision_ends()
+            message = f"{_running(error)} did not return within {self.limit:g} s and was interrupted"
+            raise WorldHang(message).with_traceback(error.__traceback__) from None
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Leave out the time of a ``with`` block within a call, in which other code runs."""
+        started, now = self.started, self.clock()
+        self.decision_ends()
+        try:
+            yield
+        finally:
+            if started is not None:
+                self.started = started + self.clock() - now
+
+    def is_stuck(self) -> bool:
+        """Return whether the environment ignores interruptions."""
+        started = self.started
+        return started is not None and self.clock() - started > self.limit + IGNORED
+
+
+def _running(error: AdsHang) -> str:
+    """Return the class and the method of an environment or wrapper that was running when it was interrupted.
+
+    It is the innermost one of the user's own: a wrapper that steps its environment for ever spends its time there.
+    """
+    found, is_own = "the environment", False
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        env, name = frame.f_locals.get("self"), frame.f_code.co_name
+        is_users = str(frame.f_globals.get("__name__")).partition(".")[0] not in ("gymnasium", "highway_env")
+        if isinstance(env, gymnasium.Env) and not name.startswith("<") and (is_users or not is_own):
+            found, is_own = f"{type(env).__name__}.{name}", is_users
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +207,28 @@ class GymEnvironment:
         env_id: the environment's registered id.
         config: the user's configuration; None for the registered configuration.
         wrappers: the user's wrappers; None if the policy must see the environment without wrappers.
+        hang_limit: the limit of a decision in the world [s].
     """
 
     env_id: str
     config: dict[str, Any] | None
     wrappers: Sequence[Callable[[Any], Any]] | None
+    hang_limit: float
+
+    @contextmanager
+    def in_time(self) -> Iterator[None]:
+        """Guard a call of a method of an environment outside of a run, in a ``with`` block.
+
+        Raises:
+            WorldError: if it does not return in time.
+        """
+        try:
+            with EnvironmentGuard(self.hang_limit) as guard, guard.call():
+                yield
+        except WorldHang as error:
+            fix = "correct it, or give the world a longer hang_limit"
+            expected = "an environment whose methods return"
+            raise WorldError(field="env_id", expected=expected, received=str(error), fix=fix) from error
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what another process needs, which makes an environment with traffic itself."""
@@ -162,8 +246,10 @@ class GymEnvironment:
         _check_sizes(given, creator)
         try:
             # What an environment sets in classes, such as in its __init__, holds in an episode of its own traffic.
-            with nullcontext() if has_traffic else vehicle_classes_kept():
+            with nullcontext() if has_traffic else vehicle_classes_kept(), self.in_time():
                 env = _made(self.env_id, creator, self._given_config, has_traffic=has_traffic)
+        except WorldError:
+            raise
         except Exception as error:
             if not has_traffic and _may_begin_in_traffic(creator, given):
                 return self.make(has_traffic=True)
@@ -185,7 +271,8 @@ class GymEnvironment:
                 fix=f"if the run should use these registered wrappers and no others, give "
                 f"pafot.World({self.env_id!r}, wrappers=[]); the list contains only wrappers to add to them",
             )
-        return _wrapped(env, self.wrappers or ())
+        with self.in_time():
+            return _wrapped(env, self.wrappers or ())
 
     @cached_property
     def outer(self) -> Any:
@@ -199,7 +286,10 @@ class GymEnvironment:
             without_traffic = {name: env.config[name] for name in REPLACED if name in env.config}
             with vehicle_classes_kept():
                 try:
-                    outer.reset(seed=0)
+                    with self.in_time():
+                        outer.reset(seed=0)
+                except WorldError:
+                    raise
                 except UNFIT as error:  # in a run, this is a failure of the first decision
                     let_through(error)
                 env.config |= without_traffic
@@ -222,7 +312,10 @@ class GymEnvironment:
         for _ in range(resets):
             with vehicle_classes_kept():
                 try:
-                    outer.reset(seed=0)
+                    with self.in_time():
+                        outer.reset(seed=0)
+                except WorldError:
+                    raise
                 except UNFIT as error:  # in a run, this is a failure of the first decision
                     let_through(error)
                     return
@@ -419,7 +512,7 @@ class GymEnvironment:
         for name in own:
             given = {"_info": (seen, action), "_is_terminated": (), "_is_truncated": ()}.get(name, (action,))
             before = _plain_state(env)
-            with suppress(Exception):  # an episode would show it
+            with suppress(Exception), self.in_time():  # an episode would show it
                 getattr(env, name)(*given)
             after = _plain_state(env)
             changed = [key for key in after if after[key] != before.get(key)]
@@ -443,7 +536,7 @@ class GymEnvironment:
             return (*other.position, other.heading, other.speed, other.target_speed)
 
         before = state()
-        with vehicle_classes_kept(), suppress(Exception):  # a run would show it
+        with vehicle_classes_kept(), suppress(Exception), self.in_time():  # a run would show it
             outer.reset(seed=0)
         return state() != before
 

@@ -322,7 +322,7 @@ class World(BuiltInWorld):
         """The object that makes and checks the environment; its first use imports highway-env."""
         from pytest_pafot.world.gym_environment import GymEnvironment  # noqa: PLC0415  (imports highway-env)
 
-        return GymEnvironment(self.env_id, self.config, self.wrappers)
+        return GymEnvironment(self.env_id, self.config, self.wrappers, self.hang_limit)
 
     def make(self) -> Any:
         """Make a fresh environment without traffic, in all its wrappers."""

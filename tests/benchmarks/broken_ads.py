@@ -199,7 +199,7 @@ MODES: Mapping[str, Sequence[str]] = MappingProxyType(
 )
 TELLING = (
     re.compile(r"^(?:FAILED|ERROR) \S*test_broken"),
-    re.compile(r"^pafot: (?:found|died|hang)|a decision of the ADS exceeds"),
+    re.compile(r"^pafot: (?:found|died|hang)|code of the ADS, or of its environment, exceeds"),
     re.compile(r"Fatal Python error|^!+ .* !+$"),
     re.compile(r"^ +(?:warning|note): (?!--pafot-workers)"),
 )

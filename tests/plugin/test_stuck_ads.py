@@ -97,12 +97,12 @@ def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
     assert found
     result.stdout.fnmatch_lines(
         [
-            "*test_it.py::test_it?search?: a decision of the ADS exceeds the hang limit*",
+            "*test_it.py::test_it?search?: code of the ADS, or of its environment, exceeds its limit*",
             "*in pause*",
             "*AssertionError: what was found*",
             "*ended early; its findings are reported*",
             "FAILED test_it.py::test_it[[]search[]]*",
-            "*the ADS hangs in test_it.py::test_it?search?*",
+            "*the ADS or its environment hangs in test_it.py::test_it?search?*",
         ]
     )
     text = (project.path / "junit.xml").read_text()

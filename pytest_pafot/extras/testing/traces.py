@@ -90,6 +90,8 @@ def is_straight(trace: Trace) -> bool:
 
 def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     """Yield what test functions, measures and report pages rely on when they read a trace."""
+    if trace.error is not None and not trace.error.is_of_ads:
+        yield False, "the methods of the environment return", f"{trace.error.text}\n{trace.error.traceback}"
     yield trace.error is None, "the ADS of the check drives in this world", f"{trace.error}; give a different ads="
     states, start = trace.states, trace.states[0]
     yield states.shape[1] == len(scenario.npcs) + 1, "states contain the ego and each NPC", f"shape {states.shape}"

@@ -22,6 +22,7 @@ from pytest_pafot.world.driving.seeing import ImperfectSensor, PolicySight
 from pytest_pafot.world.driving.vehicles import compiled_network, straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.gym_environment import EnvironmentGuard
 from pytest_pafot.world.kernel.action import plain_action
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
@@ -97,6 +98,7 @@ class Start:
         seed: seed of the episode and of the errors of an imperfect sight.
         sight: sight of the ADS; None if it is perfect.
         eyes: maker of the imperfect observations of a policy with a sight; None without a sight.
+        around: guard that interrupts steps of the environment.
         physics_hz: ticks per second.
         ticks: largest number of ticks of the episode.
         every: ticks per step of the environment.
@@ -112,6 +114,7 @@ class Start:
     seed: int = 0
     sight: Sight | None = None
     eyes: PolicySight | None = field(init=False, default=None)
+    around: EnvironmentGuard = field(init=False)
     physics_hz: int = field(init=False)
     every: int = field(init=False)
     ticks: int = field(init=False)
@@ -119,6 +122,7 @@ class Start:
 
     def __post_init__(self) -> None:
         config = self.env.config
+        self.around = EnvironmentGuard(self.guard.limit)
         self.physics_hz = int(config["simulation_frequency"])
         self.every = int(config["simulation_frequency"] // config["policy_frequency"])
         longest = min(float(config.get("duration", LONGEST)), LONGEST)
@@ -205,14 +209,15 @@ class Start:
         return tuple(map(_bent, self.env.road.network.lanes_list()))
 
     def guarded(self, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Call the user's code under the time limit and return its result."""
-        self.guard.decision_starts()
-        try:
-            result = call(*arguments)
-        finally:
-            self.guard.decision_ends()
-        self.guard.raise_swallowed()
-        return result
+        """Call the ADS's code under the time limit of a decision and return its result."""
+        with self.around.paused():
+            self.guard.decision_starts()
+            try:
+                result = call(*arguments)
+            finally:
+                self.guard.decision_ends()
+            self.guard.raise_swallowed()
+            return result
 
     def action(self, seen: Any, tick: int) -> Any:
         """Return the policy's action for an observation.

@@ -35,9 +35,10 @@ from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang
 from pytest_pafot.world.gym_environment import (
     ENDS,
+    EnvironmentGuard,
     GymEnvironment,
     has_own_act,
     obstacles_of,
@@ -123,12 +124,16 @@ class StockPolicy(GuardedDriver):
         if sight is not None:
             sight.observe_through()
 
-    def begin(self, seed: int, objects: Sequence[Any]) -> None:
+    def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any]) -> None:
         """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
 
         ``objects`` are those that the environment's ``_reset`` has put on the road.
+
+        Raises:
+            WorldHang: if the environment, or a wrapper, does not return in time.
         """
-        self._see(lambda: _reset_in_place(self.outer, seed, objects))
+        with around.call():
+            self._see(lambda: _reset_in_place(self.outer, seed, objects))
 
     def decided(self, tick: int) -> Any:
         """Call the ADS, and return its checked action, which the environment applies in the next step."""
@@ -140,9 +145,14 @@ class StockPolicy(GuardedDriver):
         self._action = checked_action(self.without_plan(self._ads(self._seen)), self.outer.action_space)
         return self._action
 
-    def take_step(self) -> None:
-        """Do the environment's step with the last action."""
-        self._see(lambda: self.outer.step(self._action))
+    def take_step(self, around: EnvironmentGuard) -> None:
+        """Do the environment's step with the last action.
+
+        Raises:
+            WorldHang: if the environment, or a wrapper, does not return in time.
+        """
+        with around.call():
+            self._see(lambda: self.outer.step(self._action))
 
     def _see(self, call: Callable[[], tuple[Any, ...]]) -> None:
         """Store the observation of a reset or step, and whether that ended the episode.
@@ -153,7 +163,7 @@ class StockPolicy(GuardedDriver):
             self._seen, *others = result = call()
             self.is_over = len(others) != 1 and _has_ended(result)  # a reset returns only an info in addition
         except UNFIT as error:
-            if self.outer is self.outer.unwrapped:
+            if self.outer is self.outer.unwrapped or isinstance(error, AdsHang):
                 raise
             let_through(error)
             self.failure = error
@@ -229,7 +239,7 @@ def replay_environment(
     A policy's is in all its wrappers. Vehicle classes and planners need none, and call highway-env's own ``step``.
     """
     outer, route = environment.make(), environment.route
-    env, objects = _reset(outer, scenario, environment.config_of_wrappers)
+    env, objects = _reset(outer, scenario, environment)
     view = None
     if not (is_planner or policy.drives_itself):
         put_policys_ego(environment, env, rules, scenario)
@@ -258,14 +268,15 @@ def replay_environment(
         return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects, limit).run()
 
 
-def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = None) -> tuple[Any, list[Any]]:
-    """Reset an environment, and disable its methods that add traffic later.
+def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = None) -> tuple[Any, list[Any]]:
+    """Reset an environment of a world, or one of highway-env's own, and disable its methods that add traffic later.
 
     Returns:
         The environment without wrappers, and the objects that its ``_reset`` has put on the road.
     """
     env = outer.unwrapped
-    env.config |= copy.deepcopy(dict(config or {}))  # for the road, which is that of this reset
+    if environment is not None:
+        env.config |= copy.deepcopy(environment.config_of_wrappers)  # for the road, which is that of this reset
     objects, put = list[Any](), env._reset
 
     def noting_objects() -> None:
@@ -273,7 +284,7 @@ def _reset(outer: Any, scenario: Scenario, config: Mapping[str, Any] | None = No
         objects[:] = env.road.objects
 
     env._reset = noting_objects
-    with vehicle_classes_kept():
+    with vehicle_classes_kept(), nullcontext() if environment is None else environment.in_time():
         env.reset(seed=0)
     env._reset = put
     for name in TRAFFIC_HOOKS:
@@ -324,6 +335,7 @@ class EpisodeEnds(OwnEnds):
     ) -> None:
         super().__init__(outer.unwrapped, ENDS, rules, guard)
         self._outer, self._loop, self._last = outer, vehicles.loop, rules.ticks(scenario)
+        self._around = EnvironmentGuard(rules.hang_limit)
         self._begin: Callable[[], None] = partial(self._reset, objects, scenario.seed, vehicles)
         self._put: Callable[[], None] = _nothing
         self._move: Callable[[], AdsError | None] = _nothing
@@ -348,10 +360,13 @@ class EpisodeEnds(OwnEnds):
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
         """Drive the run by ``move`` within a step of the wrapped environment; return an error of the ADS."""
         self._move, self.asked = move, loop.tick
-        try:  # Only decisions, and what ends episodes, are guarded, as in runs of a policy: a step may take its time.
+        try:
             begin, self._begin = self._begin, _nothing  # before the first step
-            begin()
-            is_over = _has_ended(self._outer.step(self._action))
+            with self._around as around, around.call():
+                begin()
+                is_over = _has_ended(self._outer.step(self._action))
+        except WorldHang as error:
+            return self._error or error_of(error, loop.tick, self._guard)
         except UNFIT as error:
             failed = error_of(error, self.asked, self._guard).text
             self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
@@ -365,7 +380,8 @@ class EpisodeEnds(OwnEnds):
     def _simulate(self, *_: Any) -> None:
         """Drive the run in place of the environment's vehicles, and show these where those of the run are."""
         if not self._is_over:
-            self._error = self._move()
+            with self._around.paused():
+                self._error = self._move()
         self._put()
         self._env.steps = self._loop.tick
 
@@ -382,7 +398,7 @@ def episode_beside(
 ) -> EpisodeEnds:
     """Begin an episode of a wrapped environment next to a run whose ego is none of its vehicles."""
     outer = environment.make()
-    env, objects = _reset(outer, scenario, environment.config_of_wrappers)
+    env, objects = _reset(outer, scenario, environment)
     put_policys_ego(environment, env, rules, scenario)
     return EpisodeEnds(outer, objects, rules, scenario, vehicles, guard)
 
@@ -450,6 +466,8 @@ class _Loop:
         step_limit: int | None = None,
     ) -> None:
         self._env, self._driver, self._guard, self._run, self._objects = env, driver, guard, vehicles, objects
+        self._around = EnvironmentGuard(vehicles.rules.hang_limit)
+        self._hz = vehicles.rules.ads_hz
         self._step_limit = step_limit
         self._bodies = vehicles.vehicles
         vehicles.give_drivers(guard)
@@ -487,45 +505,17 @@ class _Loop:
     def run(self) -> Trace:
         """Decide and step until the run ends, and return its trace."""
         try:
-            return self._driven()
+            with self._guard, self._around:
+                try:
+                    self._drive()
+                except WorldHang as error:
+                    self._error = error_of(error, self._run.loop.tick, self._guard)
+            trace = self._run.trace(self._driver, self._error)
         finally:
             self._run.close()
-
-    def _driven(self) -> Trace:
-        driver, loop, hz = self._driver, self._run.loop, self._run.rules.ads_hz
-        with self._guard:
-            if isinstance(driver, StockPolicy):
-                self._make_npcs(_HeldVehicle)  # some environments slow their traffic down in `reset`
-                driver.begin(self._run.scenario.seed, self._objects)
-                self._make_npcs(StockVehicle)
-                hz = self._rate()
-                self._check_vehicles("reset")
-                self._check_objects()
-                self._find_contacts_alone()
-            while not self._is_over:
-                tick = loop.tick
-                self._asked.append(tick)
-                self._error = driver.decide(tick)
-                if self._error is not None:
-                    break
-                if isinstance(driver, StockPolicy):
-                    driver.take_step()
-                else:  # the driver has set the ego's controls, and None does not change them
-                    AbstractEnv.step(self._env, None)
-                self._check_vehicles("step")
-                self._check_objects()
-                if loop.tick == tick and not self._is_over and getattr(driver, "failure", None) is None:
-                    raise WorldError(
-                        f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
-                        f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
-                        f"episodes"
-                    )
-                if self._ends is not None and not self._is_over:
-                    self._end(self._ends)
-        trace = self._run.trace(driver, self._error)
-        if not isinstance(driver, StockPolicy):
+        if not isinstance(self._driver, StockPolicy):
             return trace
-        trace = replace(trace, ads_hz=hz)
+        trace = replace(trace, ads_hz=self._hz)
         # A wrapper or the environment's own step may have repeated actions.
         return trace if self._asked == list(trace.decision_ticks) else replace(trace, decided=tuple(self._asked))
 
@@ -535,6 +525,38 @@ class _Loop:
         Otherwise, a wrapper whose step goes on until the end of the episode would go on after a collision for ever.
         """
         return self._is_over or ends.says(name)
+
+    def _drive(self) -> None:
+        driver, loop, around = self._driver, self._run.loop, self._around
+        if isinstance(driver, StockPolicy):
+            self._make_npcs(_HeldVehicle)  # some environments slow their traffic down in `reset`
+            driver.begin(around, self._run.scenario.seed, self._objects)
+            self._make_npcs(StockVehicle)
+            self._hz = self._rate()
+            self._check_vehicles("reset")
+            self._check_objects()
+            self._find_contacts_alone()
+        while not self._is_over:
+            tick = loop.tick
+            self._asked.append(tick)
+            self._error = driver.decide(tick)
+            if self._error is not None:
+                break
+            if isinstance(driver, StockPolicy):
+                driver.take_step(around)
+            else:  # the driver has set the ego's controls, and None does not change them
+                with around.call():
+                    AbstractEnv.step(self._env, None)
+            self._check_vehicles("step")
+            self._check_objects()
+            if loop.tick == tick and not self._is_over and getattr(driver, "failure", None) is None:
+                raise WorldError(
+                    f"wrappers: expected that a step of the wrappers steps the environment, received a step that "
+                    f"did not, at {tick / self._run.rules.physics_hz:.1f} s; leave out wrappers that end or reset "
+                    f"episodes"
+                )
+            if self._ends is not None and not self._is_over:
+                self._end(self._ends)
 
     def _end(self, ends: OwnEnds) -> None:
         """End the run after a step if the environment or one of its wrappers ends the episode."""
@@ -660,7 +682,8 @@ class _Loop:
                 del vehicle.act
         if not self._is_over:
             self._moved = self._moved or self._moved_npc()
-            self._run.loop.command()
+            with self._around.paused():  # NPCs may have drivers that decide
+                self._run.loop.command()
             for npc, body in zip(npcs, bodies, strict=True):
                 npc.control(body.acceleration, body.steering)
 
@@ -682,6 +705,8 @@ class _Loop:
                     body.lead(body.x, body.y, body.heading, body.speed)
                     body.step(dt)
         except UNFIT as error:
+            if isinstance(error, AdsHang) and self._around.interruption is not None:  # of this step as a whole
+                raise
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed
             return

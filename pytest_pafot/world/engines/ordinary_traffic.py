@@ -36,7 +36,7 @@ from pytest_pafot.world.driving.policy_driver import View
 from pytest_pafot.world.engines import policies
 from pytest_pafot.world.engines.episode import Episode, EpisodeRecording, Kind, Start, Step
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import HangGuard, WorldHang
 from pytest_pafot.world.gym_environment import NEUTRAL, GymEnvironment, has_known_step, vehicle_classes_kept
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import Body
@@ -170,6 +170,9 @@ class Steps:
                 break
             try:
                 seen, _, is_terminated, is_truncated, _ = self._stepped(outer, action)
+            except WorldHang as error:
+                self.error = error_of(error, before, start.guard)
+                break
             except Exception as error:
                 raise start.unfit(error) from error
             is_over = bool(is_terminated or is_truncated)
@@ -184,7 +187,8 @@ class Steps:
         own = {name: attributes[name] for name in ("act", "step") if name in attributes}
         attributes.update(self._methods)
         try:
-            return env.step(action)
+            with self._start.around.call():
+                return env.step(action)
         finally:
             del attributes["act"], attributes["step"]
             attributes.update(own)
@@ -243,7 +247,8 @@ class Steps:
         x, y = map(float, ego.position)
         self._ego.place(*straight.project(x, y, ego.heading), ego.speed)
         if self.tick % driver.every == 0:
-            self.error = driver.decide(self.tick)
+            with self._start.around.paused():
+                self.error = driver.decide(self.tick)
         driver.actuate()
         ego.control(self._ego.acceleration, self._ego.steering)
 
@@ -497,7 +502,10 @@ def drive(
         outer = environment.with_traffic()
         observe_fast(outer.unwrapped)
         try:
-            seen, _ = outer.reset(seed=seed)
+            with environment.in_time():
+                seen, _ = outer.reset(seed=seed)
+        except WorldError:
+            raise
         except Exception as error:
             expected = f"that {environment.env_id}, in its wrappers, can be reset with the seed {seed}"
             raise WorldError(field="world", expected=expected, received=described(error), fix="correct it") from error
@@ -514,6 +522,7 @@ def drive(
             kind: Kind = "vehicle" if made.drives_itself else "planner" if is_planner else "policy"
             ads, sight = made.decides, made.sight
             start = Start(outer=outer, seen=seen, ads=ads, kind=kind, guard=guard, view=view, seed=seed, sight=sight)
+            at_the_end.enter_context(start.around)
             if start.eyes is not None:
                 at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"

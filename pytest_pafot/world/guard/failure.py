@@ -13,17 +13,17 @@ from types import TracebackType
 from typing import Any
 
 from pytest_pafot.door import EXTRAS
-from pytest_pafot.model.trace import AdsError
+from pytest_pafot.model.trace import WORLD_HANG, AdsError
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard import hang_guard
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang
 
 UNFIT = BaseException
 """The class to catch around the user's code. Call :func:`let_through` afterwards: it raises again every exception that
 the code did not cause."""
 
-OWN = ("pytest_pafot.world.", f"{EXTRAS}.")
+OWN = ("pytest_pafot.world.", f"{EXTRAS}.", "contextlib")
 """The prefixes of modules between the ADS and a run, whose frames are left out of tracebacks."""
 
 TIMEOUT_PLUGINS = ("pytest_timeout",)
@@ -91,8 +91,10 @@ def error_of(error: BaseException, tick: int, guard: HangGuard) -> AdsError:
         frames = traceback.extract_tb(_users_part(error))
         kept = [frame for frame in frames if frame.filename != hang_guard.__file__]  # without the guard's own frames
         where = "".join(["Traceback (most recent call last):\n", *traceback.StackSummary.from_list(kept).format()])
-        message = "one decision took longer than the hang limit of the world and was interrupted"
-        return AdsError(kind="Hang", message=message, traceback=where, tick=tick, interrupted=True)
+        kind, message = "Hang", "one decision took longer than the hang limit of the world and was interrupted"
+        if isinstance(error, WorldHang):
+            kind, message = WORLD_HANG, str(error)
+        return AdsError(kind=kind, message=message, traceback=where, tick=tick, interrupted=True)
     report = traceback.TracebackException(type(error), error, _users_part(error))
     return AdsError(
         kind=type(error).__name__, message=one_line(str(report)), traceback="".join(report.format()), tick=tick

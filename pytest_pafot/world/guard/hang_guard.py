@@ -176,6 +176,10 @@ class AdsHang(BaseException):
     """The interruption of a decision that exceeds the limit; no ``except Exception`` of the ADS catches it."""
 
 
+class WorldHang(AdsHang):
+    """The interruption of a user's environment that exceeds its limit; the message names the class and the method."""
+
+
 class HangGuard:
     """A guard that interrupts the thread that made it when a decision takes longer than a limit.
 
@@ -207,6 +211,7 @@ class HangGuard:
         self.until = _WATCHDOG.until if is_limited else math.inf
         self.started: float | None = None
         self.interruption: BaseException | type[BaseException] | None = None
+        self._idle_limit: float | None = None  # what counts between decisions for native code [s]; None for the limit
         self._sent = False
         self._ignored: tuple[float, float] | None = None
         self._lock = threading.Lock()
@@ -230,6 +235,11 @@ class HangGuard:
             _WATCHDOG.leave(self)
             if self._by_signal:
                 signal.signal(signal.SIGUSR1, self._previous)
+
+    @property
+    def silence(self) -> float:
+        """The time for which native code may keep all Python threads from running [s]."""
+        return self.limit if self._idle_limit is None or self.started is not None else self._idle_limit
 
     @property
     def pause(self) -> float:
@@ -312,7 +322,7 @@ class HangGuard:
             return now - self._ignored[1]
 
     def is_stuck(self) -> bool:
-        """Return whether the code around the decisions hangs. Only a guard of a user's world can know that."""
+        """Return whether the world hangs and cannot be interrupted. Only a guard of the user's world can know that."""
         return False
 
     def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
@@ -358,7 +368,7 @@ class _Watchdog:
     def watch(self, guard: HangGuard) -> None:
         with self._lock:
             self.guards.append(guard)
-            if self._timed is None or guard.limit > self._timed:
+            if self._timed is None or guard.silence > self._timed:
                 self._start_timer()
             if self._thread is None:
                 self._pause = guard.pause
@@ -407,10 +417,10 @@ class _Watchdog:
                 guards, resort = self.guards.copy(), self._resort
                 self._start_timer()
             ignored = max([guard.look() for guard in guards], default=0.0)
-            if resort is not None and ignored > resort.grace:
-                resort.end()
             if resort is not None and resort.end_world is not None and any(guard.is_stuck() for guard in guards):
                 resort.end_world()
+            if resort is not None and ignored > resort.grace:
+                resort.end()
 
     def _start_timer(self) -> None:
         """Restart the timer that ends the process, until the next check; stop it if no run is in progress.
@@ -421,7 +431,7 @@ class _Watchdog:
         if not self.guards:
             self._stop_timer()
         elif resort is not None and resort.file is not None and not _is_debugged():
-            self._timed = max([guard.limit for guard in self.guards])
+            self._timed = max([guard.silence for guard in self.guards])
             seconds = min(self._timed + resort.grace + LONGEST_PAUSE, LONGEST_TIMER)
             faulthandler.dump_traceback_later(seconds, exit=True, file=resort.file)
 

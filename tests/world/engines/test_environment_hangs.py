@@ -1,0 +1,312 @@
+"""An environment, or a wrapper, that does not return from a method ends its run as a hang, and is named."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from contextlib import suppress
+
+import gymnasium
+import pytest
+from highway_env.envs.highway_env import HighwayEnvFast
+from highway_env.vehicle.behavior import IDMVehicle
+
+from pytest_pafot import Free, PositionInstruction, Run, Scenario
+from pytest_pafot.campaign.verdict import ads_text
+from pytest_pafot.findings.finding import ads_failure
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.support.interrupts import interrupted_by_signals
+from pytest_pafot.world import World, WorldError
+from pytest_pafot.world.engines.ordinary_traffic import drive
+from pytest_pafot.world.guard import hang_guard
+from pytest_pafot.world.guard.hang_guard import AdsHang, LastResort, WorldHang, last_resort, runs_end_in
+from pytest_pafot.world.gym_environment import EnvironmentGuard
+from tests.helpers.stopped_clock import StoppedClock
+from tests.world.engines.test_own_ends import register  # noqa: F401  (a fixture)
+
+SCENARIO = Scenario(npcs=[[PositionInstruction(6, 0.0)] * 2], gene_seconds=5.0)
+LATE = 3
+"""The tick after which environments hang."""
+NEVER, HEALTHY, MOST = 1e4, 250.0, "300 s"
+"""The time that code takes [s] which hangs, and which does not, and the limit for 30 s for a decision."""
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Return the clock of all limits, by which the code of these environments takes its time."""
+    Slow.clock = StoppedClock(monkeypatch)
+    return Slow.clock
+
+
+class Slow(gymnasium.Wrapper):
+    """Its step takes long."""
+
+    takes = NEVER
+    clock = None
+
+    def step(self, action):
+        if self.unwrapped.steps > LATE:
+            self.clock.sleep(self.takes)
+        return self.env.step(action)
+
+
+class Healthy(Slow):
+    takes = HEALTHY
+
+
+class Swallowing(Slow):
+    def step(self, action):
+        try:
+            return super().step(action)
+        except BaseException:  # noqa: BLE001  (as code that hangs may)
+            return self.env.step(action)
+
+
+class Repeating(gymnasium.Wrapper):
+    """It steps its environment for ever, also after the end of the run."""
+
+    def step(self, action):
+        while True:
+            self.env.step(action)
+            Slow.clock.sleep(10.0)
+
+
+class Seeing(gymnasium.ObservationWrapper):
+    def observation(self, seen):
+        if self.unwrapped.steps > LATE:
+            Slow.clock.sleep(NEVER)
+        return seen
+
+
+class Planting(gymnasium.Wrapper):
+    """It hangs in a function that highway-env calls."""
+
+    def step(self, action):
+        self.unwrapped.observation_type.observe = lambda: Slow.clock.sleep(NEVER)
+        return self.env.step(action)
+
+
+class Passing(gymnasium.Wrapper):
+    def step(self, action):
+        return self.env.step(action)
+
+
+class Starting(gymnasium.Wrapper):
+    """Its reset hangs after those by which a world looks at it."""
+
+    left = 0
+
+    def reset(self, **given):
+        Starting.left -= 1
+        if not Starting.left:
+            Slow.clock.sleep(NEVER)
+        return self.env.reset(**given)
+
+
+class Stepping(HighwayEnvFast):
+    def step(self, action):
+        if self.steps > LATE:
+            Slow.clock.sleep(NEVER)
+        return super().step(action)
+
+
+class Simulating(HighwayEnvFast):
+    def step(self, action):
+        return super().step(action)
+
+    def _simulate(self, action=None):
+        if self.steps > LATE:
+            Slow.clock.sleep(NEVER)
+        super()._simulate(action)
+
+
+def idle():
+    return lambda seen: 1
+
+
+def wrapped(*wrappers, env_id="highway-fast-v0", **given):
+    return World(env_id, wrappers=wrappers, duration=10.0, **given)
+
+
+def by_policy(world):
+    return world.rollout(SCENARIO, idle)
+
+
+def by_class(world):
+    return world.rollout(SCENARIO, lambda: IDMVehicle)
+
+
+def by_reference(world):
+    return world.rollout_reference(SCENARIO, "careful-human")
+
+
+drivers = pytest.mark.parametrize("driven", [by_policy, by_class, by_reference])
+
+
+@drivers
+@pytest.mark.parametrize(
+    ("wrapper", "name"), [(Slow, "Slow.step"), (Swallowing, "Swallowing.step"), (Repeating, "Repeating.step")]
+)
+def test_step_that_does_not_return_ends_the_run_as_a_hang(clock, wrapper, name, driven):
+    trace = driven(wrapped(wrapper))
+    assert (trace.outcome, trace.error.kind, trace.error.interrupted) == (Outcome.HANG, "WorldHang", True)
+    assert trace.error.message == f"{name} did not return within {MOST} and was interrupted"
+    assert trace.ticks == trace.error.tick > LATE
+    assert "in step" in trace.error.traceback
+    assert "pytest_pafot" not in trace.error.traceback
+
+
+@pytest.mark.parametrize(("wrapper", "name"), [(Seeing, "Seeing.observation"), (Planting, "Planting.step")])
+def test_method_of_a_wrapper_is_named_and_none_of_a_library(clock, wrapper, name):
+    trace = by_policy(wrapped(wrapper))
+    assert (trace.outcome, trace.error.message.split()[0]) == (Outcome.HANG, name)
+
+
+@drivers
+def test_step_of_an_environment_that_does_not_return_is_named(clock, driven, register):  # noqa: F811
+    register("stepping-v0", entry_point=Stepping)
+    trace = driven(World("stepping-v0", duration=10.0))
+    assert (trace.outcome, trace.error.message.split()[0]) == (Outcome.HANG, "Stepping.step")
+
+
+def test_innermost_method_of_the_user_is_named(clock, register):  # noqa: F811
+    register("simulating-v0", entry_point=Simulating)
+    world = World("simulating-v0", duration=10.0)
+    for trace in (by_policy(world), world.rollout_in_gym(SCENARIO, idle)):
+        assert (trace.outcome, trace.error.message.split()[0]) == (Outcome.HANG, "Simulating._simulate")
+
+
+def test_nothing_that_is_said_names_the_policy(clock):
+    run = Run(by_policy(wrapped(Slow)))
+    assert run.explain().startswith("environment hangs after 1.0 s: WorldHang: Slow.step did not return within 300 s")
+    text = ads_text(ads_failure(run))
+    assert text.startswith("the environment failed: WorldHang: Slow.step did")
+    assert "policy" not in text
+
+
+def test_reset_that_does_not_return_ends_the_run_or_the_look_at_the_world(clock):
+    world = wrapped(Starting)
+    world.check_fits(SCENARIO)
+    Starting.left = 1
+    trace = by_policy(world)
+    assert (trace.outcome, trace.ticks, trace.actions) == (Outcome.HANG, 0, ())
+    assert trace.error.message.startswith("Starting.reset did not return")
+    Starting.left = 1
+    with pytest.raises(WorldError, match=r"received Starting.reset did not return within 300 s .* longer hang_limit"):
+        wrapped(Starting).check_fits(SCENARIO)
+
+
+@drivers
+def test_slow_environment_is_not_interrupted(clock, driven):
+    trace = driven(wrapped(Healthy))
+    assert (trace.outcome, trace.duration) == (Outcome.SAFE, 10.0)
+    assert clock.slept > 1000.0
+
+
+def test_time_of_decisions_within_a_step_is_not_that_of_the_environment(clock):
+    """The ego decides at fifteen ticks of a step, or an NPC twelve times in a long step: each time for 29 s."""
+
+    class Deciding(IDMVehicle):
+        def act(self, action=None):
+            clock.sleep(29.0)
+            super().act(action)
+
+    def deciding(seen):
+        clock.sleep(29.0)
+        return 0.0, 0.0
+
+    class Long(gymnasium.Wrapper):
+        def step(self, action):
+            return [self.env.step(action) for _ in range(12)][-1]
+
+    ego = wrapped(Passing, env_id="highway-v0").rollout(SCENARIO, lambda: Deciding)
+    assert (ego.outcome, ego.duration, clock.slept) == (Outcome.SAFE, 10.0, 150 * 29.0)
+    free = Scenario(npcs=[[Free(beside=0, driver="slow", speed=20.0, ahead=-40.0)]], gene_seconds=12.0)
+    world = World("highway-v0", wrappers=[Long], duration=12.0).with_drivers({"slow": lambda: deciding})
+    npc = world.rollout(free, idle)
+    assert (npc.outcome, npc.duration, clock.slept) == (Outcome.SAFE, 12.0, (150 + 12) * 29.0)
+
+
+def test_episode_of_own_traffic_ends_as_a_hang(clock):
+    world = wrapped(Slow)
+    episode = drive(world.environment, idle, 3, hang_limit=30.0)
+    assert (episode.outcome, episode.error.message.split()[0]) == (Outcome.HANG, "Slow.step")
+    world = wrapped(Starting)
+    world.check_fits(SCENARIO)
+    Starting.left = 1
+    with pytest.raises(WorldError, match=r"received Starting.reset did not return"):
+        drive(world.environment, idle, 3, hang_limit=30.0)
+
+
+def test_hang_outside_of_the_main_thread_is_interrupted(clock):
+    traces = []
+    thread = threading.Thread(target=lambda: traces.append(by_policy(wrapped(Slow))))
+    thread.start()
+    thread.join()
+    assert (traces[0].outcome, traces[0].error.message.split()[0]) == (Outcome.HANG, "Slow.step")
+
+
+def test_interrupt_that_a_wrapper_catches_ends_the_run():
+    class Catching(gymnasium.Wrapper):
+        def step(self, action):
+            with suppress(BaseException):
+                signal.raise_signal(signal.SIGINT)
+            return self.env.step(action)
+
+    world = wrapped(Catching)
+    world.check_fits(SCENARIO)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with interrupted_by_signals(hang_guard.note_interrupt), pytest.raises(KeyboardInterrupt):
+            by_policy(world)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_step_that_outlasts_its_search_is_cut(monkeypatch):
+    class Sleeping(gymnasium.Wrapper):
+        def step(self, action):
+            time.sleep(60.0)
+
+    monkeypatch.setattr(hang_guard, "LATE", 0.1)
+    world = wrapped(Sleeping)
+    world.check_fits(SCENARIO)
+    with runs_end_in(0.5), pytest.raises(OutOfTime):
+        by_policy(world)
+
+
+def test_environment_that_ignores_interruptions_is_a_world_that_hangs(monkeypatch):
+    """A process ends as it does for a user's own world, and not as for a policy that ignores them."""
+    monkeypatch.setattr(hang_guard, "LONGEST_PAUSE", 0.01)
+    monkeypatch.setattr(hang_guard, "LEAST_FOR_WORLD", 0.01)
+    monkeypatch.setattr(hang_guard, "_WATCHDOG", hang_guard._Watchdog())
+    ends, is_over = [], threading.Event()
+
+    def ignore():
+        while not is_over.is_set():
+            with suppress(AdsHang):
+                is_over.wait(60.0)
+
+    def end_world():
+        ends.append("world")
+        is_over.set()
+
+    resort = LastResort(end=lambda: ends.append("policy"), grace=0.5, end_world=end_world)
+    with (
+        last_resort(resort),
+        EnvironmentGuard(0.01) as guard,
+        pytest.raises(WorldHang, match="did not return"),
+        guard.call(),
+    ):
+        ignore()
+    assert ends[0] == "world"
+
+
+def test_native_code_of_a_policy_is_noticed_as_soon_as_in_other_worlds():
+    guard = EnvironmentGuard(30.0)
+    assert guard.silence == 30.0
+    guard.decision_starts()
+    assert guard.silence == 300.0
+    guard.decision_ends()
