@@ -80,8 +80,20 @@ ADVICE: Mapping[What, str] = MappingProxyType(
 """What the ego should have done by when, in a few words for a headline, by the fact that says it."""
 DRIFT_ADVICE = "ego drifts from {at}, over the line at {later}: keep the lane"
 """The same for a motion over the line that is too slow for a change of lanes."""
+CHANGE_ADVICE: Mapping[What, str] = MappingProxyType(
+    {
+        What.CROSSED_LINE: "do not change lanes: begun at {at}, {over} at {later}",
+        What.MOVED_FURTHER: "do not change lanes: begun at {at}, {over} at {later}",
+        What.CAME_IN: "do not change lanes: begun at {at}, over at {later}",
+        What.BOTH_CROSSED: "do not change lanes: begun at {at}, over the line at {later}",
+        What.CAME_SIDEWAYS: "do not move sideways: begun at {at}, into {whom} at {later}",
+    }
+)
+"""The same for a motion that begins visibly earlier than the time that the fact says."""
 BRAKES = 0.5
 """The least deceleration that counts as braking in the sentences of a verdict [m/s^2]."""
+APART = 0.05
+"""The least difference between two times that a text tells apart [s]."""
 LONGEST = 97
 """The largest number of characters in a line, so that it fits on one line of an explanation."""
 
@@ -233,6 +245,12 @@ def drift_advice(fact: Fact) -> str:
     return _filled(DRIFT_ADVICE, fact)
 
 
+def change_advice(fact: Fact) -> str:
+    """Return what an ego should have done that changed lanes; the fact has both times, as for a drift."""
+    is_later = fact.later_s - fact.time_s >= APART
+    return _filled(CHANGE_ADVICE.get(fact.what, "") if is_later else ADVICE.get(fact.what, ""), fact)
+
+
 def advice(reason: Reason) -> str:
     """Return in a few words what the ego should have done by when; empty if the facts on the ego do not say it.
 
@@ -310,7 +328,7 @@ def _answer(fact: Fact) -> list[str]:
         count = 2 if len(both) < LONGEST else 1
         made.append(f"{capitalised('; '.join(told[:count]))}.")
         told = told[count:]
-    made += [f"It changed into lane {lane} at {time:.1f} s." for time, lane in fact.moves]
+    made += [f"Its centre came into lane {lane} at {time:.1f} s." for time, lane in fact.moves]
     return made
 
 

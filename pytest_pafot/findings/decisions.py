@@ -11,10 +11,11 @@ import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
 from pytest_pafot.attribution.responsibility import Fault, frame_of
-from pytest_pafot.attribution.sentences import advice, drift_advice
+from pytest_pafot.attribution.sentences import advice, change_advice, drift_advice
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import flag
 
 PARTS = {
     "acceleration": (0.2, "{:.1f} m/s^2"),
@@ -97,8 +98,9 @@ class Moment:
             empty if none of them changes the answer, None if none was tried.
         reference: what the reference answered, if the test has one and this is the first decision that differs.
         conditions: the conditions that the policy evaluated in this decision, each with its line in the source, its
-            values and its outcome; first those that come out otherwise with that change, then the others, the last one
-            first; empty if that is unknown.
+            values and its outcome, by whom they are about: first this vehicle, then none or an unknown one, then
+            others; an empty text if nothing is known of that. In a group, those that come out otherwise with that
+            change are first, then the others, the last one first.
     """
 
     time: float
@@ -108,7 +110,7 @@ class Moment:
     hidden: str | None = None
     otherwise: str | None = None
     reference: str = ""
-    conditions: tuple[str, ...] = ()
+    conditions: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     def __str__(self) -> str:
         if self.reference:
@@ -123,6 +125,17 @@ class Moment:
                 f"with {whom} {self.otherwise}" if self.otherwise else f"no change of {whom} that was tried changes it"
             )
         return "; ".join(told)
+
+    def condition_lines(self, most: float = math.inf) -> list[str]:
+        """Return the rows of the conditions, at most so many, below whom they are about, and how many are left out."""
+        lines, left = [], most
+        for whom, rows in self.conditions:
+            shown = rows[: int(min(left, len(rows)))]
+            left -= len(shown)
+            lines += [f"{whom}:"] if whom and shown else []
+            lines += [f"{'  ' if whom else ''}{row}" for row in shown]
+        out = sum(len(rows) for _, rows in self.conditions) - most
+        return [*lines, f"{out} more with -v, or on the page of {flag('report')}"] if out > 0 else lines
 
 
 def vehicle_of(run: Run, expect: Expect) -> int | None:
@@ -204,8 +217,8 @@ def moved_over(run: Run) -> int | None:
 def advice_on(run: Run) -> str:
     """Return in a few words what the ego should have done by when to avoid the collision; empty if it is not at fault.
 
-    It is what a simulation has found, else what the rules say. A change of lanes has the time of the decision that
-    began it, by :func:`moved_over`. A drift over the line also has the time at the line.
+    It is what a simulation has found, else what the rules say. A change of lanes, or a drift over the line, has the
+    time of the decision that began it, by :func:`moved_over`, and the time that the rules name.
     """
     if run.collision is None or run.responsibility not in ("ego", "both"):
         return ""
@@ -214,9 +227,8 @@ def advice_on(run: Run) -> str:
     facts, number = run.attribution.facts, moved_over(run)
     if number is not None:
         crossed, began = facts[0].in_full, run.trace.decision_ticks[number] / run.trace.physics_hz
-        facts = (crossed._replace(time_s=began, later_s=crossed.time_s),)
-        if _drifted(run.trace, number, crossed.time_s):
-            return drift_advice(facts[0])
+        both = crossed._replace(time_s=began, later_s=crossed.time_s)
+        return (drift_advice if _drifted(run.trace, number, crossed.time_s) else change_advice)(both)
     return advice(facts)
 
 

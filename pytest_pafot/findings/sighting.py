@@ -14,6 +14,8 @@ from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.text import ascii_text, plural
 
+CONDITIONS = 6
+"""The largest number of conditions of a decision in a report."""
 NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
 """How the difference begins of a policy that drives the same scenario in different ways."""
 
@@ -175,12 +177,14 @@ class Sighting:
         breadth = "" if self.breadth is None else str(self.breadth)
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk, breadth]))
 
-    @property
-    def on_decisions(self) -> list[str]:
-        """The lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
+    def on_decisions(self, most: float = CONDITIONS) -> list[str]:
+        """Return lines on the policy's decisions, each with a title of ten letters at most, or indented below one.
+
+        ``most`` is the largest number of conditions in them.
+        """
         lines = [f"answers    {self.answers}"] if self.answers is not None else []
         if self.moment is not None:
-            lines += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.conditions)]
+            lines += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.condition_lines(most))]
         return lines
 
     @property

@@ -17,6 +17,15 @@ from pytest_pafot.support.shown import Pasteable
 Style = Literal["paper", "hostile", "assertive", "everyday"]
 STYLES: tuple[Style, ...] = get_args(Style)
 
+_MANNERS: Mapping[str, str] = MappingProxyType(
+    {
+        "hostile": "NPCs may stop, brake hard and cut in close",
+        "assertive": "hard but ordinary driving",
+        "everyday": "as most drivers drive",
+    }
+)
+"""What a reader of a report needs to know of each style."""
+
 OF_STYLE: Any = None
 """The default of each numeric field of ``Traffic``: the field then has the value of its style. It is not a number, so
 no given number can be mistaken for it."""
@@ -92,9 +101,9 @@ class Traffic(Pasteable):
 
     @property
     def described(self) -> str:
-        """A description for a reader, such as ``everyday traffic (least_gap 4)``; empty for the style ``"paper"``."""
-        own = ", ".join(f"{name} {part:g}" for name, part in self.own.items())
-        return f"{self.style} traffic{f' ({own})' if own else ''}" if self.is_attentive else ""
+        """A description for a reader, such as ``everyday traffic (as most drivers drive)``; empty for ``"paper"``."""
+        own = ", ".join([_MANNERS.get(self.style, ""), *(f"{name} {part:g}" for name, part in self.own.items())])
+        return f"{self.style} traffic ({own})" if self.is_attentive else ""
 
     def __repr__(self) -> str:
         return f"Traffic({', '.join([repr(self.style), *(f'{name}={part!r}' for name, part in self.own.items())])})"

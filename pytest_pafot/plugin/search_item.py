@@ -45,6 +45,7 @@ from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_o
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
+from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
@@ -66,7 +67,7 @@ from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, RevisionError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.source_files import files_line, source_digests
-from pytest_pafot.support.text import plural
+from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -442,16 +443,20 @@ class SearchMessages:
         where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
         shrink = command("pytest_pafot", "corpus", "shrink", sighting.path, *(["--", *where] if where else []))
         is_due = bool(sighting.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
-        avoided = sighting.finding.expect.avoided_by
+        avoided, run = sighting.finding.expect.avoided_by, sighting.run
+        first = [] if avoided is None or sighting.is_first else [avoided.sentence]
+        if avoided is None and run is not None and run.collision is not None and moved_over(run) is not None:
+            first = [f"{capitalised(advice_on(run))}."]  # its decision, which no verdict knows
         section = terminal.find_section(
             sighting,
             explanation="" if explanation.partition("\n")[0] in message_of(sighting.raised) else explanation,
             content=sighting.content,
-            first=[] if avoided is None or sighting.is_first else [avoided.sentence],
+            first=first,
             details=details,
             advice=advice,
             shrink=shrink if is_due and sighting.path else "",
             width=width,
+            whole=not is_compact(config),
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
         whole = None
@@ -461,7 +466,9 @@ class SearchMessages:
             # A file whose finding does not count in a comparison will be removed.
             is_sure = self.settings.against is None or not self.settings.pairs
             again = rerun(["pytest", sighting.path], os.environ, *where, saved=sighting.id) if is_sure else ""
-            whole = {"story": story[is_told:], "again": again}
+            is_final = not sighting.is_firm or self.settings.shrink_rollouts == 0
+            later = [] if is_final else ["as found; at the end, shrinking changes times and numbers of NPCs"]
+            whole = {"story": [*story[is_told:], *later], "again": again}
         self.new.extend([sighting.id] if sighting.is_first else [])
         check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
         report = _report(self.item, sighting, section)

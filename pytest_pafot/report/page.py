@@ -291,10 +291,12 @@ def _tag(tag: str) -> str:
 def _happened_section(paragraphs: Iterable[Paragraph]) -> str:
     """Return the HTML of what is known of a finding beside the sentences above its picture."""
     shown = ""
-    for title, sentences, code in paragraphs:
+    for title, sentences, groups in paragraphs:
         run_in = f"<b>{text(title)}.</b> " if title else ""
-        lines = "".join(f"<li><code>{text(each)}</code></li>" for each in code)
-        shown += f"<p>{run_in}{text(sentences)}</p>" + (f"<ul>{lines}</ul>" if lines else "")
+        shown += f"<p>{run_in}{text(sentences)}</p>"
+        for whom, rows in groups:
+            lines = "".join(f"<li><code>{text(each)}</code></li>" for each in rows)
+            shown += (f'<h4 class="whom">{text(whom)}</h4>' if whom else "") + f"<ul>{lines}</ul>"
     return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
 
 

@@ -223,8 +223,8 @@ class CheckView:
 
 Stretch = tuple[float, float, str]
 """Decisions that are the same: the time of the first one, the time of the next other one [s], and their words."""
-Paragraph = tuple[str, str, tuple[str, ...]]
-"""A title, which may be empty, sentences, and lines of the user's code that they are about."""
+Paragraph = tuple[str, str, tuple[tuple[str, tuple[str, ...]], ...]]
+"""A title, which may be empty, sentences, and lines of the user's code by whom they are about."""
 Chains = tuple[str, tuple[tuple[str, ...], ...]]
 """The size of a scenario in words, and for each NPC its instructions in words."""
 

@@ -6,6 +6,7 @@ paths and the user's own words.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections import Counter
@@ -146,6 +147,7 @@ def find_section(
     advice: str = "",
     shrink: str = "",
     width: int = WIDTH,
+    whole: bool = False,
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
 
@@ -158,8 +160,10 @@ def find_section(
         advice: a text that follows the finding's remark.
         shrink: the command that shrinks the finding further; empty if it needs none.
         width: the width of the terminal in columns.
+        whole: whether to print all conditions of the decision.
     """
-    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *sighting.on_decisions]), width)
+    decisions = sighting.on_decisions(*([math.inf] if whole else []))
+    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *decisions]), width)
     # A path is not wrapped, so that it can be copied.
     fitted += [ascii_text(f"saved as   {sighting.path}")] if sighting.path else []
     stop = (
@@ -336,7 +340,7 @@ def _figures(search: SearchSummary) -> str:
         (search.no_interaction, "without interaction"),
     )
     parts = [f"{count} {what}" for count, what in counts if count or what == "failing"]
-    parts += [] if search.reached is None else [f"{search.reached:.0%} of genes reached"]
+    parts += [] if search.reached is None else [f"NPCs reached {search.reached:.0%} of their goals"]
     several = [plural(search.runs, "run")]
     several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
     several += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
@@ -568,7 +572,7 @@ def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]
     ranked = _worst_first(sightings)
     lines = []
     for sighting in ranked[:MAX_ANNOTATED]:
-        parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions]
+        parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions()]
         text = "%0A".join(ascii_text(each).replace("%", "%25") for each in parts)
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")

@@ -267,7 +267,7 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     if check is not None and run is not None:
         written, check = str(check), _with_curve(check, run.trace)
         short = _check_in_short(check, run.trace)
-        said = () if written in headline else (short,)
+        said = () if written in headline else (f"The {short}.",)
         headline = headline.replace(written, short)
         if sentences:  # they are on the collision, and would read as the check's
             besides, collision = f"Also in this run: {collision_in_short(run)}", _prose([first, *sentences])
@@ -382,7 +382,7 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
         sighting: the finding.
     """
     finding, moment = sighting.finding, sighting.moment
-    shown: list[tuple[str, list[str], tuple[str, ...]]] = [("", [*filter(None, lines)], ())]
+    shown: list[tuple[str, list[str], tuple[tuple[str, tuple[str, ...]], ...]]] = [("", [*filter(None, lines)], ())]
     if sighting.answers is not None:
         shown.append(("The policy's answers", [str(sighting.answers)], ()))
     if moment is not None:

@@ -230,7 +230,7 @@ class TestCutIn:
         assert found.sentences == (
             "The ego crossed into lane 1 at 2.4 s, 10.7 m ahead of NPC 0. NPC 0 drove 8.1 m/s faster.",
             "The ego should have left NPC 0 a gap of 34.1 m.",
-            "The ego kept 20.0 m/s from 0.4 s on. It changed into lane 1 at 3.1 s.",
+            "The ego kept 20.0 m/s from 0.4 s on. Its centre came into lane 1 at 3.1 s.",
         )
 
     def test_driver_that_paused_on_the_line_moved_on(self):

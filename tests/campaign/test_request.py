@@ -86,7 +86,8 @@ def test_most_npcs_cross_where_ways_meet():
     drawn = space_of(world)
     assert (drawn.crossings, drawn.most_npcs, drawn.most_on_grid) == (world.crossings, (3,), 2)
     assert drawn.described.startswith(
-        "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic, most of them on 6 ways that "
+        "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic "
+        "(NPCs may stop, brake hard and cut in close), most of them on 6 ways that "
     )
     assert space_of(world, npcs=3, acts=("pass", "late")).most_npcs == ()
     assert space_of(world, acts=("pass", "late")).acts == ("pass", "late")

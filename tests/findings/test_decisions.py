@@ -546,9 +546,13 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     assert run.attribution.fault == "entered-lane"
     assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
     kept = Avoidance(time=moment)
-    advised = f"do not change lanes at {moment:.1f} s"
+    crossed = run.attribution.time
+    advised = f"do not change lanes: begun at {moment:.1f} s, into lane 0 at {crossed:.1f} s"
+    assert crossed > moment
+    assert run.sentences[0].startswith(("The ego crossed into lane 0", "The ego moved on into lane 0"))
+    assert f" at {crossed:.1f} s, " in run.sentences[0]  # the text and the advice say the same of the same event
     if planner is DRIFTS:
-        advised = f"ego drifts from {moment:.1f} s, over the line at {run.attribution.time:.1f} s: keep the lane"
+        advised = f"ego drifts from {moment:.1f} s, over the line at {crossed:.1f} s: keep the lane"
     assert advice_on(run) == advice_on(replace(run, avoided_by=kept)) == advised
     told = replace(expecting(run, avoided_by=kept), time=round(run.collision.time, 3)).sentences_on(run)
     assert told[0] == run.sentences[0]
@@ -559,7 +563,7 @@ def test_what_the_ego_did_is_not_said_where_keeping_the_lane_avoids_the_collisio
     """The gap that its change of lanes had to leave is said."""
     run = pafot.Run(lane_change(10.0, faster=8.0))
     crossed, asked, drove, responsible = run.sentences
-    assert drove == "The ego kept 20.1 m/s from 0.4 s on. It changed into lane 1 at 3.1 s."
+    assert drove == "The ego kept 20.1 m/s from 0.4 s on. Its centre came into lane 1 at 3.1 s."
     expect = replace(expecting(run, avoided_by=Avoidance(time=2.0)), time=round(run.collision.time, 3))
     careful = "A careful driver who keeps the lane from 2.0 s on avoids the collision."
     assert expect.sentences_on(run) == (crossed, asked, careful, responsible)
@@ -580,7 +584,8 @@ def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last
     assert run.attribution.fault == "entered-lane"
     assert run.attribution.time > moment + 1.0
     assert not run.trace.road.is_straight
-    assert advice_on(run) == f"do not change lanes at {moment:.1f} s"
+    crossed = f"over a lane line at {run.attribution.time:.1f} s"
+    assert advice_on(run) == f"do not change lanes: begun at {moment:.1f} s, {crossed}"
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,16 @@ class Page:
                 raise TimeoutError(f"never true: {expression}")
             time.sleep(0.02)
 
+    def click(self, selector, along=0.5):
+        """Click on an element with the mouse, in its middle or at another share of its width."""
+        x, y = self.evaluate(
+            f"(each => {{ each.scrollIntoView({{block: 'center'}}); const box = each.getBoundingClientRect();"
+            f" return [box.left + {along} * box.width, box.top + box.height / 2]; }})"
+            f"(document.querySelector({json.dumps(selector)}))"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
     def press(self, key, *, shift=False):
         """Press a key as a person does."""
         code, number = KEYS[key] if key in KEYS else (f"Key{key.upper()}", ord(key.upper()))

@@ -40,8 +40,8 @@ class Story:
 
     def __init__(self, trace, told):
         self.trace, self.hz = trace, trace.physics_hz
-        self.moves = re.findall(rf"It changed into lane (\d+) at {TIME}\.", told)
-        self.text = re.sub(r" It changed into lane .*", "", told)
+        self.moves = re.findall(rf"Its centre came into lane (\d+) at {TIME}\.", told)
+        self.text = re.sub(r" Its centre came into lane .*", "", told)
         who = re.match(WHO, told)["who"]
         self.vehicle = 0 if who.lower() == "the ego" else int(who[4:]) + 1
         self.other = 0 if self.vehicle else trace.collision.npc + 1

@@ -32,7 +32,11 @@ def test_part_equal_to_the_style_default_is_dropped():
 
 def test_traffic_description_has_style_and_its_own_parts():
     told = [each.described for each in (PAPERS, Traffic(), Traffic("everyday", least_gap=4, braking=1.5))]
-    assert told == ["", "hostile traffic", "everyday traffic (least_gap 4, braking 1.5)"]
+    assert told == [
+        "",
+        "hostile traffic (NPCs may stop, brake hard and cut in close)",
+        "everyday traffic (as most drivers drive, least_gap 4, braking 1.5)",
+    ]
 
 
 @table("part", list(BOUNDS))

@@ -164,7 +164,7 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     assert len(view.check.values) == len(view.times)
     other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.2))
     assert (other.check.values, other.check.time) == ((), None)
-    assert other.sentences[0] == f"ego fails the check: room 1.2 < 1.5 {unit}"  # which its headline does not say
+    assert other.sentences[0] == f"The ego fails the check: room 1.2 < 1.5 {unit}."  # which its headline does not say
 
 
 @pytest.mark.parametrize("at", [1.0, None])

@@ -187,7 +187,7 @@ def test_deadline_of_a_vehicle_class_that_changes_lanes_names_no_action():
     world = pafot.World("highway-v0", duration=15.0)
     trace = world.rollout(scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft)
     assert (Run(trace).attribution.fault, trace.actions) == ("entered-lane", ())
-    deadline = "do not change lanes at 0.0 s"  # it moves from the first tick on
+    deadline = "do not change lanes: begun at 0.0 s, into lane 0 at 0.1 s"  # it moves from the first tick on
     assert run_view(trace).deadline == deadline
     assert view_of(trace, finding_of(trace, world=world.to_dict())).deadline == deadline
 

@@ -279,19 +279,72 @@ def test_keys_do_nothing_while_a_field_has_them(page):
     assert page.evaluate(TIME) == before
 
 
-def test_the_scrubber_says_where_it_is(page):
-    page.press("Home")
-    text = page.evaluate("document.querySelector('article.current input[type=range]').getAttribute('aria-valuetext')")
-    assert text == f"0.00 s of {real_report().findings[0].duration:.2f} s"
+SCRUBBER = "article.current input[type=range]"
+BUTTON = "article.current .controls button"
+WIDTH = "document.querySelector('article.current .stage [data-vehicle=ego] .ego-body').getBoundingClientRect().width"
 
 
-def test_the_scrubber_moves_the_picture(page):
-    page.press("Home")
-    page.evaluate(
-        "(scrubber => { scrubber.value = 1.5; scrubber.dispatchEvent(new Event('input', {bubbles: true})); })"
-        "(document.querySelector('article.current input[type=range]'))"
+def test_each_control_does_what_it_says(page):
+    """They are clicked with a mouse, one after another on one page."""
+    finding, shown = real_report().findings[0], f"document.querySelector({SCRUBBER!r}).getAttribute('aria-valuetext')"
+    drawn = drawn_vehicles(page)
+    # The slider: the time, its text, the clock and the picture follow, and so does the address.
+    page.click(SCRUBBER, 0.5)
+    middle = page.evaluate(TIME)
+    assert middle == pytest.approx(finding.duration / 2, abs=0.05)
+    assert page.evaluate(f"Number(document.querySelector({SCRUBBER!r}).value)") == pytest.approx(middle, abs=0.01)
+    assert page.evaluate(shown) == f"{middle:.2f} s of {finding.duration:.2f} s"
+    assert page.evaluate("location.hash").endswith(f"&t={middle:.2f}")
+    assert drawn_vehicles(page) != drawn
+    # A click while the picture moves pauses it there.
+    page.click(f"{BUTTON}.play")
+    assert page.evaluate(IS_PLAYING)
+    page.until(f"{TIME} > {middle}")
+    page.click(SCRUBBER, 0.25)
+    assert not page.evaluate(IS_PLAYING)
+    assert page.evaluate(TIME) == pytest.approx(finding.duration / 4, abs=0.3)  # the knob has a width
+    # Play and pause.
+    page.click(f"{BUTTON}.play")
+    paused = page.evaluate(TIME)
+    page.until(f"{TIME} > {paused}")
+    page.click(f"{BUTTON}.play")
+    stopped = page.evaluate(TIME)
+    assert not page.evaluate(IS_PLAYING)
+    assert page.evaluate("document.querySelector('article.current .play').textContent") == "Play"
+    assert page.evaluate(f"new Promise(done => setTimeout(() => done({TIME}), 100))") == stopped
+    # The event.
+    page.click(f"{BUTTON}:not(.play)")
+    assert page.evaluate("document.querySelector('article.current .play + output + input + button').textContent") == (
+        "Go to the event"
     )
-    assert page.evaluate(TIME) == 1.5
+    assert page.evaluate(TIME) == pytest.approx(finding.event.time, abs=0.001)
+    assert drawn_vehicles(page) == drawn  # the page had opened there
+    # The zoom.
+    width = page.evaluate(WIDTH)
+    page.click(f"{BUTTON}[aria-label='Zoom in']")
+    assert page.evaluate(WIDTH) == pytest.approx(1.25 * width, rel=0.01)
+    for _ in range(2):
+        page.click(f"{BUTTON}[aria-label='Zoom out']")
+    assert page.evaluate(WIDTH) == pytest.approx(0.8 * width, rel=0.01)
+    assert page.evaluate(TIME) == pytest.approx(finding.event.time, abs=0.001)
+
+
+def test_the_speed_of_play_is_that_of_the_menu(page):
+    """The page's clock is replaced, so that a frame is a tenth of a second, however slow the machine is."""
+    page.evaluate(
+        "let now = 0, due = []; window.requestAnimationFrame = each => due.push(each);"
+        "window.cancelAnimationFrame = () => { due = []; };"
+        "window.frame = () => { now += 100; due.splice(0).forEach(each => each(now)); }"
+    )
+    menu = "document.querySelector('article.current .controls select')"
+    assert page.evaluate(f"{menu}.value") == "1"
+    assert page.evaluate(f"[...{menu}.options].map(each => each.value)") == ["0.25", "0.5", "1", "2", "4"]
+    for speed in (1, 0.25, 4):
+        page.evaluate(f"{menu}.value = '{speed}'; {menu}.dispatchEvent(new Event('change'))")
+        page.press("Home")
+        page.click(f"{BUTTON}.play")
+        page.evaluate("frame(); frame(); frame()")  # the first one only sets the clock
+        assert page.evaluate(TIME) == pytest.approx(0.2 * speed)
 
 
 def drawn_vehicles(page):

@@ -98,8 +98,8 @@ def test_about_half_of_the_npcs_are_free():
     assert {0, 4} < set(free)
     assert 1.8 < np.mean(free) < 2.2
     assert (
-        "4 NPCs with Position- or Lane-Instructions, half of them free (idm, last) in hostile traffic"
-        in space.described
+        "4 NPCs with Position- or Lane-Instructions, half of them free (idm, last) in hostile traffic "
+        "(NPCs may stop, brake hard and cut in close)" in space.described
     )
 
 

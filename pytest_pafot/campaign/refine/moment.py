@@ -44,7 +44,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.conditions import Conditions, parting, shown
+from pytest_pafot.world.driving.conditions import Conditions, Evaluation, differing, parting, shown
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
@@ -66,6 +66,8 @@ Change = tuple[str, Additions | None]
 MANY = 1_000_000
 """More lanes than there are, for actions that a run has checked before."""
 
+NUDGE = (0.01, 0.01, 0.01)
+"""What is added to see which conditions are about a vehicle: less than what changes a decision."""
 LITTLE = {"acceleration": HARDER, "steering": 0.05}
 """The least differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one."""
 POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
@@ -94,7 +96,8 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
 
     They are compared with those of a decision that sees the vehicle elsewhere: where the moment says that the policy
     answers otherwise, or far away. If they do not depend on the vehicle, and the decision began a change of lanes, they
-    are compared with those of the decision before it.
+    are compared with those of the decision before it. A condition is about a vehicle if its values are others when the
+    vehicle is a little elsewhere.
     """
     harness, moment, run = bench.harness, sighting.moment, sighting.run
     conditions = None if moment is None else Conditions(source_files(harness.policy.factory), harness.root)
@@ -104,24 +107,32 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
     times = [round(tick / trace.physics_hz, 3) for tick in trace.decision_ticks]
     number = times.index(moment.time)
     question = Question(number=number, conditions=conditions)
-    aside = yield from _decided_aside(sighting, trace, state, bench, None, question)
+    ask = partial(_decided_aside, sighting, trace, state, bench, None)
+    aside = yield from ask(question)
     if aside is None or any(differ(each, aside.of(at)) for at, each in enumerate(trace.actions[: number + 1])):
         return sighting
     # Compare with a decision that is answered otherwise, or at least sees the vehicle elsewhere.
-    compared: list[tuple[str, Question]] = []
+    compared: list[tuple[str, int | None, Question]] = []
     npc, seen = moment.npc, aside.at
-    if npc is not None and isinstance(seen, Observation) and npc in seen.ids:
-        words, by = _compared(moment, _changes(seen, npc))
-        ads = None if trace.drew else aside.ads
-        compared.append((f"with NPC {npc} {words}", replace(question, instead=changed(seen, npc, by), ads=ads)))
+    whom: dict[int, tuple[int, ...]] | None = None
+    if isinstance(seen, Observation):
+        whom, question = {}, replace(question, ads=None if trace.drew else aside.ads)
+        for other in sorted(seen.ids) if aside.conditions else ():
+            nudged = yield from ask(replace(question, instead=changed(seen, other, NUDGE)))
+            for each in () if nudged is None else differing(aside.conditions, nudged.conditions):
+                whom[each] = (*whom.get(each, ()), other)
+        if npc is not None and npc in seen.ids:
+            words, by = _compared(moment, _changes(seen, npc))
+            compared.append((f"with NPC {npc} {words}", npc, replace(question, instead=changed(seen, npc, by))))
     if number and number == moved_over(run):
-        compared.append((f"at {times[number - 1]:.1f} s", replace(question, number=number - 1)))
-    first: dict[str, str] = {}
-    for when, other in compared:
-        if not first and (asked := (yield from _decided_aside(sighting, trace, state, bench, None, other))) is not None:
-            is_other = differ(trace.actions[number], asked.of(other.number))
-            first = parting(aside.conditions, asked.conditions, when, is_other=is_other)
-    return replace(sighting, moment=replace(moment, conditions=shown(aside.conditions, first)))
+        compared.append((f"at {times[number - 1]:.1f} s", None, replace(question, number=number - 1, ads=None)))
+    first: dict[str, tuple[Evaluation, str]] = {}
+    for when, elsewhere, each_question in compared:
+        if not first and (asked := (yield from ask(each_question))) is not None:
+            is_other = differ(trace.actions[number], asked.of(each_question.number))
+            first = parting(aside.conditions, asked.conditions, when, is_other=is_other, npc=elsewhere, whom=whom or {})
+    groups = shown(aside.conditions, first, npc=npc, whom=whom)
+    return replace(sighting, moment=replace(moment, conditions=groups))
 
 
 def _compared(moment: Moment, changes: Sequence[Change]) -> Change:

@@ -9,35 +9,32 @@ from __future__ import annotations
 import ast
 import gc
 import warnings
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from threading import get_ident
-from types import CodeType, FunctionType, GeneratorType, MappingProxyType
+from types import CodeType, FunctionType, GeneratorType, GetSetDescriptorType, MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pytest_pafot.support.text import visible
 
-ROWS = 6
-"""The largest number of rows that are shown of a decision."""
-
 PARTING = 3
-"""The largest number of these rows for conditions that another decision evaluates otherwise."""
+"""The largest number of rows for conditions that another decision evaluates otherwise."""
 
 FIRST = 500
 """The largest number of evaluations of a condition that are compared with those of another decision."""
 
-LETTERS, VALUES = 100, 55
-"""The approximate length of a row, and the largest length of the values in it [characters]."""
+LONGEST = 1000
+"""The largest number of characters of a row: only of longer ones, which no person wrote, the condition is left out."""
 
-LONG = 220
-"""The approximate length of a row for a condition that another decision evaluates otherwise [characters]."""
+LOOKED_AT = 50
+"""The largest number of elements of a value that are compared with those in another decision."""
 
 _RECORDER = "pytest-pafot: the recorder of conditions"
 """A constant in the copied code, in whose place the recorder is put; so the code needs no name for it."""
@@ -52,11 +49,19 @@ _SIMPLE = (bool, int, float, str, type(None))
 
 
 class Evaluation(NamedTuple):
-    """One evaluation of a condition: its number among all of the decision, its outcome, and its values with names."""
+    """One evaluation of a condition.
+
+    Attributes:
+        number: its number among all of the decision.
+        outcome: its outcome as a text.
+        values: its values as texts, with their names.
+        exact: the same values in full, to be compared.
+    """
 
     number: int
     outcome: str
     values: tuple[tuple[str, str], ...]
+    exact: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,27 +78,51 @@ class Evaluated:
     last: Evaluation
     first: tuple[Evaluation, ...] = ()
 
-    def row(self, evaluation: Evaluation, letters: int = LETTERS) -> str:
-        """Return an evaluation in a line of about so many letters, of which the values take at most some half."""
-        most, text = letters * VALUES // LETTERS, self.condition.partition(": ")[2]
+    def row(self, evaluation: Evaluation) -> str:
+        """Return an evaluation in a line."""
+        place, _, text = self.condition.partition(": ")
         told = [
-            f"{_cut(name, letters // 4)} = {value}"
+            f"{name} = {value}"
             for name, value in evaluation.values
             if value != name and (name, value) != (text, evaluation.outcome)
         ]
-        fitting = len(told)
-        while len(", ".join(told[:fitting])) > most:
-            fitting -= 1
-        told[fitting:] = ["..."] if fitting < len(told) else []
         values = f"  ({', '.join(told)})" if told else ""
-        ending = f"{values} -> {evaluation.outcome}"
-        return f"{_cut(self.condition, max(letters - len(ending), letters - most))}{ending}"
+        row = f"{self.condition}{values} -> {evaluation.outcome}"
+        return row if len(row) <= LONGEST else f"{place}: {len(text)} characters -> {evaluation.outcome}"
+
+
+def differing(evaluated: Iterable[Evaluated], others: Iterable[Evaluated]) -> set[int]:
+    """Return the numbers of the evaluations that another decision makes with other values or another outcome.
+
+    Where it goes on to another condition than this one, it is no longer compared.
+    """
+    here, there = (
+        sorted((first, each.condition) for each in conditions for first in each.first)
+        for conditions in (evaluated, others)
+    )
+    found = set()
+    for (own, condition), (other, its) in zip(here, there, strict=False):
+        if condition != its:
+            break
+        if (own.outcome, own.exact) != (other.outcome, other.exact):
+            found.add(own.number)
+    return found
+
+
+Whom = Mapping[int, tuple[int, ...]]
+"""The NPCs on which evaluations depend, by the number of the evaluation; those on none are left out."""
 
 
 def parting(
-    evaluated: Iterable[Evaluated], others: Iterable[Evaluated], when: str, *, is_other: bool
-) -> dict[str, str]:
-    """Return the rows of the conditions that another decision evaluates otherwise, by condition.
+    evaluated: Iterable[Evaluated],
+    others: Iterable[Evaluated],
+    when: str,
+    *,
+    is_other: bool,
+    npc: int | None = None,
+    whom: Whom = MappingProxyType({}),
+) -> dict[str, tuple[Evaluation, str]]:
+    """Return the evaluations that another decision makes otherwise, and what to add to their rows, by condition.
 
     If the other decision is answered otherwise, they are those with another outcome, in the order in which they were
     evaluated, because the first one is the cause of those after it. If it is answered in the same way, they are those
@@ -104,23 +133,73 @@ def parting(
         others: those of the other decision.
         when: what is different in the other decision, in words.
         is_other: whether the other decision is answered otherwise.
+        npc: the NPC that is elsewhere in the other decision; None for none.
+        whom: on whom the evaluations depend. Those of other NPCs than this one are left out: with a vehicle elsewhere,
+            a loop over vehicles may come to the same one earlier or later.
     """
     otherwise = {each.condition: each.first for each in others}
-    found: list[tuple[int, str, str]] = []
+    found: list[tuple[int, str, tuple[Evaluation, str]]] = []
     for each in evaluated:
         for here, there in zip(each.first, otherwise.get(each.condition, ()), strict=False):
-            if here.outcome != there.outcome or (not is_other and here.values != there.values):
-                ending = f"also {when}" if here.outcome == there.outcome else f"{when} {there.outcome}"
-                found.append((here.number, each.condition, f"{each.row(here, LONG)}; {ending}"))
-                break
+            is_same = here.outcome == there.outcome
+            if (is_same and (is_other or here.values == there.values)) or npc not in whom.get(here.number, (npc,)):
+                continue
+            ending = f"also {when}" if is_same else f"{when} {there.outcome}"
+            found.append((here.number, each.condition, (here, f"; {ending}")))
+            break
     ordered = sorted(found, reverse=not is_other)[:PARTING]
     return {condition: row for _, condition, row in ordered}
 
 
-def shown(evaluated: Iterable[Evaluated], first: Mapping[str, str] = MappingProxyType({})) -> tuple[str, ...]:
-    """Return the rows of the conditions of a decision that are shown: some first, then the others, as they come."""
-    rows = [each.row(each.last) for each in evaluated if each.condition not in first]
-    return tuple(visible(row) for row in [*first.values(), *rows][:ROWS])
+NOBODY = "no NPC, or unknown which"
+"""The name of the rows whose values depend on no NPC: outcomes of earlier conditions may still be about one."""
+Groups = tuple[tuple[str, tuple[str, ...]], ...]
+"""Rows of conditions by whom they are about: ``NPC 1``, ``no NPC, or unknown which``, or an empty text for all."""
+
+
+def shown(
+    evaluated: Iterable[Evaluated],
+    first: Mapping[str, tuple[Evaluation, str]] = MappingProxyType({}),
+    *,
+    npc: int | None = None,
+    whom: Whom | None = None,
+) -> Groups:
+    """Return the rows of the conditions of a decision.
+
+    Each condition has one row, and one more if the NPC's evaluation and the one of its rarest outcome are two.
+
+    Args:
+        evaluated: the conditions, the last one first.
+        first: those that come first, as :func:`parting` returns them for the NPC.
+        npc: the NPC whose rows come first; those of no NPC follow.
+        whom: on whom the evaluations depend; None if that is unknown.
+    """
+    rows: dict[tuple[int, ...] | None, dict[str, str]] = {}
+
+    def add(each: Evaluated, evaluation: Evaluation, more: str = "", unless: tuple[int, ...] = ()) -> None:
+        about = None if whom is None else whom.get(evaluation.number, unless)
+        rows.setdefault(about, {}).setdefault(each.condition, visible(f"{each.row(evaluation)}{more}"))
+
+    conditions = {each.condition: each for each in evaluated}
+    for condition, (evaluation, more) in first.items():
+        # Its outcome depends on the NPC that is elsewhere there, even if no value shows it.
+        add(conditions.pop(condition), evaluation, more, () if npc is None else (npc,))
+    for each in conditions.values():
+        own = [] if whom is None else [one for one in each.first if npc in whom.get(one.number, ())]
+        for evaluation in ([_rarest(own)] if own else []) + [each.last]:
+            add(each, evaluation)
+    order = sorted(rows, key=lambda about: (about is not None and npc not in about, bool(about), about or ()))
+    return tuple((_name(about), tuple(rows[about].values())) for about in order)
+
+
+def _rarest(evaluations: Sequence[Evaluation]) -> Evaluation:
+    """Return the last evaluation with the rarest outcome."""
+    counts = Counter(each.outcome for each in evaluations)
+    return min(reversed(evaluations), key=lambda each: counts[each.outcome])
+
+
+def _name(about: tuple[int, ...] | None) -> str:
+    return "" if about is None else ", ".join(f"NPC {npc}" for npc in about) or NOBODY
 
 
 class Conditions:
@@ -288,10 +367,11 @@ class _Recorder:
     def end(self, condition: str, since: int, value: Any) -> Any:
         """Note the outcome of a condition, unless it is no simple value, such as an array of booleans."""
         if self.thread == get_ident():
-            values = {text: _text(value) for whose, text, value in self._values[since:] if whose == condition}
+            values = {text: value for whose, text, value in self._values[since:] if whose == condition}
             del self._values[since:]
             if type(_plain(value)) in _SIMPLE:
-                evaluation = Evaluation(next(self._numbers), _text(value), tuple(values.items()))
+                texts = tuple((text, _text(each)) for text, each in values.items())
+                evaluation = Evaluation(next(self._numbers), _text(value), texts, tuple(map(_exact, values.values())))
                 if len(first := self._first.setdefault(condition, [])) < FIRST:
                     first.append(evaluation)
                 outcomes = self._outcomes.pop(condition, {})
@@ -327,6 +407,24 @@ def _text(value: Any) -> str:
     if kind in (list, tuple, set, frozenset, dict, deque):
         return f"{kind.__name__} of {len(value)}"
     return f"array of shape {value.shape}" if kind is np.ndarray else kind.__name__
+
+
+def _exact(value: Any, depth: int = 2) -> str:
+    """Return a text that is another one for another value, as far as that shows without calling the user's code."""
+    kind, plain = type(value), _plain(value)
+    if type(plain) in _SIMPLE:
+        return _text(plain) if type(plain) is int else repr(plain)
+    if kind is np.ndarray:
+        return repr(value.tobytes()) if value.dtype.kind in "biuf" and value.size <= LOOKED_AT**2 else _text(value)
+    inner: Iterable[Any] = ()
+    if issubclass(kind, tuple):
+        inner = tuple.__iter__(value)
+    elif issubclass(kind, list):
+        inner = list.__iter__(value)
+    else:
+        own = next((vars(each)["__dict__"] for each in kind.__mro__ if "__dict__" in vars(each)), None)
+        inner = own.__get__(value).values() if type(own) is GetSetDescriptorType else ()
+    return f"{_text(value)} {[_exact(each, depth - 1) for each in islice(inner, LOOKED_AT)] if depth else ''}"
 
 
 def _plain(value: Any) -> Any:

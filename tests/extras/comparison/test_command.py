@@ -233,7 +233,8 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
     assert "; of distinct with `{" in report
     of_test, papers = (
-        "3 to 6 NPCs with Position- or Lane-Instructions in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes "
+        "3 to 6 NPCs with Position- or Lane-Instructions in hostile traffic (NPCs may stop, brake hard and "
+        "cut in close); the ego starts at 12 to 26.8 m/s in lanes "
         "0 to 3",
         "2 NPCs; the ego starts at 22 m/s in lane 1",
     )

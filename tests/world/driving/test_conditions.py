@@ -1,13 +1,15 @@
 """The conditions of one decision: what is recorded of small policies, and that the policy stays as it was."""
 
 import importlib.util
+import re
 import sys
 import threading
 from textwrap import dedent
+from types import MappingProxyType
 
 import pytest
 
-from pytest_pafot.world.driving.conditions import LETTERS, ROWS, VALUES, Conditions, parting, shown
+from pytest_pafot.world.driving.conditions import LONGEST, NOBODY, Conditions, differing, parting, shown
 
 
 @pytest.fixture
@@ -29,7 +31,12 @@ def module(tmp_path, monkeypatch):
 
 def recorded(module, source, seen, ads="decide"):
     """Return the rows of a decision of a policy, which decides the same as without them."""
-    return list(shown(evaluated(module, source, seen, ads)))
+    return rows_of(evaluated(module, source, seen, ads))
+
+
+def rows_of(conditions, first=MappingProxyType({})):
+    """Return the rows of conditions of which nobody knows whom they are about."""
+    return [row for whom, rows in shown(conditions, first) for row in rows if not whom]
 
 
 def evaluated(module, source, seen, ads="decide"):
@@ -131,7 +138,7 @@ def test_values_are_short_safe_and_call_no_code_of_the_user(module, value, text)
     rows = []
     with Conditions([module.root / "policy_of_conditions.py"], module.root).recorded(loaded.ads, rows):
         loaded.ads(loaded.value)
-    assert list(shown(rows)) == [f"line 17: value is None  (value = {text}) -> False"]
+    assert rows_of(rows) == [f"line 17: value is None  (value = {text}) -> False"]
 
 
 def test_truth_is_asked_for_once(module):
@@ -153,13 +160,14 @@ def test_truth_is_asked_for_once(module):
     assert row == "line 11: counting or seen  (counting = Counting, seen = 0) -> False"
 
 
-def test_rows_are_few_and_short(module):
+def test_a_long_condition_is_whole_and_one_of_a_program_is_left_out_whole(module):
     name = "a_name_that_is_longer_than_most"
-    lines = [f"    if {name}.real > {number} and {name}.imag < {'1' * 40}: pass" for number in range(9)]
-    rows = recorded(module, "\n".join([f"def decide({name}):", *lines]), 3.0)
-    assert len(rows) == ROWS
-    assert rows[0].startswith("line 10: ")
-    assert max(map(len, rows)) <= LETTERS + VALUES / 2
+    tests = [f"{name}.real > {number} and {name}.imag < {'1' * 40}" for number in range(9)]
+    tests.append(" and ".join([f"{name} > 1"] * LONGEST))
+    rows = recorded(module, "\n".join([f"def decide({name}):", *(f"    if {each}: pass" for each in tests)]), 3.0)
+    assert rows[1] == f"line 10: {tests[8]}  ({name}.real = 3) -> False"
+    assert [row.partition(":")[0] for row in rows] == [f"line {number}" for number in range(11, 1, -1)]
+    assert re.fullmatch(r"line 11: \d{5} characters -> True", rows[0])
 
 
 FREE = """
@@ -174,12 +182,73 @@ def decide(gaps):
 
 def test_conditions_that_come_out_otherwise_in_another_decision_are_first(module):
     here, there = evaluated(module, FREE, (30.0, 20.0, 40.0)), evaluated(module, FREE, (30.0, 8.0, 40.0))
-    assert shown(here, parting(here, there, "with NPC 0 nearer", is_other=True)) == (
+    assert rows_of(here, parting(here, there, "with NPC 0 nearer", is_other=True)) == [
         "line 6: gap < 10  (gap = 20) -> False; with NPC 0 nearer True",
         "line 7: gaps  (gaps = tuple of 3) -> True",
         "line 5: gap < 0  (gap = 40) -> False",
         "line 3: len(gaps) > 9  (len(gaps) = 3) -> False",
+    ]
+
+
+def whom_of(module, source, seen, nudges):
+    """Return the conditions of a decision, and whom they are about by decisions with one vehicle a little elsewhere."""
+    here, whom = evaluated(module, source, seen), {}
+    for npc, nudged in enumerate(nudges):
+        for number in differing(here, evaluated(module, source, nudged)):
+            whom[number] = (*whom.get(number, ()), npc)
+    return here, whom
+
+
+def test_conditions_are_grouped_by_the_vehicle_whose_place_their_values_change_with(module):
+    """The NPC that is asked about is first, and has its own evaluation of a loop over all."""
+    nudges = [(30.01, 8.0, 40.0), (30.0, 8.01, 40.0), (30.0, 8.0, 40.01)]
+    here, whom = whom_of(module, FREE, (30.0, 8.0, 40.0), nudges)
+    assert shown(here, npc=0, whom=whom) == (
+        ("NPC 0", ("line 6: gap < 10  (gap = 30) -> False", "line 5: gap < 0  (gap = 30) -> False")),
+        (NOBODY, ("line 3: len(gaps) > 9  (len(gaps) = 3) -> False",)),
+        ("NPC 1", ("line 6: gap < 10  (gap = 8) -> True", "line 5: gap < 0  (gap = 8) -> False")),
     )
+    assert [whom_ for whom_, _ in shown(here, npc=2, whom=whom)] == [NOBODY, "NPC 1"]  # the loop ended before
+
+
+TRACKS = """
+from dataclasses import dataclass
+
+class Track(tuple):
+    pass
+
+@dataclass
+class Wish:
+    gaps: object
+
+def decide(seen):
+    wish = {made}
+    return wish is None
+"""
+
+
+@pytest.mark.parametrize("made", ["Track(seen[:1])", "[seen[0]]", "Wish(seen[0])", "Wish([Track(seen)[0]])"])
+def test_what_is_in_an_object_of_the_user_says_whom_a_condition_is_about(module, made):
+    nudges = [(30.01, 40.0), (30.0, 40.01)]
+    here, whom = whom_of(module, TRACKS.format(made=made), (30.0, 40.0), nudges)
+    assert [each for each, _ in shown(here, npc=0, whom=whom)] == ["NPC 0"]
+    here, whom = whom_of(module, TRACKS.format(made="Wish(seen)"), (30.0, 40.0), nudges)
+    assert [each for each, _ in shown(here, npc=0, whom=whom)] == ["NPC 0, NPC 1"]
+
+
+def test_an_evaluation_of_another_vehicle_is_no_other_outcome_of_this_one(module):
+    """With NPC 1 nearest, a loop over the nearest first comes to it where it came to NPC 0."""
+    source = "def decide(gaps):\n    return [1 for gap in sorted(gaps) if gap < 10]\n"
+    here, whom = whom_of(module, source, (20.0, 30.0), [(20.01, 30.0), (20.0, 30.01)])
+    there = evaluated(module, source, (20.0, 5.0))
+    assert parting(here, there, "then", is_other=True, npc=1, whom=whom) == {}
+    assert list(parting(here, there, "then", is_other=True)) == ["line 2: gap < 10"]
+
+
+def test_a_decision_is_compared_until_it_goes_another_way(module):
+    source = "def decide(gaps):\n    if gaps[0] < 10:\n        return gaps[1] < 5\n    return gaps[1] < 6\n"
+    here, there = evaluated(module, source, (10.0, 5.0)), evaluated(module, source, (9.0, 5.0))
+    assert differing(here, there) == {0}
 
 
 def test_the_cause_is_before_what_it_causes(module):
@@ -193,7 +262,7 @@ def test_the_cause_is_before_what_it_causes(module):
 
 def test_conditions_with_other_values_are_those_of_an_answer_that_stays_the_same(module):
     here, there = evaluated(module, FREE, (30.0, 20.0, 40.0)), evaluated(module, FREE, (30.0, 52.0, 40.0))
-    assert list(parting(here, there, "with NPC 0 further away", is_other=False).values()) == [
+    assert rows_of(here, parting(here, there, "with NPC 0 further away", is_other=False))[:2] == [
         "line 6: gap < 10  (gap = 20) -> False; also with NPC 0 further away",
         "line 5: gap < 0  (gap = 20) -> False; also with NPC 0 further away",
     ]
@@ -221,7 +290,7 @@ def test_conditions_of_several_files_are_told_with_the_file(module):
     with Conditions(files, module.root).recorded(policy, rows):
         assert policy(3.0)
     helper = "helper_of_conditions.py line 2: seen > 0  (seen = 3) -> True"
-    rows = shown(rows)
+    rows = rows_of(rows)
     assert rows[-1] == helper
     assert rows[0].startswith("policy_of_conditions.py line 8: ")
     assert "gap(seen) = 3" in rows[0]
@@ -255,7 +324,7 @@ def test_a_policy_with_state_in_a_closure_is_left_as_it_was(module, seen):
             assert (seen, rows) == (10, [])
         else:
             value = 2 + 2 * number
-            assert shown(rows)[0] == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
+            assert rows_of(rows)[0] == f"line 10: len(state) > 2  (len(state) = {value}) -> {number == 1}"
         assert policy.__code__ is code
     cells = policy.__closure__[0].cell_contents
     assert len(cells) == (4 if seen == 1 else 2)
