@@ -296,7 +296,7 @@ def _happened_section(paragraphs: Iterable[Paragraph]) -> str:
         shown += f"<p>{run_in}{text(sentences)}</p>"
         for whom, rows in groups:
             lines = "".join(f"<li><code>{text(each)}</code></li>" for each in rows)
-            shown += (f'<h4 class="whom">{text(whom)}</h4>' if whom else "") + f"<ul>{lines}</ul>"
+            shown += (f"<h4>{text(whom)}</h4>" if whom else "") + f"<ul>{lines}</ul>"
     return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
 
 

@@ -267,13 +267,13 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     if check is not None and run is not None:
         written, check = str(check), _with_curve(check, run.trace)
         short = _check_in_short(check, run.trace)
-        said = () if written in headline else (f"The {short}.",)
-        headline = headline.replace(written, short)
+        said = () if written in headline else (f"{capitalised(short)}.",)
+        headline = headline.replace(written, capitalised(short) if headline.startswith(written) else short)
         if sentences:  # they are on the collision, and would read as the check's
             besides, collision = f"Also in this run: {collision_in_short(run)}", _prose([first, *sentences])
         sentences = (*said, *_check_sentences(check_view(check, run.trace, ())))
     if run is not None and run.ads_error is not None and headline.startswith(run.ads_error.kind):
-        who = "ego's policy" if run.ads_error.is_of_ads else "environment"
+        who = "The ego's policy" if run.ads_error.is_of_ads else "The environment"
         headline = f"{who} failed at {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
     found = None if finding.original is None or finding.shrunk is None else finding.original
@@ -345,7 +345,7 @@ def _check_in_short(check: Check, trace: Trace) -> str:
     """Return one line on a failed check: who fails it, from when on, and the value with its bound."""
     view = check_view(check, trace, ())
     when = "" if view.begin is None else f" {'from' if view.broken else 'at'} {view.begin:.1f} s"
-    return f"ego fails the check{when}: {replace(check, time=None)}"
+    return f"the ego fails the check{when}: {replace(check, time=None)}"
 
 
 def _check_sentences(check: CheckView) -> tuple[str, ...]:
@@ -371,7 +371,7 @@ def _explained(run: Run, sentences: Sequence[str]) -> list[str]:
 
 def _prose(lines: Sequence[str]) -> str:
     """Join lines to sentences, each of which begins with a capital letter and ends with a full stop."""
-    return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', '...')) else '.'}" for line in lines)
+    return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines)
 
 
 def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]:
@@ -386,7 +386,9 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
     if sighting.answers is not None:
         shown.append(("The policy's answers", [str(sighting.answers)], ()))
     if moment is not None:
-        shown.append(("The moment", [f"at {moment}"], moment.conditions))
+        about = ", by the NPC that they are about" if any(whom for whom, _ in moment.conditions) else ""
+        listed = [f"its conditions then, with their values{about}:"] if moment.conditions else []
+        shown.append(("The moment", [f"at {moment}", *listed], moment.conditions))
     runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
     size = [f"{how}{runs}" for how in shrunk_lines(finding)]
     shown.append(("Shrunk", [*size, *speed_sentences(finding)], ()))

@@ -108,7 +108,7 @@ def test_values_of_unknown_ticks_have_no_curve():
 
 def test_article_starts_with_check_value_bound_and_moment():
     article = finding_article(shown(peaks(t61=35.1, t62=20.0), at_most=20), 0)
-    headline = "ego fails the check from 4.1 s: jerk 35.1 &gt; 20 m/s^3<"
+    headline = "The ego fails the check from 4.1 s: jerk 35.1 &gt; 20 m/s^3<"
     assert article.index(headline) < article.index('class="tags"') < article.index('class="player"')
     assert (article.partition('class="yaml"')[0].count("35.1"), article.count("failed check")) == (
         1,
@@ -120,8 +120,8 @@ def test_article_starts_with_check_value_bound_and_moment():
 
 def test_a_single_number_fails_at_its_moment_and_an_npc_is_named():
     named = shown(35.1, at_most=20, at=4.2, npc=0)
-    assert named.headline == "ego fails the check at 4.2 s: jerk 35.1 > 20 m/s^3 (NPC 0)"
-    assert shown(35.1, at_most=20).headline == "ego fails the check: jerk 35.1 > 20 m/s^3"
+    assert named.headline == "The ego fails the check at 4.2 s: jerk 35.1 > 20 m/s^3 (NPC 0)"
+    assert shown(35.1, at_most=20).headline == "The ego fails the check: jerk 35.1 > 20 m/s^3"
 
 
 def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_checks():
@@ -159,7 +159,7 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
     least = np.nanmin([npc.ttc if name == "min_ttc" else npc.gap for npc in run.npcs], axis=0)
     begin = np.flatnonzero(least < bound)[0] / 15
-    assert view.headline.startswith(f"ego fails the check from {begin:.1f} s: room ")
+    assert view.headline.startswith(f"The ego fails the check from {begin:.1f} s: room ")
     assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
     assert len(view.check.values) == len(view.times)
     other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.2))

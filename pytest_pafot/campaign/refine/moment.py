@@ -44,9 +44,10 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.conditions import Conditions, Evaluation, differing, parting, shown
+from pytest_pafot.world.driving.conditions import Conditions, Parted, differing, parting, shown
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.driving.seeing import with_others
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
@@ -66,8 +67,8 @@ Change = tuple[str, Additions | None]
 MANY = 1_000_000
 """More lanes than there are, for actions that a run has checked before."""
 
-NUDGE = (0.01, 0.01, 0.01)
-"""What is added to see which conditions are about a vehicle: less than what changes a decision."""
+NUDGE = 0.01
+"""What is added to places [m] and speed [m/s] to see which conditions are about a vehicle: it changes hardly any."""
 LITTLE = {"acceleration": HARDER, "steering": 0.05}
 """The least differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one."""
 POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
@@ -117,8 +118,8 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
     whom: dict[int, tuple[int, ...]] | None = None
     if isinstance(seen, Observation):
         whom, question = {}, replace(question, ads=None if trace.drew else aside.ads)
-        for other in sorted(seen.ids) if aside.conditions else ():
-            nudged = yield from ask(replace(question, instead=changed(seen, other, NUDGE)))
+        for other in sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ():
+            nudged = yield from ask(replace(question, instead=_nudged(seen, other)))
             for each in () if nudged is None else differing(aside.conditions, nudged.conditions):
                 whom[each] = (*whom.get(each, ()), other)
         if npc is not None and npc in seen.ids:
@@ -126,13 +127,25 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
             compared.append((f"with NPC {npc} {words}", npc, replace(question, instead=changed(seen, npc, by))))
     if number and number == moved_over(run):
         compared.append((f"at {times[number - 1]:.1f} s", None, replace(question, number=number - 1, ads=None)))
-    first: dict[str, tuple[Evaluation, str]] = {}
+    first: dict[str, Parted] = {}
     for when, elsewhere, each_question in compared:
         if not first and (asked := (yield from ask(each_question))) is not None:
             is_other = differ(trace.actions[number], asked.of(each_question.number))
             first = parting(aside.conditions, asked.conditions, when, is_other=is_other, npc=elsewhere, whom=whom or {})
     groups = shown(aside.conditions, first, npc=npc, whom=whom)
     return replace(sighting, moment=replace(moment, conditions=groups))
+
+
+def _nudged(seen: Observation, npc: int) -> Observation:
+    """Return an observation in which a vehicle, which may cross the ego's way, is a little elsewhere."""
+    if npc in seen.ids:
+        return changed(seen, npc, (NUDGE, NUDGE, NUDGE))
+    places = ("distance", "ego_distance", "ahead", "right", "speed")
+    crossing = [
+        each._replace(**{name: getattr(each, name) + NUDGE for name in places}) if each.id == npc else each
+        for each in seen.crossing
+    ]
+    return with_others(seen, seen.others, seen.ids, seen.lateral_velocities, crossing=crossing)
 
 
 def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
@@ -258,6 +271,9 @@ def _moment_of(
         ego, other = seen.ego, seen.others[seen.ids.index(npc)]
         boxes = ((each.heading, each.length, each.width) for each in (ego, other))
         where = placed(other.x - ego.x, other.y - ego.y, other.speed - ego.speed, *boxes)
+    elif is_planner and (crossing := [each for each in seen.crossing if each.id == npc]):
+        (way,), own = crossing, (0.0, seen.ego.length, seen.ego.width)
+        where = placed(way.ahead, way.right, way.speed - seen.ego.speed, own, (way.heading, way.length, way.width))
     elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
         where = "nowhere"
     elif sight is None or not (sight.latency or sight.noise or sight.own_bias):  # else only the world knows where

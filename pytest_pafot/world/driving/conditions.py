@@ -113,6 +113,20 @@ Whom = Mapping[int, tuple[int, ...]]
 """The NPCs on which evaluations depend, by the number of the evaluation; those on none are left out."""
 
 
+class Parted(NamedTuple):
+    """An evaluation that another decision makes otherwise.
+
+    Attributes:
+        evaluation: the evaluation.
+        ending: what to add to its row.
+        whom: the NPC that is elsewhere there, so that its outcome depends on it, even if no value shows that.
+    """
+
+    evaluation: Evaluation
+    ending: str
+    whom: tuple[int, ...]
+
+
 def parting(
     evaluated: Iterable[Evaluated],
     others: Iterable[Evaluated],
@@ -121,8 +135,8 @@ def parting(
     is_other: bool,
     npc: int | None = None,
     whom: Whom = MappingProxyType({}),
-) -> dict[str, tuple[Evaluation, str]]:
-    """Return the evaluations that another decision makes otherwise, and what to add to their rows, by condition.
+) -> dict[str, Parted]:
+    """Return the evaluations that another decision makes otherwise, by condition.
 
     If the other decision is answered otherwise, they are those with another outcome, in the order in which they were
     evaluated, because the first one is the cause of those after it. If it is answered in the same way, they are those
@@ -138,14 +152,14 @@ def parting(
             a loop over vehicles may come to the same one earlier or later.
     """
     otherwise = {each.condition: each.first for each in others}
-    found: list[tuple[int, str, tuple[Evaluation, str]]] = []
+    found: list[tuple[int, str, Parted]] = []
     for each in evaluated:
         for here, there in zip(each.first, otherwise.get(each.condition, ()), strict=False):
             is_same = here.outcome == there.outcome
             if (is_same and (is_other or here.values == there.values)) or npc not in whom.get(here.number, (npc,)):
                 continue
             ending = f"also {when}" if is_same else f"{when} {there.outcome}"
-            found.append((here.number, each.condition, (here, f"; {ending}")))
+            found.append((here.number, each.condition, Parted(here, f"; {ending}", () if npc is None else (npc,))))
             break
     ordered = sorted(found, reverse=not is_other)[:PARTING]
     return {condition: row for _, condition, row in ordered}
@@ -159,7 +173,7 @@ Groups = tuple[tuple[str, tuple[str, ...]], ...]
 
 def shown(
     evaluated: Iterable[Evaluated],
-    first: Mapping[str, tuple[Evaluation, str]] = MappingProxyType({}),
+    first: Mapping[str, Parted] = MappingProxyType({}),
     *,
     npc: int | None = None,
     whom: Whom | None = None,
@@ -176,14 +190,13 @@ def shown(
     """
     rows: dict[tuple[int, ...] | None, dict[str, str]] = {}
 
-    def add(each: Evaluated, evaluation: Evaluation, more: str = "", unless: tuple[int, ...] = ()) -> None:
+    def add(each: Evaluated, evaluation: Evaluation, ending: str = "", unless: tuple[int, ...] = ()) -> None:
         about = None if whom is None else whom.get(evaluation.number, unless)
-        rows.setdefault(about, {}).setdefault(each.condition, visible(f"{each.row(evaluation)}{more}"))
+        rows.setdefault(about, {}).setdefault(each.condition, visible(f"{each.row(evaluation)}{ending}"))
 
     conditions = {each.condition: each for each in evaluated}
-    for condition, (evaluation, more) in first.items():
-        # Its outcome depends on the NPC that is elsewhere there, even if no value shows it.
-        add(conditions.pop(condition), evaluation, more, () if npc is None else (npc,))
+    for condition, parted in first.items():
+        add(conditions.pop(condition), *parted)
     for each in conditions.values():
         own = [] if whom is None else [one for one in each.first if npc in whom.get(one.number, ())]
         for evaluation in ([_rarest(own)] if own else []) + [each.last]:
