@@ -10,7 +10,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.attribution.sentences import Fact, What, advice
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, text_of
+from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import (
     Answers,
     Moment,
@@ -154,6 +154,39 @@ def test_a_moment_is_told_in_one_line():
     assert str(replace(moment, otherwise="")).endswith("; no change of NPC 0 that was tried changes it")
     other = Moment(time=3.0, npc=None, action="1", reference="0")
     assert str(other) == "3.0 s, the first that differs: 1; the reference 0"
+
+
+def test_conditions_are_cut_at_whole_ones_and_the_rest_is_counted():
+    groups = (("NPC 0", ("line 1", "line 2")), ("no NPC", ("line 3",)), ("NPC 1", ("line 1", "line 4")))
+    moment = Moment(time=4.9, npc=0, conditions=groups)
+    whole = ["NPC 0:", "  line 1", "  line 2", "no NPC:", "  line 3", "NPC 1:", "  line 1", "  line 4"]
+    assert moment.condition_lines() == moment.condition_lines(5) == whole
+    rest = "with -v, or on the page of --pafot-report"
+    assert moment.condition_lines(3) == [*whole[:5], f"2 more {rest}"]
+    assert moment.condition_lines(1) == [*whole[:2], f"4 more {rest}"]
+    assert replace(moment, conditions=(("", ("line 1", "line 2")),)).condition_lines() == ["line 1", "line 2"]
+
+
+def test_a_planner_sees_a_vehicle_that_crosses_where_it_is():
+    """Its ``crossing`` has it, and not its ``others``."""
+    world = pafot.World("intersection-v0", planner_hz=5)
+    scenario = pafot.Scenario(npcs=[[pafot.CrossingInstruction("o1>o3", 0.5, 8.0)]], ego_lane=0, ego_speed=9.0)
+
+    def factory():
+        return lambda seen: KEEPS
+
+    trace = world.rollout(scenario, factory)
+    whole, without_it = (asked(factory, trace, npc, Question(number=5), world) for npc in (None, 0))
+    (there,) = whole.at.crossing
+    assert whole.at.ids == without_it.at.crossing == ()
+    moment = returned(_moment_of(trace, 0, 5, whole, without_it, asking(lambda _: None)))
+    ego, other = trace.states[trace.decision_ticks[5], :2]
+    assert moment.seen == seen_of(trace, 0, 5)
+    assert f"{abs(other[3] - ego[3]):.1f} m/s " in moment.seen
+    (nudged,) = _nudged(whole.at, 0).crossing
+    moved = {name: round(a - b, 6) for name, a, b in zip(there._fields, nudged, there, strict=True) if a != b}
+    assert moved == dict.fromkeys(["distance", "ego_distance", "ahead", "right", "speed"], 0.01)
+    assert _nudged(whole.at, 1) == whole.at
 
 
 def returned(steps):

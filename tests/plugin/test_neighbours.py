@@ -8,6 +8,7 @@ import pytest
 
 from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Ahead
+from pytest_pafot.world.driving.conditions import NOBODY
 
 COLLIDES = """
 @pafot.search(SHORT, stop_after=1)
@@ -212,10 +213,13 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     )
     options = ("--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
     result, record, _ = run(project, *options, "--pafot-report=out.html", generations=20)
-    (row,) = record["moment"]["conditions"]
+    ((whom, (row,)),) = record["moment"]["conditions"]
+    assert whom == f"NPC {record['moment']['npc']}"
     assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
     assert row.endswith(") -> True")
-    result.stdout.re_match_lines([r"moment +\d+\.\d s: .*", rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*"])
+    result.stdout.re_match_lines(
+        [r"moment +\d+\.\d s: .*", f"  {whom}:", rf"    line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
+    )
     assert f"line {line}: gap" in (project.path / "out.html").read_text()
     apart = run(project, *options, "--pafot-isolate", generations=20)[1]
     assert apart["moment"] == record["moment"]
@@ -268,7 +272,9 @@ def test_of_a_change_of_lanes_the_condition_that_let_it_pass_is_told_first(proje
     line = 1 + lines.index(f"            if other.lane == lane and {rear}:")
     options = ("--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-runs=400")
     moment = run(project, *options, generations=50)[1]["moment"]
-    assert re.match(rf"line {line}: .*{ending}", moment["conditions"][0])
+    whom, rows = moment["conditions"][0]
+    assert whom == f"NPC {moment['npc']}"
+    assert re.match(rf"line {line}: .*{ending}", rows[0])
 
 
 def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_decision_before_did_not_fulfil(project):
@@ -288,7 +294,9 @@ def test_never_moves_over_at_fault(run):
         "moment"
     ]
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
-    assert moment["conditions"][0].endswith("seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False")
+    ((whom, rows),) = moment["conditions"]
+    assert whom == NOBODY
+    assert rows[0].endswith("seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False")
 
 
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):

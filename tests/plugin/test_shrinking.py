@@ -65,6 +65,10 @@ def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides
     assert [line for line in lines if line.startswith("pafot: found ")] == [
         f"pafot: found test_it.py::test_collides[saved-{collides.only_id}]"
     ]
+    as_found = "  as found; at the end, shrinking changes times and numbers of NPCs"
+    assert lines.count(as_found) == 1
+    collides.forget()
+    assert as_found not in run(collides, "--pafot-shrink-rollouts=0").stdout.str().splitlines()
 
 
 def test_shrunk_file_retains_name_and_original_scenario(collides):
@@ -402,7 +406,7 @@ def test_log_has_one_line_for_each_finding(project):
     gap = '    pafot.check(run.min_distance, name="gap", at_least=12.0)\n'
     project.write(COLLIDES.replace(", stop_after=1", "") + gap)
     result = run(project, "--pafot-neighbours=0")
-    told = [line.partition(" shrinking ")[2] for line in result.outlines if " shrinking " in line]
+    told = [line.partition("[search] shrinking ")[2] for line in result.outlines if "[search] shrinking " in line]
     assert len(project.files) == len(told) == 2
     assert [f"{line.partition(',')[0]}.pafot.yaml" in "".join(project.files) for line in told] == [True, True]
 

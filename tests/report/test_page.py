@@ -104,7 +104,8 @@ def page_that_says(text):
     """Return a page that contains a text everywhere a report can."""
     finding = replace(
         as_seen(real_report().findings[0], finding={"test": f"t.py::test[{text}]"}, node_id=text, path=text),
-        headline=text, happened=((text, text, (text,)),), yaml=text, command=text, label=text, responsibility=text,
+        headline=text, happened=((text, text, ((text, (text,)),)),), yaml=text, command=text, label=text,
+        responsibility=text,
     )  # fmt: skip
     search = replace(real_report().searches[0], node_id=text, warnings=(text,), outcomes={text: 1})
     return render_page(Report(title=text, facts=((text, text),), command=text, findings=(finding,), searches=(search,)))

@@ -412,7 +412,7 @@ def test_hostile_text_is_shown_and_never_run(browser, tmp_path):
             sighting=None,
             name=text,
             headline=text,
-            happened=((text, text, (text,)),),
+            happened=((text, text, ((text, (text,)),)),),
             yaml=text,
             label=text,
         )
@@ -442,7 +442,7 @@ def test_long_words_do_not_widen_a_narrow_page(browser, tmp_path):
     word = "x" * 300
     finding = replace(
         as_seen(real_report().findings[0], node_id=word, path=word),
-        headline=word, label=word, happened=((word, word, (word,)),), yaml=word, command=word,
+        headline=word, label=word, happened=((word, word, ((word, (word,)),)),), yaml=word, command=word,
     )  # fmt: skip
     search = replace(real_report().searches[0], node_id=word, warnings=(word,), outcomes={word: 1})
     report = Report(title=word, facts=((word, word),), command=word, findings=(finding,), searches=(search,))

@@ -60,6 +60,16 @@ def test_an_article_on_a_finding_reads_so(snapshot):
     assert lines_of(finding_article(hand_made_finding(), 0)) == snapshot
 
 
+def test_conditions_stand_below_the_vehicle_that_they_are_about():
+    groups = (("NPC 0", ("line 1: a < b  (a = 1) -> True", "line 2")), ("", ("line 3",)))
+    finding = replace(hand_made_finding(), happened=(("The moment", "At 3 s.", groups),))
+    article = finding_article(finding, 0)
+    assert (
+        "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1) -&gt; True</code></li><li><code>line 2</code></li></ul>"
+        "<ul><li><code>line 3</code></li></ul>"
+    ) in article
+
+
 def test_article_on_unseen_finding_matches_its_snapshot(snapshot):
     finding = replace(
         as_seen(hand_made_finding(), path="corpus/a.pafot.yaml"), label="new", runs=3, instructions=(),
@@ -119,7 +129,7 @@ def test_an_error_of_the_policy_is_the_egos():
     error = AdsError(kind="ValueError", message="no plan", traceback="", tick=30)
     trace = replace(hand_made_trace(), outcome=Outcome.ADS_ERROR, collision=None, error=error)
     view = finding_view(seen_of(trace, finding_of(trace), headline="ValueError: no plan"))
-    assert view.headline == f"ego's policy failed at {view.event.time:.1f} s: ValueError: no plan"
+    assert view.headline == f"The ego's policy failed at {view.event.time:.1f} s: ValueError: no plan"
     listed = finding_list([view])
     assert "1 policy error" in listed
     assert "nobody" not in listed

@@ -80,7 +80,7 @@ def test_every_record_is_read_as_it_was_written(record):
 
 def test_finding_names_the_traffic_it_was_driven_in():
     scenario = replace(plain_finding().scenario, traffic=Traffic("everyday", least_gap=4))
-    told, finding = "everyday traffic (least_gap 4)", plain_finding(scenario=scenario)
+    told, finding = "everyday traffic (as most drivers drive, least_gap 4)", plain_finding(scenario=scenario)
     assert finding_entry(sighting(finding={"scenario": scenario}))["traffic"] == told
     assert finding_entry(sighting())["traffic"] == ""
     view = view_of(None, finding)
