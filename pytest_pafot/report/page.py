@@ -295,7 +295,9 @@ def _happened_section(paragraphs: Iterable[Paragraph]) -> str:
         run_in = f"<b>{text(title)}.</b> " if title else ""
         shown += f"<p>{run_in}{text(sentences)}</p>"
         for whom, rows in groups:
-            lines = "".join(f"<li><code>{text(each)}</code></li>" for each in rows)
+            # A browser would break an arrow of two characters between them.
+            drawn = [text(each.replace(" -> ", " \u2192 ")) for each in rows]
+            lines = "".join(f"<li><code>{each}</code></li>" for each in drawn)
             shown += (f"<h4>{text(whom)}</h4>" if whom else "") + f"<ul>{lines}</ul>"
     return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
 

@@ -164,8 +164,9 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy saw "
         "the NPC; `action`, its answer; `hidden`, the answer with the NPC hidden (empty for the same, null if "
         "unknown); `otherwise`, the smallest change of the NPC that changes it; `reference`, the reference's answer; "
-        "`conditions`, pairs of whom conditions are about (`NPC 1`, `no NPC`, or empty if that is unknown) and of "
-        "those that it evaluated, first those that come out otherwise with that change. Or null.",
+        "`conditions`, pairs of whom conditions are about (`NPC 1`, `no NPC, or unknown which`, or empty if "
+        "nothing is known) and of those that it evaluated, first those that come out otherwise with that change. "
+        "Or null.",
         None, lambda seen: _data(seen.moment),
     ),
     "neighbours": Key(

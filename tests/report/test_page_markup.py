@@ -65,7 +65,7 @@ def test_conditions_stand_below_the_vehicle_that_they_are_about():
     finding = replace(hand_made_finding(), happened=(("The moment", "At 3 s.", groups),))
     article = finding_article(finding, 0)
     assert (
-        "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1) -&gt; True</code></li><li><code>line 2</code></li></ul>"
+        "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1) \u2192 True</code></li><li><code>line 2</code></li></ul>"
         "<ul><li><code>line 3</code></li></ul>"
     ) in article
 
