@@ -206,6 +206,18 @@ def test_collides(run):
 """
 
 
+def test_conditions_of_two_vehicles_are_told_apart(project):
+    """The policy compares the place of the rear one with a gap, and that of the front one with the start."""
+    more = "        if max(o.x for o in seen.others) < 0.0: return 0.0, 0.0\n"
+    decides = "        return self.braking("
+    project.write(READS.replace("npcs=1", "npcs=2").replace(decides, f"{more}{decides}"))
+    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
+    groups = {row.partition(": ")[2].partition(" <")[0]: whom for whom, rows in moment["conditions"] for row in rows}
+    assert set(groups) == {"gap", "max((o.x for o in seen.others))"}
+    assert set(groups.values()) == {"NPC 0", "NPC 1"}
+    assert moment["conditions"][0][0] == f"NPC {moment['npc']}"
+
+
 def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(project):
     project.write(READS)
     line = 1 + (project.path / "test_it.py").read_text().splitlines().index(
