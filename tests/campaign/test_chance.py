@@ -48,7 +48,7 @@ class Unrepeatable(Brakes):
 
 def found(ads, folder, **settings):
     OWN.seed(3)
-    options = SHORT | {"shrink_rollouts": 40, "neighbours": 0, "stop_after": 1, "runs": 40} | settings
+    options = SHORT | {"shrink_rollouts": 12, "neighbours": 0, "stop_after": 1, "runs": 40} | settings
     result = pafot.explore(ads, holds=never_brakes, node_id=NODE_ID, corpus=str(folder), **options)
     (told,) = result.sightings
     assert load(told.file) == replace(told.finding, trace=None)
@@ -211,7 +211,7 @@ def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, m
 def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):
     told = found(Brakes, tmp_path, shrink_rollouts=0)
     rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=60, runs=100)))
-    replays, saved = saved_with(Brakes, tmp_path, shrink_rollouts=40, neighbours=0)
+    replays, saved = saved_with(Brakes, tmp_path, shrink_rollouts=12, neighbours=0)
     with prepared(replays.harness) as parts:
         *_, later = shrink_saved(parts, saved, path="")
     assert len(later.finding.scenario.npcs) == 1

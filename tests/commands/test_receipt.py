@@ -95,9 +95,8 @@ def check_ending(folder, command, place, how):
     assert re.search(r"expected (the process|a policy|an ADS|the factory|a module)|SystemExit: 0", told)
 
 
-@pytest.mark.parametrize("how", ["os._exit(0)", "sys.exit(0)"])
-def test_an_ending_after_the_verdict_is_no_success(tmp_path, how):
-    assert ended(tmp_path, SEARCH, options=(), ON_IMPORT=f"atexit.register(lambda: {how})")[0] != 0
+def test_an_ending_after_the_verdict_is_no_success(tmp_path):
+    assert ended(tmp_path, SEARCH, options=(), ON_IMPORT="atexit.register(os._exit, 0)")[0] != 0
 
 
 def test_a_search_that_comes_to_its_end_keeps_its_code(tmp_path):

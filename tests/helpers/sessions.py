@@ -113,6 +113,8 @@ def imported(*rooms):
         path = importlib.import_module(f"pytest_pafot.{room}").__path__
         for module in pkgutil.walk_packages(path, f"pytest_pafot.{room}."):
             importlib.import_module(module.name)
+    # pytest asks for the module of each line of a traceback, which looks at all modules once: copies need not do so.
+    inspect.getmodule(imported.__wrapped__.__code__)
 
 
 class Ended(NamedTuple):

@@ -207,7 +207,7 @@ def simulated(state):
 
 @pytest.mark.processes
 def test_four_times_twenty_runs_are_eighty(project):
-    source = SOURCE.replace("SHORT, shrink_rollouts=10", "blame='ego', shrink_rollouts=30")
+    source = SOURCE.replace("SHORT, shrink_rollouts=10", "blame='ego', shrink_rollouts=10")
     project.write(source)
     project.run("--pafot-runs=80", generations=None)
     whole = forget(project)

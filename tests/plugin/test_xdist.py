@@ -123,7 +123,7 @@ def test_the_hash_seed_changes_nothing(project, monkeypatch):
     contents = []
     for hash_seed in ("0", "1"):
         monkeypatch.setenv("PYTHONHASHSEED", hash_seed)
-        project.run(fresh=True)
+        project.run("--pafot-shrink-rollouts=30", fresh=True)
         contents.append(project.contents)
         project.forget()
     assert contents[0] == contents[1]

@@ -181,7 +181,7 @@ def test_search_among_crossing_and_free_npcs_is_the_same_with_other_processes():
     one, two = (
         pafot.explore(
             lambda: keeping, holds=no_collision, world=world, drivers={"policy": "policy", "mobil": "mobil"},
-            workers=workers, runs=20, seed=5, neighbours=0, shrink_rollouts=10,
+            workers=workers, runs=20, seed=5, neighbours=0, shrink_rollouts=0,
         )
         for workers in (1, 2)
     )  # fmt: skip
@@ -246,8 +246,7 @@ def anything(run):
 def test_search_is_the_same_with_other_processes_and_its_findings_run_again():
     drivers = {"policy": "policy", "mobil": "mobil", "drawing": Drawing}
     one, two = (
-        explored(holds=no_collision, drivers=drivers, workers=workers, runs=60, shrink_rollouts=15)
-        for workers in (1, 2)
+        explored(holds=no_collision, drivers=drivers, workers=workers, runs=60, shrink_rollouts=0) for workers in (1, 2)
     )
     assert one.summary.outcomes == two.summary.outcomes
     assert [each.scenario for each in one.findings] == [each.scenario for each in two.findings]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import re
 import sys
 import sysconfig
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -45,7 +46,6 @@ class Served:
     _known: set[str] = field(default_factory=set)  # the paths that were looked at
     _modules: set[str] = field(default_factory=set)  # the names of modules that were looked at
     _imported: set[str] = field(default_factory=set)  # those whose files were looked at
-    _maps: set[bytes] = field(default_factory=set)  # the lines of the system on the memory of this process
     _strangers: set[str] = field(default_factory=set)
 
     def refused(self) -> str:
@@ -135,7 +135,7 @@ class Served:
         names = sys.modules.keys() - self._imported
         self._imported |= names
         modules = [getattr(sys.modules.get(name), "__file__", None) for name in names]
-        seen = [*(self.opened - self._known), *modules, *self._in_memory()]
+        seen = [*(self.opened - self._known), *modules, *_in_memory()]
         new = {name for name in seen if isinstance(name, str)} - self._known
         self._known |= new
         kept_out = [Path(os.path.realpath(each)) for each in (self.policy.tree, PACKAGE, sys.prefix)]
@@ -145,19 +145,18 @@ class Served:
                 self._strangers.add(str(real))
         return sorted(self._strangers)
 
-    def _in_memory(self) -> set[str]:
-        """Return the files that were mapped into the memory since the last call, which native code may have opened."""
-        maps = Path("/proc/self/maps")
-        lines = {*maps.read_bytes().splitlines()} if maps.exists() else set()
-        new, self._maps = lines - self._maps, lines
-        return {os.fsdecode(line[line.index(b"/") :]) for line in new if b"/" in line}
-
     def hashes(self) -> dict[str, str]:
         """Return the hashes of the files of the revision that this process has seen, by path in the repository."""
         self._present()
         tree = self.policy.tree
         own = sorted(path for path in map(Path, self._known) if path.is_relative_to(tree) and not _is_no_part(path))
         return {path.relative_to(tree).as_posix(): digest_of(path) for path in own if path.is_file()}
+
+
+def _in_memory() -> set[str]:
+    """Return the files that are mapped into the memory, which native code may have opened."""
+    maps = Path("/proc/self/maps")
+    return {*map(os.fsdecode, {*re.findall(rb"/.*", maps.read_bytes())})} if maps.exists() else set()
 
 
 def real_paths(names: Iterable[str]) -> Iterator[Path]:

@@ -62,15 +62,15 @@ def elsewhere(project):
     project.pytester.makeconftest(CONFTEST)
     project.pytester.makepyfile(my_planner=PLANNER)
     project.write(MANY)
-    alone, contents = session(project)
+    alone, contents = session(project, project.run_once)
     assert contents
     return project, alone, contents
 
 
-def session(project, *args):
+def session(project, run, *args):
     """Run a session that begins without saved scenarios; return it and what it saved."""
     project.forget()
-    result = project.run("-p", "no:cacheprovider", "--show-capture=stdout", *args, generations=3)
+    result = run("-p", "no:cacheprovider", "--show-capture=stdout", *args, generations=3)
     return result, project.contents
 
 
@@ -81,7 +81,7 @@ def told(result):
 def test_executor_gives_same_results_as_one_process(elsewhere):
     project, alone, contents = elsewhere
     project.pytester.makeconftest(CONFTEST + PROCESSES)
-    several, same = session(project)
+    several, same = session(project, project.run)
     several.stdout.fnmatch_lines([NOTE.format("ProcessPoolExecutor")])
     assert same == contents
     assert told(several) == told(alone)
@@ -105,7 +105,7 @@ def cluster():
 
 def test_dask_workers_give_same_results_as_one_process(elsewhere, cluster):
     project, alone, contents = elsewhere
-    several, same = session(project, f"--pafot-dask={cluster.scheduler_address}")
+    several, same = session(project, project.run, f"--pafot-dask={cluster.scheduler_address}")
     several.stdout.fnmatch_lines([NOTE.format("ClientExecutor")])
     assert same == contents
     assert told(several) == told(alone)
@@ -146,7 +146,8 @@ def test_a_scheduler_that_does_not_answer_is_named():
 def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("pytest_pafot.extras.executors.SOON", 0.1)
-    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=":0") as empty:
+    here = {"processes": False, "protocol": "tcp"}  # a worker in a process of its own takes seconds to start
+    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=":0", **here) as empty:
         told = []
 
         def tell(text):
