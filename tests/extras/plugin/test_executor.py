@@ -1,5 +1,6 @@
 """The fixture `pafot_executor` and the option `dask`: runs on other machines, the same search."""
 
+import math
 import os
 import signal
 import sys
@@ -57,8 +58,9 @@ def test_many(run):
 
 
 @pytest.fixture
-def elsewhere(project):
+def elsewhere(project, monkeypatch):
     """Return a project whose ADS has its own module, and the findings of a search in one process there."""
+    monkeypatch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", math.inf)  # a slow session would report its progress
     project.pytester.makeconftest(CONFTEST)
     project.pytester.makepyfile(my_planner=PLANNER)
     project.write(MANY)
