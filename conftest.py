@@ -50,9 +50,6 @@ def pytest_configure(config: pytest.Config) -> None:
         # After a session in a session, pytester forgets what that one imported, and pandas cannot be imported twice.
         with suppress(ImportError):
             import pandas as pd  # noqa: F401, PLC0415
-        from tests.helpers.known_roads import remember_roads  # noqa: PLC0415
-
-        remember_roads()
     # Hypothesis also tries constants from those of the project's modules that are already imported. A test's examples
     # would then depend on the tests that ran before it in its process.
     if settings.default.derandomize:
