@@ -51,7 +51,7 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.support.errors import RequestError, check_asserts, command
+from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
@@ -410,11 +410,4 @@ def replays_of(
         needs_only_run=needs_only_run,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )
-    return Replays(harness=harness, in_own_session=_no_session)
-
-
-def _no_session(file: Path, *what: object) -> NoReturn:
-    raise RequestError(
-        f"{file}: a process died in this scenario, and on a system that cannot fork processes only pytest can run it "
-        f"again without danger for this process; run `{command('pytest', file)}`"
-    )
+    return Replays(harness=harness)

@@ -22,7 +22,7 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, run_apart, runner_for
-from pytest_pafot.execution.scenario_pool import Job, LostRun, expectation
+from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.failure_rate import FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
@@ -44,7 +44,6 @@ from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.instructions import ScenarioError
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
@@ -164,9 +163,6 @@ class Replays:
     """The replays of the saved scenarios of one test."""
 
     harness: Harness
-    # replays the scenario of a file in a separate session, if no other process can be given what the test needs; raises
-    # ``ProcessLostError`` if that session died
-    in_own_session: Callable[[Path, Job, Scenario], None]
     today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
     clock: Callable[[], float] = time.perf_counter  # [s]
 
@@ -272,13 +268,7 @@ class Replays:
         job = harness.job(world, owner)
         if self._is_apart(saved, owner):
             with refusals(), _naming(saved.path):
-                trace = run_apart(
-                    job,
-                    scenario,
-                    partial(harness.judge_trace, world),
-                    isolate=isolate,
-                    in_own_session=lambda: self.in_own_session(saved.path, job, scenario),
-                )
+                trace = run_apart(job, scenario, partial(harness.judge_trace, world), isolate=isolate)
         with harness.recording(job) as record:
             record.write(scenario)
             if trace is None:

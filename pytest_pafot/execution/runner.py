@@ -855,30 +855,19 @@ def answers_apart(
     return None if pool.failure else answers | {lost.task: lost for lost in pool.recovered}
 
 
-def run_apart(
-    job: Job,
-    scenario: Scenario,
-    judge: Callable[[Trace], object],
-    *,
-    isolate: bool,
-    in_own_session: Callable[[], object],
-) -> Trace | None:
-    """Return the trace of a scenario that was run and evaluated in a separate process.
+def run_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object], *, isolate: bool) -> Trace:
+    """Return the trace of a scenario that was run and evaluated in a separate process; see :func:`answers_apart`.
 
-    The session then evaluates the trace again. Return None if the scenario must be run in this process, because no
-    other process can be started. In that case, ``in_own_session`` has first replayed the scenario in a separate
-    session, which has survived. For the other arguments see :func:`answers_apart`.
+    The session then evaluates the trace again.
 
     Raises:
         ProcessLostError: if the separate process died or hung.
-        ExecutionError: with ``isolate``, if no other process can be started; without, if the ADS does not work in one.
+        ExecutionError: if no other process can be started; without ``isolate``, also if the ADS does not work in one.
         Exception: with ``isolate``, any exception of the separate process.
     """
     __tracebackhide__ = True
-    answers = answers_apart(job, [scenario], judge, isolate=isolate)
-    if answers is None:
-        in_own_session()
-        return None
+    answers = answers_apart(job, [scenario], judge, isolate=True)
+    assert answers is not None  # noqa: S101  (only without isolation it may be None)
     try:
         return trace_of(made_apart(answers[scenario]))
     except ProcessLostError:

@@ -222,9 +222,9 @@ class Execution:
         if request is None:
             return None
         from pytest_pafot.campaign.request import AgainstError  # noqa: PLC0415
-        from pytest_pafot.plugin.own_session import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
         from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
+        from pytest_pafot.plugin.stuck_ads import session_ends_if_stuck  # noqa: PLC0415
         from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
 
         saved = saved_of(pyfuncitem)

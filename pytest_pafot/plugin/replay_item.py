@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from datetime import date
-from functools import partial
 from typing import NoReturn
 
 import pytest
@@ -30,7 +29,6 @@ from pytest_pafot.plugin.debugging import stop_in_replay
 from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, SUMMARY, explained
 from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
-from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.errors import command, flag
@@ -51,7 +49,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request, writes=False)
     today = date.fromisoformat(item.config.stash[SHARED].today)
-    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
+    replays = Replays(harness=harness, today=today)
     if request.settings.debug:
         stop_in_replay(item, replays, saved)
     path, lost = relative(saved.path, harness.root), None

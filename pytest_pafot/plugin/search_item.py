@@ -58,7 +58,6 @@ from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
-from pytest_pafot.plugin.own_session import replay_in_own_session
 from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
 from pytest_pafot.report import terminal
@@ -313,7 +312,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
         harness = harness_of(item, request)
         if harness.against is not None or is_revision(settings.against):  # which may not have the policy yet
             _compare(item, harness)
-    replays = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item), today=today)
+    replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     messages_of_search = SearchMessages(item, settings, table_messages_of(item))

@@ -33,10 +33,6 @@ KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
 
 
-HERE = "PAFOT_REPLAY_HERE"
-"""The environment variable that marks a session started only to replay a file in a separate process."""
-
-
 def terminal_width() -> int:
     """Return the width of the terminal in columns, as pytest determines it."""
     columns = shutil.get_terminal_size((80, 24)).columns
@@ -120,7 +116,7 @@ def stale_day(asked: str, today: date) -> list[str]:
 
 def misspelt(environ: Mapping[str, str]) -> list[str]:
     """Return warnings about environment variables whose name is similar to the variable of an option."""
-    read = [*(option.variable for option in OPTIONS if option.everywhere), HERE, "PAFOT_KERNEL"]
+    read = [*(option.variable for option in OPTIONS if option.everywhere), "PAFOT_KERNEL"]
     # Compared without the common prefix, which would make any two names similar
     known = {name.removeprefix("PAFOT_"): name for name in read}
     others = sorted(name for name in environ if name.startswith("PAFOT_") and name not in read)

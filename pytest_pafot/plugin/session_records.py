@@ -24,7 +24,7 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin.messages import received
 from pytest_pafot.plugin.orphans import advice
 from pytest_pafot.plugin.record import Record
-from pytest_pafot.plugin.session import HERE, SUMMARY_LINES, exit_code, not_written
+from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import flag
 
@@ -43,10 +43,10 @@ written again only after this time multiplied by the second number."""
 
 
 def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
-    """Return whether ``--pafot-json``, a CI job or a plugin wants a record; False if it replays for another session."""
+    """Return whether ``--pafot-json``, a CI job or a plugin wants a record."""
     hooks = (config.hook.pytest_pafot_event, config.hook.pytest_pafot_record)
     is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY) or any(map(_is_implemented, hooks)))
-    return is_wanted and not environ.get(HERE) and not config.getoption("collectonly", False)
+    return is_wanted and not config.getoption("collectonly", False)
 
 
 class Records:

@@ -9,7 +9,6 @@ import argparse
 import time
 from contextlib import closing
 from dataclasses import asdict, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
@@ -47,7 +46,6 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
     from pytest_pafot.campaign.search_session import prepared  # noqa: PLC0415
     from pytest_pafot.campaign.watch import time_limit  # noqa: PLC0415
     from pytest_pafot.corpus.writer import CorpusWriteError, rewrite  # noqa: PLC0415
-    from pytest_pafot.plugin.own_session import replay_in_own_session  # noqa: PLC0415
     from pytest_pafot.plugin.search_item import harness_of  # noqa: PLC0415
     from pytest_pafot.support.errors import RequestError  # noqa: PLC0415
 
@@ -55,7 +53,7 @@ def run_shrink(item: pytest.Function, request: Request, saved: Saved) -> None:
         pytest.fail(saved.error, pytrace=False)
     harness, path = harness_of(item, request), relative(saved.path, item.config.rootpath)
     space = build_space(request, harness.world)  # of the test: it has the ego's start that shrinking prefers
-    world = Replays(harness=harness, in_own_session=partial(replay_in_own_session, item)).world_of(saved)
+    world = Replays(harness=harness).world_of(saved)
     settings = harness.request.settings  # those of a project may switch shrinking off in its searches
     settings = replace(settings, generations=0, shrink_rollouts=settings.shrink_rollouts or None)
     harness = replace(harness, world=world, request=replace(harness.request, settings=settings))

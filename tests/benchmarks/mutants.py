@@ -114,9 +114,8 @@ def limited(seconds: int) -> Iterator[None]:
 def run_of(finding: Finding, path: Path) -> None:
     """Build the world of a file and run its scenario once; ignore refusals that name the file."""
     harness: Any = SimpleNamespace(world=Highway())
-    elsewhere: Any = None  # no file here is replayed in its own session
     try:
-        world = Replays(harness=harness, in_own_session=elsewhere).world_of(Saved(path=path, finding=finding))
+        world = Replays(harness=harness).world_of(Saved(path=path, finding=finding))
     except RequestError as error:
         if not str(error).startswith(f"{path}:"):
             raise

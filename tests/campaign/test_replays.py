@@ -69,7 +69,7 @@ def harness_of(ends):
 
 def shown(xfail=None, **ends):
     """Return what saved scenarios with these results show, next to an unreadable file."""
-    told = Told(harness=harness_of(ends), in_own_session=None)
+    told = Told(harness=harness_of(ends))
     expect = Expect.of(CRASH, FAILS)
     files = [
         Saved(Path(f"{id_}.pafot.yaml"), plain_finding(id=id_, xfail=xfail, expect=expect))

@@ -68,7 +68,7 @@ def test_scenario_and_its_verdict_run_in_another_process(job_of, tmp_path, capfd
 def test_process_dying_in_run_or_verdict_is_lost(job_of, part):
     drive, judge = (os._exit, praise) if part == "run" else (idle, lambda trace: os._exit(trace.scenario.seed))
     with pytest.raises(ProcessLostError, match="ended with exit code 1"):
-        run_apart(job_of(drive), ONE, judge, isolate=False, in_own_session=pytest.fail)
+        run_apart(job_of(drive), ONE, judge, isolate=False)
 
 
 @needs_fork
@@ -87,7 +87,7 @@ def test_exception_of_the_verdict_is_not_raised_here(job_of):
     def fail(trace):
         raise LookupError("no such fixture")
 
-    assert run_apart(job_of(idle), ONE, fail, isolate=False, in_own_session=pytest.fail).scenario == ONE
+    assert run_apart(job_of(idle), ONE, fail, isolate=False).scenario == ONE
 
 
 def open_nothing():
@@ -100,18 +100,16 @@ def test_exception_of_the_factory_is_raised_with_advice(job_of, isolate):
     job = replace(job_of(idle), policy=Policy(open_nothing))
     kind = OSError if isolate else ExecutionError
     with pytest.raises(kind, match="cannot re-initialize CUDA") as raised:
-        run_apart(job, ONE, praise, isolate=isolate, in_own_session=pytest.fail)
+        run_apart(job, ONE, praise, isolate=isolate)
     told = "".join([str(raised.value), *getattr(raised.value, "__notes__", ())])
     assert "open that in the factory, not before" in told
     assert ("delete the file" in told) is not isolate
 
 
-def test_session_of_its_own_is_used_without_forking(job_of, no_fork):
-    went = []
-    assert run_apart(job_of(idle), ONE, praise, isolate=False, in_own_session=lambda: went.append(1)) is None
-    assert went == [1]
+@pytest.mark.parametrize("isolate", [False, True])
+def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork, isolate):
     with pytest.raises(ExecutionError, match="expected an ADS factory that can be pickled"):
-        run_apart(job_of(idle), ONE, praise, isolate=True, in_own_session=pytest.fail)
+        run_apart(job_of(idle), ONE, praise, isolate=isolate)
 
 
 class TestRetrying:

@@ -421,15 +421,6 @@ def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypat
     result.stdout.fnmatch_lines([f"  problem: GITHUB_STEP_SUMMARY=*summary.md: {told}"])
 
 
-@pytest.mark.processes
-def test_nested_replay_session_writes_no_record_or_summary(summary, saved, monkeypatch):
-    monkeypatch.setenv("PAFOT_REPLAY_HERE", "1")
-    summary.write_text("before\n")
-    saved.run("--pafot-json=pafot.json", generations=0)
-    assert summary.read_text() == "before\n"
-    assert not (saved.path / "pafot.json").exists()
-
-
 def test_second_interrupt_leaves_the_code_of_the_first():
     session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)  # pytest has not noted the first Ctrl-C yet
     assert exit_code(session) == 0

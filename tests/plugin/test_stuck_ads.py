@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.plugin import own_session as stuck
+from pytest_pafot.plugin import stuck_ads as stuck
 from tests.plugin.test_workers import DIES, IMPATIENT, dear, session  # noqa: F401  (dear is a fixture)
 
 pytestmark = [pytest.mark.processes, pytest.mark.skipif(sys.platform == "win32", reason="interruptions are signals")]
@@ -21,10 +21,10 @@ import time
 import pytest
 
 import pytest_pafot.execution.scenario_pool
-import pytest_pafot.plugin.own_session
+import pytest_pafot.plugin.stuck_ads
 from pytest_pafot import Highway
 
-pytest_pafot.execution.scenario_pool.GRACE = pytest_pafot.plugin.own_session.GRACE = 0.3
+pytest_pafot.execution.scenario_pool.GRACE = pytest_pafot.plugin.stuck_ads.GRACE = 0.3
 
 @pytest.fixture
 def pafot_world():

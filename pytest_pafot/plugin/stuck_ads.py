@@ -1,35 +1,25 @@
-"""A separate pytest session that replays one file, if the run may end its process and this process cannot fork.
+"""The end of a session whose ADS ignores interrupts: the findings so far are reported, and the process ends.
 
-Nothing has to be sent to it, because ``python -m pytest <file>`` sets up the fixtures of the test itself.
+The scenario is already on disk, and the next session runs it. Under pytest-xdist only the worker ends, and pytest-xdist
+replaces it like a worker that crashed.
 """
 
 from __future__ import annotations
 
 import os
-import shlex
-import subprocess
 import sys
 import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
 
-from pytest_pafot.execution.crash_records import left_by
-from pytest_pafot.execution.pool import GRACE, ProcessLostError, ending
-from pytest_pafot.execution.scenario_pool import Job
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.plugin.session import HERE, is_worker
+from pytest_pafot.execution.pool import GRACE
+from pytest_pafot.plugin.session import is_worker
 from pytest_pafot.plugin.terminal_reporter import uncaptured
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import flag
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
-
-# The end of a session whose ADS ignores interrupts: the findings so far are reported, and the process ends.
-#
-# The scenario is already on disk, and the next session runs it. Under pytest-xdist only the worker ends, and
-# pytest-xdist replaces it like a worker that crashed.
 
 STATUS = pytest.ExitCode.INTERRUPTED
 """The exit status of a session that ended because its ADS hung.
@@ -102,41 +92,3 @@ def _real_stderr(config: pytest.Config) -> int | None:
     with suppress(OSError), uncaptured(config):
         return os.dup(2)
     return None
-
-
-def replay_in_own_session(item: pytest.Function, file: Path, job: Job, scenario: Scenario) -> None:
-    """Replay the scenario of a file in a separate pytest session. In such a session itself, do nothing.
-
-    Raises:
-        ProcessLostError: if the separate session died.
-        RequestError: if the separate session ended before it replayed the file.
-    """
-    __tracebackhide__ = True
-    if os.environ.get(HERE):
-        return
-    config = item.config
-    given = [str(arg) for arg in getattr(config, "workerinput", {}).get("mainargv", ("",))[1:]]
-    given = given or [str(arg) for arg in config.invocation_params.args]
-    others = set(map(str, config.getoption("file_or_dir", None) or ()))
-    command = [sys.executable, "-m", "pytest", *(arg for arg in given if arg not in others), str(file)]
-    command += [f"--rootdir={config.rootpath}", *(["-n0"] if config.pluginmanager.has_plugin("xdist") else [])]
-    session = subprocess.Popen(  # noqa: S603  (this session's own command)
-        command,
-        cwd=config.invocation_params.dir,
-        env={**os.environ, HERE: "1"},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    with session:
-        try:
-            code = session.wait()
-        finally:
-            session.kill()  # only has an effect after an interrupt; otherwise the session has ended already
-    if code < 0 or any(leftover.pid == session.pid for leftover in left_by(job.owner, job.records)):
-        raise ProcessLostError(scenario, pid=session.pid, how=ending(code), is_hang=code == STATUS)
-    if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-        raise RequestError(
-            f"{file}: expected a separate session to replay the scenario in which a process died, received "
-            f"{ending(code)} of: {shlex.join(command)}; run this command to see why"
-        )
