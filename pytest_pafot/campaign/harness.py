@@ -299,9 +299,8 @@ class Harness:
             with job.crash_record() as record:
                 yield record
         finally:
-            if self.records == self.folder.parents[1]:  # records are in the corpus, because there is no cache
-                with suppress(OSError):  # The corpus contains findings, or was never created.
-                    self.records.rmdir()
+            with suppress(OSError):  # It has records of other processes, or was never created.
+                self.records.rmdir()
 
     def left_behind(self, owner: str = "") -> list[Leftover]:
         """Return the crash records of processes that died in runs of this test, or of another ``owner``."""

@@ -4,8 +4,8 @@ Each process writes its own file and locks it. The system releases the lock when
 file without a lock was left by a process that died. Process ids do not suffice to detect that, because in containers
 each session may have the same process id.
 
-A record is signed for its folder with a key of this user on this machine. A record from a pull request, a different
-project or a different machine has no valid signature, and no search uses it.
+The records of a project are among the system's temporary files, in a folder in which only this user can write, and no
+repository can place files. So each is by a session of this user on this machine.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import errno
 import hashlib
 import json
 import os
-import secrets
 import stat
 import sys
 import tempfile
@@ -26,17 +25,18 @@ from typing import Any, Self
 
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, way_out, write_if_free
+from pytest_pafot.support.files import hold, is_held, open_regular, pid_of, way_out
 
 SUFFIX = ".inflight"
 MAX_BYTES = 1 << 20
-KEY_BYTES = 32
-_SIGNATURE = b', "signature": "'
-"""The text in a record between the signed text and the signature."""
 
 
-class KeyFolderError(OSError):
-    """Error for a key that cannot be used to sign crash records."""
+def records_of(root: Path) -> Path:
+    """Return the folder for the crash records of the project in a folder, which need not exist yet."""
+    # On Windows each user has their own folder for temporary files.
+    own = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
+    name = hashlib.blake2b(os.fsencode(os.path.realpath(root)), digest_size=8).hexdigest()
+    return Path(tempfile.gettempdir(), own, name)
 
 
 class CrashRecordError(Exception):
@@ -49,10 +49,8 @@ class CrashRecordError(Exception):
         advice = way_out(error, "or set TMPDIR to another one")
         if error.errno in (errno.EMFILE, errno.ENFILE):
             advice = "close the files that the ADS and the tests open"
-        elif isinstance(error, KeyFolderError):
+        elif error.errno == errno.EPERM:
             advice = "delete that, or set TMPDIR to a folder for temporary files that belongs to you"
-        elif error.errno == errno.EINVAL:
-            advice = "put the folder itself in its place, or name it by its absolute path with pytest's key cache_dir"
         super().__init__(
             f"{folder}: expected a folder that can be read and written, received: {error.strerror or error}; a hard "
             f"crash of this process will not name the scenario that caused it; {advice}"
@@ -75,7 +73,6 @@ class CrashRecord:
         self._folder = folder
         self._descriptor: int | None = None
         self._path = folder
-        self._sealed: hashlib.blake2b | None = None
         self._owner = json.dumps(owner)
         self._world = json.dumps(dict(world) if world is not None else None)
         self._is_watched = is_watched
@@ -93,7 +90,7 @@ class CrashRecord:
             process += f', "reference": {json.dumps(reference)}'
         if self._is_watched:
             process += ', "watched": true'
-        self._put(f'{{{process}, "scenario": {alone}{together}'.encode())
+        self._put(f'{{{process}, "scenario": {alone}{together}}}'.encode())
 
     def clear(self) -> None:
         """Record that no scenario is running."""
@@ -121,11 +118,8 @@ class CrashRecord:
         if self.error is not None:
             return
         try:
-            self._sealed = self._sealed or _seal(self._folder)
             if self._descriptor is None:
                 self._descriptor, self._path = _create(self._folder)
-            if record:
-                record += b'%b%b"}' % (_SIGNATURE, _signature(self._sealed, record))
             os.lseek(self._descriptor, 0, os.SEEK_SET)
             os.write(self._descriptor, record + b"\n")  # only the first line counts: the rest of an old record may stay
         except OSError as error:
@@ -133,63 +127,25 @@ class CrashRecord:
 
 
 def _create(folder: Path) -> tuple[int, Path]:
-    _refuse_link(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     while True:
-        descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
-        if hold(descriptor):
-            return descriptor, Path(name)
-        os.close(descriptor)
-        Path(name).unlink(missing_ok=True)
+        for each in (folder.parent, folder):
+            each.mkdir(mode=0o700, exist_ok=True)
+        with suppress(FileNotFoundError):  # another session has removed the folder, which was empty
+            _refuse_folder_of_others(folder)
+            descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
+            if hold(descriptor):
+                return descriptor, Path(name)
+            os.close(descriptor)
+            Path(name).unlink(missing_ok=True)
 
 
-def _refuse_link(folder: Path) -> None:
-    if folder.is_symlink():
-        raise OSError(errno.EINVAL, "a link; nothing is written or removed behind it", str(folder))
-
-
-def _seal(folder: Path) -> hashlib.blake2b:
-    """Return the keyed hash of a folder's path, to which the text of a record is added to sign that record."""
-    return hashlib.blake2b(os.fsencode(os.path.realpath(folder)) + b"\0", key=_key(), digest_size=16)
-
-
-def _signature(seal: hashlib.blake2b, record: bytes) -> bytes:
-    seal = seal.copy()
-    seal.update(record)
-    return seal.hexdigest().encode()
-
-
-def _key() -> bytes:
-    """Return the key with which this user signs records on this machine; create the key if it is missing.
-
-    The key is in the folder for temporary files, in which no repository can place files. If the key is lost, for
-    example when the machine restarts, older records are ignored.
-
-    Raises:
-        KeyFolderError: if the key cannot be created, or if other users could have written it.
-    """
-    # On Windows each user has their own folder for temporary files.
-    name = "pytest-pafot" if sys.platform == "win32" else f"pytest-pafot-{os.getuid()}"
-    folder, is_of_others = Path(name), False
-    try:
-        folder = Path(tempfile.gettempdir(), name)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
-        if sys.platform != "win32":
-            is_of_others = status.st_uid != os.getuid() or status.st_mode & 0o077 != 0
+def _refuse_folder_of_others(folder: Path) -> None:
+    """Refuse a folder that other users could have made or could write in, since anybody can make one in /tmp."""
+    for each in (folder.parent, folder):
+        status = each.lstat()
+        is_of_others = sys.platform != "win32" and (status.st_uid != os.getuid() or status.st_mode & 0o022 != 0)
         if is_of_others or not stat.S_ISDIR(status.st_mode):
-            raise PermissionError(errno.EPERM, "others may write there")
-        path = folder / "key"
-        if not os.path.lexists(path):
-            write_if_free(path, secrets.token_bytes(KEY_BYTES))
-        with open_regular(path) as file:
-            key = file.read(KEY_BYTES + 1)
-        if len(key) != KEY_BYTES:
-            raise OSError(errno.EINVAL, "a damaged key")
-    except OSError as error:
-        reason = f"{error.strerror or error}: {folder}, where the key of the records is"
-        raise KeyFolderError(error.errno, reason) from error
-    return key
+            raise PermissionError(errno.EPERM, f"others may write there: {each}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +160,6 @@ class Leftover:
             if the record cannot be read.
         world: the world in which the scenarios ran, as plain data, or None.
         reference: the name of the policy that drove instead of the ADS; empty if the ADS drove.
-        is_own: True if a session of this user wrote the record in this folder; any other record may be forged.
         is_watched: True if a session would have noticed that the process died, so it died together with that session.
     """
 
@@ -214,7 +169,6 @@ class Leftover:
     scenarios: tuple[Scenario, ...] = ()
     world: Mapping[str, Any] | None = None
     reference: str = ""
-    is_own: bool = False
     is_watched: bool = False
 
     @property
@@ -242,30 +196,27 @@ def leftovers(folder: Path) -> tuple[Leftover, ...]:
         CrashRecordError: if the folder cannot be read.
     """
     try:
-        _refuse_link(folder)
+        _refuse_folder_of_others(folder)
         paths = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIX))
     except FileNotFoundError:
         return ()
     except OSError as error:
         raise CrashRecordError(folder, error) from error
-    seal = None
-    with suppress(OSError):  # Without the key no record is valid.
-        seal = _seal(folder) if paths else None
-    return tuple(filter(None, [_leftover(path, seal) for path in paths]))
+    return tuple(filter(None, map(_leftover, paths)))
 
 
 def left_by(owner: str, folder: Path) -> list[Leftover]:
-    """Return the records of processes that died in the test ``owner``, if a session of this user wrote them.
+    """Return the records of processes that died in the test ``owner``.
 
     The list is empty if the folder cannot be read. Writing a record there then fails as well, and reports the reason.
     """
     try:
-        return [leftover for leftover in leftovers(folder) if leftover.is_own and leftover.owner == owner]
+        return [leftover for leftover in leftovers(folder) if leftover.owner == owner]
     except CrashRecordError:
         return []
 
 
-def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
+def _leftover(path: Path) -> Leftover | None:
     try:
         with open_regular(path, "r+b") as file:
             if is_held(file.fileno(), pid_of(path)):
@@ -274,9 +225,7 @@ def _leftover(path: Path, seal: hashlib.blake2b | None) -> Leftover | None:
             line = file.read(MAX_BYTES).split(b"\n", 1)[0]
     except OSError:
         return None  # it was removed meanwhile, or belongs to a different user
-    signed, _, end = line.rpartition(_SIGNATURE)
-    is_own = seal is not None and secrets.compare_digest(end, _signature(seal, signed) + b'"}')
-    leftover = Leftover(path=path, pid=pid_of(path), is_own=is_own)
+    leftover = Leftover(path=path, pid=pid_of(path))
     if not line.strip():
         leftover.discard()  # no scenario was running
         return None

@@ -117,7 +117,7 @@ def runner_for(
 def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
     """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
     with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=base_world(world), policy=Policy(ads), records=Path(records), owner="command")
+        job = Job(world=base_world(world), policy=Policy(ads), records=Path(records, "records"), owner="command")
         with job.crash_record() as record, runner_for(job, record) as runner:
             yield runner
 
@@ -915,7 +915,7 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
         pool = None
         if scenario_pool.METHOD == "fork" and isolates():
             records = stack.enter_context(tempfile.TemporaryDirectory(prefix="pafot-"))
-            job = Job(world=base, policy=Policy(ads), records=Path(records), owner="test")
+            job = Job(world=base, policy=Policy(ads), records=Path(records, "records"), owner="test")
             pool = stack.enter_context(pool_for(job, 1))
 
         def drive(scenario: Scenario) -> Run:

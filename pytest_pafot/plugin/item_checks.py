@@ -12,7 +12,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.corpus.layout import SEARCH_PART
-from pytest_pafot.execution.crash_records import left_by
+from pytest_pafot.execution.crash_records import left_by, records_of
 from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import REQUEST, is_search, saved_of
 from pytest_pafot.plugin.marks import (
@@ -28,7 +28,7 @@ from pytest_pafot.plugin.marks import (
 from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
-from pytest_pafot.plugin.session import SHARED, records_folder
+from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.plugin.tracing import read
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.text import meant, visible, wrapped_to
@@ -73,7 +73,7 @@ class Checks:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
         item.stash[REQUEST] = request
         is_idle = is_search(item) and not request.settings.is_search
-        if is_idle and not left_by(base_id(item), records_folder(item, request.settings)):
+        if is_idle and not left_by(base_id(item), records_of(item.config.rootpath)):
             option = BY_NAME["generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
                 in_environment = f"{option.variable}=0 is in the environment"

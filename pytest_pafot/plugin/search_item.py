@@ -45,6 +45,7 @@ from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_o
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.labels import Label
@@ -59,7 +60,7 @@ from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
 from pytest_pafot.plugin.run_tables import table_messages_of
-from pytest_pafot.plugin.session import SHARED, is_worker, records_folder
+from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.space import sample
@@ -149,7 +150,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         node_id=node_ids.base_id(item),
         saved_node_id=partial(node_ids.saved_node_id, item),
         folder=folder,
-        records=records_folder(item, request.settings),
+        records=records_of(item.config.rootpath),
         root=item.config.rootpath,
         versions=installed_versions(world.packages),
         against=reference_of(given, lambda name: checked_factory(item.funcargs[name], name), policy),

@@ -19,14 +19,14 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import OPTIONS, Settings
-from pytest_pafot.corpus.layout import SEARCH_PART, around, chosen_folder, corpus_root, link_below
+from pytest_pafot.campaign.options import OPTIONS
+from pytest_pafot.corpus.layout import SEARCH_PART, around, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.text import day_of, plural
+from pytest_pafot.support.text import day_of
 
 KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
@@ -91,18 +91,6 @@ def base_line(config: pytest.Config) -> str:
     return f"profile {settings.profile}, base seed {settings.seed} (repeat with {flag('seed', settings.seed)})"
 
 
-def records_folder(item: pytest.Item, settings: Settings) -> Path:
-    """Return the folder for an item's crash records: in pytest's cache, or in the corpus if there is no cache.
-
-    If the path leads through a link, return the link, which is later refused as a folder of records.
-    """
-    cached = _cached_folder(item.config)
-    if cached is not None:
-        return cached
-    corpus = corpus_root(item.path, settings.corpus, item.config.rootpath)
-    return link_below(chosen_folder(item.path, settings.corpus), corpus) or corpus
-
-
 def stale_day(asked: str, today: date) -> list[str]:
     """Return a warning about a day of ``--pafot-today`` that is over everywhere; empty for any other."""
     day = day_of(asked)
@@ -131,28 +119,17 @@ def misspelt(environ: Mapping[str, str]) -> list[str]:
 
 def unclaimed(config: pytest.Config) -> list[str]:
     """Return warnings about the records of processes that died, if no test of this session has processed them."""
-    folder = _cached_folder(config)
-    if folder is None:
-        return []
-    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers  # noqa: PLC0415
+    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers, records_of  # noqa: PLC0415
 
     try:
-        found = leftovers(folder)
+        found = leftovers(records_of(config.rootpath))
     except CrashRecordError as error:
         return [str(error)]
-    own = [
+    return [
         f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
         f"that test runs it again, or delete {each.path}"
         for each in found
-        if each.is_own
     ]
-    others = [each.path for each in found if not each.is_own]
-    if others:
-        own.append(
-            f"{others[0]}: expected a record that this user made on this machine, received "
-            f"{plural(len(others), 'record')} from elsewhere or from before a restart; they are ignored: delete them"
-        )
-    return own
 
 
 def end_in_order(config: pytest.Config) -> None:
@@ -187,15 +164,6 @@ def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[
 
         return f"{error.strerror or error}; {way_out(error, 'or name another file')}"
     return ""
-
-
-def _cached_folder(config: pytest.Config) -> Path | None:
-    try:
-        link = link_below(config.rootpath, config.rootpath / config.getini("cache_dir") / "d" / "pafot")
-        return link or Path(config.cache.mkdir("pafot"))
-    # There is no cache plugin, or the checkout is read-only: writing the record reports what is wrong.
-    except (AttributeError, ValueError, OSError):
-        return None
 
 
 # Data that the controller and the workers of pytest-xdist exchange when a worker starts and when it ends.

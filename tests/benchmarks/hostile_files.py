@@ -59,8 +59,6 @@ scenario:
 expect: {failure: AssertionError, assertion: run.duration < N, outcome: safe, time: 10.0, responsibility: none}
 found: {seed: 1234, generation: 17, algorithm: pafot, versions: {pytest-pafot: 0.1.0, numpy: 2.4.6}}
 """
-SCENARIO = "[[[[2,20.0],[2,20.0]]],0,1,22.0,5.0]"
-"""A scenario as crash records contain it."""
 
 
 class Place:
@@ -86,14 +84,6 @@ class Place:
     def write(self, text: str | bytes) -> None:
         """Write the corpus file."""
         self.file.write_bytes(text.encode() if isinstance(text, str) else text)
-
-    def record(self, name: str, **values: object) -> None:
-        """Write the record that a dead process leaves behind."""
-        records = self.project / ".pytest_cache" / "d" / "pafot"
-        records.mkdir(parents=True)
-        scenario = json.loads(SCENARIO)
-        data = {"owner": "test_it.py::test_it", "pid": 1, "world": None, "scenario": scenario} | values
-        (records / name).write_text(json.dumps(data))
 
 
 Recipe = Callable[[Place], object]
@@ -164,12 +154,6 @@ def _temporary_linked_outside(place: Place) -> None:
     (place.folder / ".pafot-1-0123456789abcdef.tmp").symlink_to(place.secret)
 
 
-def _cache_linked_outside(place: Place) -> None:
-    (place.project / ".pytest_cache" / "d").mkdir(parents=True)
-    (place.project / ".pytest_cache" / "d" / "pafot").symlink_to(place.outside)
-    (place.outside / "1-x.inflight").write_text(json.dumps({"owner": SECRET, "pid": 1, "world": None, "scenario": 0}))
-
-
 def _many_files(place: Place) -> None:
     for number in range(500):
         (place.folder / f"many-{number}.pafot.yaml").write_text("pafot: 2\n")
@@ -196,7 +180,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "socket": _socket,
         "folder": lambda place: place.file.mkdir(),
         "half-written file that is a link": beside(_temporary_linked_outside),
-        "folder of records that is a link": beside(_cache_linked_outside),
         "deep folders": beside(_deep_folders),
         "500 files": beside(_many_files),
         "escapes in the message": file(lambda: good(assertion=f'"{ESCAPES}"', failure="ValueError")),
@@ -240,14 +223,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "environment of another package": file(lambda: good(gym(env_id="CartPole-v1"))),
         "world that names a class": file(lambda: good({"kind": "own", "class": "os:system", "data": "id"})),
         "world of a package that is not there": file(lambda: good({"kind": "no_such:kind", "data": {}})),
-        "record of a world that names a class": beside(
-            lambda place: place.record("1-x.inflight", world={"kind": "own", "class": "os:system"})
-        ),
-        "record of a drive of a year": beside(lambda place: place.record("1-x.inflight", world=highway(duration=3e7))),
-        "record with escapes": beside(lambda place: place.record("1-x.inflight", owner="\x1b[2J\n::error::owned")),
-        "record with numbers that are none": beside(
-            lambda place: place.record("1-x.inflight", scenario=[[[[2, -1.7e308]]], 0, 1, 22.0, 5.0])
-        ),
     }
 )
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 
 from pytest_pafot.execution import crash_records
-from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, left_by, leftovers
+from pytest_pafot.execution.crash_records import CrashRecord, CrashRecordError, leftovers, records_of
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support import files
@@ -153,43 +153,41 @@ def test_a_garbled_record_is_still_a_leftover(tmp_path, content):
     assert (left.pid, left.owner, left.scenarios) == (77, "", ())
 
 
-def test_only_signed_records_of_this_folder_are_trusted(tmp_path, monkeypatch):
-    own, other = tmp_path / "own", tmp_path / "other"
-    with child(own, "os._exit(9)") as process:
-        process.wait()
-    (path,) = own.iterdir()
-    record = path.read_bytes()
-    assert [left.scenarios for left in left_by(OWNER, own)] == [(SCENARIO,)]
-    changed = record.split(b"\n", 1)[0].replace(b"25.0", b"24.0")
-    unsigned = record.split(b', "signature"', 1)[0] + b"}"
-    for name, content in {"1-a": changed, "2-b": unsigned, "3-c": unsigned[:-1] + b', "signature": ""}'}.items():
-        abandoned(own, f"{name}.inflight", content + b"\n")
-    abandoned(other, "1-x.inflight", record)
-    assert [left.path for left in left_by(OWNER, own)] == [path]
-    assert (len(leftovers(own)), [left.is_own for left in leftovers(other)]) == (4, [False])
-    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(other))  # a different user has a different key
-    assert left_by(OWNER, own) == []
+def test_each_project_has_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(tmp_path / "tmp"))
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "same").symlink_to(tmp_path)
+    own, other = records_of(tmp_path), records_of(tmp_path / "other")
+    with CrashRecord(own, OWNER) as record:
+        record.write(SCENARIO)
+        assert record.error is None
+        assert len(list(own.iterdir())) == 1
+    assert own == records_of(tmp_path / "same")
+    assert own.parent == other.parent
+    assert own != other
+    assert [each.stat().st_mode & 0o777 for each in (own, own.parent)] == [0o700, 0o700]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="each user has a folder for temporary files on Windows")
-@pytest.mark.parametrize("fault", ["open to others", "a link", "empty", "key is a link"])
-def test_key_that_others_could_have_planted_is_refused(tmp_path, monkeypatch, fault):
-    monkeypatch.setattr(crash_records.tempfile, "tempdir", str(tmp_path))
-    home = tmp_path / f"pytest-pafot-{os.getuid()}"
-    secret = tmp_path / "secret"
-    secret.write_bytes(b"k" * 32)
-    if fault == "a link":
-        (tmp_path / "elsewhere").mkdir(mode=0o700)
-        home.symlink_to(tmp_path / "elsewhere")
+@pytest.mark.parametrize("level", [0, 1])
+@pytest.mark.parametrize("is_link", [False, True], ids=["open to others", "a link"])
+def test_folder_that_others_could_have_planted_is_refused(tmp_path, is_link, level):
+    folder = tmp_path / "own" / "project"
+    place = [folder.parent, folder][level]
+    place.parent.mkdir(mode=0o700, exist_ok=True)
+    if is_link:
+        (tmp_path / "elsewhere" / "project").mkdir(parents=True)
+        place.symlink_to(tmp_path / "elsewhere")
     else:
-        home.mkdir(mode=0o755 if fault == "open to others" else 0o700)
-        (home / "key").symlink_to(secret) if "key" in fault else (home / "key").write_bytes(b"")
-    with CrashRecord(tmp_path / "records", OWNER) as record:
+        place.mkdir()
+        place.chmod(0o777)
+    with CrashRecord(folder, OWNER) as record:
         record.write(SCENARIO)
     assert "a hard crash of this process will not name" in str(record.error)
-    assert str(home) in str(record.error)
+    assert f"others may write there: {place}" in str(record.error)
     assert str(record.error).endswith("delete that, or set TMPDIR to a folder for temporary files that belongs to you")
-    assert leftovers(tmp_path / "records") == ()
+    with pytest.raises(CrashRecordError, match=f"others may write there: {place}"):
+        leftovers(folder)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
@@ -206,11 +204,11 @@ def test_folder_of_records_follows_no_links(tmp_path):
     assert leftovers(folder) == ()
     (tmp_path / "link").symlink_to(folder)
     (folder / "9-x.inflight").write_text("\n")  # it would be removed
-    with pytest.raises(CrashRecordError, match="a link; nothing is written"):
+    with pytest.raises(CrashRecordError, match="others may write there"):
         leftovers(tmp_path / "link")
     with CrashRecord(tmp_path / "link", OWNER) as record:
         record.write(SCENARIO)
-    assert "a link" in str(record.error)
+    assert "others may write there" in str(record.error)
     assert sorted(folder.iterdir()) == sorted([*before, folder / "9-x.inflight"])
     assert (blank.read_text(), secret.exists()) == ("\n", True)
 

@@ -1,6 +1,7 @@
 """A project with a fast ADS and short scenarios, in which pytest runs in this process."""
 
 import os
+import tempfile
 from pathlib import Path
 
 # pytester forgets modules that a run imports; compiled ones must stay, since they cannot be loaded a second time
@@ -12,7 +13,7 @@ import pytest_pafot
 import pytest_pafot.strategies
 from pytest_pafot.campaign import bench
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.execution.crash_records import CrashRecord
+from pytest_pafot.execution.crash_records import CrashRecord, records_of
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -141,8 +142,7 @@ class Project:
 
     def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
         """Write the record of a process that died while a test ran one scenario or several."""
-        folder = self.path / ".pytest_cache" / "d" / "pafot"
-        flight = CrashRecord(folder, owner, world=world or Highway(duration=10.0).to_dict())
+        flight = CrashRecord(records_of(self.path), owner, world=world or Highway(duration=10.0).to_dict())
         chains = [(PositionInstruction(cell, 20.0),) * 2 for cell in cells]
         flight.write(*(Scenario(npcs=(chain,), gene_seconds=5) for chain in chains))
         os.close(flight._descriptor)
@@ -166,6 +166,11 @@ class Project:
     def contents(self):
         """Return the contents of all corpus files."""
         return {name: (self.path / name).read_text() for name in self.files}
+
+    @property
+    def records(self):
+        """Return the crash records of the project, and any others in its folder for temporary files."""
+        return list(Path(tempfile.gettempdir()).rglob("*.inflight"))
 
     def forget(self):
         """Remove all corpus files."""
@@ -191,7 +196,7 @@ def found():
 
 
 @pytest.fixture
-def project(request, pytester, monkeypatch, found):
+def project(request, pytester, monkeypatch, found, tmp_path_factory):
     """Return a project whose sessions omit slow steps unless a test requests them.
 
     Findings are saved without neighbours, without shrinking, without reference drivers, without a second run in
@@ -220,6 +225,9 @@ def project(request, pytester, monkeypatch, found):
     monkeypatch.setenv("PAFOT_POPULATION", "4")  # so that a few generations are few runs
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    temporary = str(tmp_path_factory.mktemp("temporary"))
+    monkeypatch.setenv("TMPDIR", temporary)
+    monkeypatch.setattr(tempfile, "tempdir", temporary)
     return Project(pytester, found)
 
 

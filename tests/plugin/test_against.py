@@ -201,7 +201,7 @@ def test_next_session_names_reference_that_ended_the_last(project):
             "*note: a process (pid *) died while the reference planner_before:make drove in <Scenario *>*nothing *",
         ]
     )
-    assert (project.files, list(project.path.rglob("*.inflight"))) == ([], [])
+    assert (project.files, project.records) == ([], [])
 
 
 def test_search_fails_if_its_reference_always_fails(project):

@@ -2,6 +2,8 @@
 
 import pytest
 
+from pytest_pafot.execution.crash_records import records_of
+
 
 def test_next_session_saves_scenario_of_a_dead_process(project):
     project.write(
@@ -29,6 +31,7 @@ def test_dies(run):
     result = project.run()
     result.assert_outcomes(passed=2)
     result.stdout.fnmatch_lines(["*1 fixed"])
+    assert not records_of(project.path).exists()
 
 
 PASSES = """

@@ -78,7 +78,7 @@ def test_repeated_crash_fails_only_its_own_item(crash, more, generations):
         ["the process (pid *) that ran this scenario was ended by SIGSEGV*", "*1 saved scenario: 1 still failing*"]
     )
     assert 'tests="2"' in (crash.path / "junit.xml").read_text()
-    assert not list(crash.path.rglob("*.inflight"))
+    assert not crash.records
 
 
 @forks

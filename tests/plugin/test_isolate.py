@@ -137,7 +137,7 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     result.stdout.fnmatch_lines(["*ended: all generations done*"])
     again = project.run("--pafot-isolate", *QUICK, generations=3, apart=True)
     again.stdout.re_match_lines([rf"  \d+ runs? fails? like saved-{crash.rpartition('/')[2][:-11]}"])
-    assert not list(project.path.rglob("*.inflight"))
+    assert not project.records
 
 
 def test_process_death_by_the_driver_of_an_npc_is_no_finding(isolated):

@@ -53,7 +53,7 @@ def replayed(project):
 
 
 def records(project):
-    return list(project.path.rglob("*.inflight"))
+    return project.records
 
 
 def left_in_the_end(project, count):

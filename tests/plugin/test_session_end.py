@@ -75,20 +75,21 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
     assert "problem: report of what test_it.py::test_fails[search] found: ZeroDivisionError: division by zero" in text
 
 
-def test_unreadable_cache_folder_is_one_summary_line(project, monkeypatch):
+def test_unreadable_folder_of_records_is_one_summary_line(project, monkeypatch):
     listed = Path.iterdir
 
     def refuse(path):
-        if path.parts[-2:] == ("d", "pafot"):
+        if path.parent.name.startswith("pytest-pafot"):
             raise PermissionError(errno.EACCES, "Permission denied")
         return listed(path)
 
     project.write(FAILS)
+    project.leave_behind("test_old.py::test_dies")
     monkeypatch.setattr(Path, "iterdir", refuse)
     result = project.run()
     assert is_whole(result)
     text = text_of(result)
-    assert "pafot: expected a folder that can be read and written, received: Permission denied;" in text
+    assert ": expected a folder that can be read and written, received: Permission denied;" in text
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
@@ -115,6 +116,7 @@ def leak():
 """
     )
     project.write(FAILS)
+    project.leave_behind("test_old.py::test_dies")
     result = project.run("--pafot-report=x.html", apart=True)
     assert is_whole(result)
     text = text_of(result)

@@ -207,7 +207,7 @@ def test_worker_death_is_a_finding_and_search_continues(dear):
         ]
     )
     assert "During handling" not in result.stdout.str()
-    assert not list(project.path.rglob("*.inflight"))
+    assert not project.records
 
 
 def test_further_deaths_are_counted_and_later_known(dear):
@@ -264,7 +264,7 @@ def noting(observation):
     assert f"FAILED {found}" in rest
     with pytest.raises(ProcessLookupError):  # No process of its group is left.
         os.killpg(process.pid, 0)
-    assert not list(project.path.rglob("*.inflight"))
+    assert not project.records
 
 
 def test_xdist_allows_one_process_for_each_search(dear):
