@@ -26,7 +26,6 @@ from pytest_pafot.criticality.measures import (
     min_safety_distance,
     min_ttc,
     planned_duration,
-    post_encroachment_time,
     safety_distance,
     ttc,
 )
@@ -37,6 +36,6 @@ from pytest_pafot.criticality.zones import Passage, passages, still_to_pass, tim
 __all__ = [
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ettc", "execution_time",
     "gap", "hardest_brake", "longitudinal_gap", "max_safety_shortfall", "mettc", "min_centre_distance", "min_gap",
-    "min_safety_distance", "min_ttc", "passages", "planned_duration", "post_encroachment_time", "safety_distance",
+    "min_safety_distance", "min_ttc", "passages", "planned_duration", "safety_distance",
     "still_to_pass", "time_advantage", "ttc",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
-from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, depth, overlaps, relate
+from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, depth, relate
 from pytest_pafot.criticality.relative import RelativePositions
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace
 
@@ -239,42 +239,3 @@ def planned_duration(trace: Trace) -> float:
 
 def _lowest(values: FloatArray) -> float:
     return float(values.min(initial=np.inf))
-
-
-# Post-encroachment time: how narrowly two vehicles missed each other in time.
-#
-# Source: Allen, Shin, Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record 667,
-# 1978: the time between one road user leaving a place and another arriving at it.
-
-
-def post_encroachment_time(trace: Trace, *, horizon: float = 10.0) -> FloatArray:
-    """Return the shortest time between ego or NPC leaving a place and the other vehicle arriving there [s].
-
-    The shape is [NPCs]. Lower is worse; 0 at overlap, infinite if no vehicle arrives within ``horizon`` seconds. All
-    places are included: the result is the smallest lag with which one vehicle's box overlaps the earlier box of the
-    other. At a crossing this is the usual measure at the conflict area; for following it is the net time gap. Lags are
-    whole physics ticks, so the result exceeds the exact time by up to one tick.
-
-    Args:
-        trace: the run.
-        horizon: longest lag to try [s]; a longer horizon takes longer to compute.
-    """
-    boxes = encounters_of(trace).boxes
-    lags = range(min(int(horizon * trace.physics_hz), trace.ticks) + 1)
-    met = [
-        next((lag for lag in lags if _meets(boxes, 0, npc, lag) or _meets(boxes, npc, 0, lag)), np.inf)
-        for npc in range(1, len(boxes.x))
-    ]
-    return np.array(met) / trace.physics_hz
-
-
-def _meets(boxes: Boxes, first: int, second: int, lag: int) -> bool:
-    """Return whether the box of ``second`` is ever where the box of ``first`` was ``lag`` ticks earlier."""
-    ticks = boxes.x.shape[1]
-    before = boxes.part(slice(first, first + 1), slice(0, ticks - lag))
-    after = boxes.part(slice(second, second + 1), slice(lag, ticks))
-    # The circles around the boxes decide most lags in a fraction of the time.
-    reach = np.hypot(before.half_length, before.half_width) + np.hypot(after.half_length, after.half_width)
-    if not ((after.x - before.x) ** 2 + (after.y - before.y) ** 2 <= reach**2).any():
-        return False
-    return bool(overlaps(relate(before, after)).any())

@@ -20,7 +20,7 @@ from tests.helpers.crossing_traces import CROSSES, HZ, MERGES, ZONES, junction_t
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of
 
-IN_THE_PLANE = ("centre_distance", "ettc", "gap", "post_encroachment_time", "ttc")
+IN_THE_PLANE = ("centre_distance", "ettc", "gap", "ttc")
 EXTREMES_IN_THE_PLANE = ("mettc", "min_centre_distance", "min_gap", "min_ttc")
 ALONG_THE_WAY = {
     "gap_across": lambda trace: RoadFrame(trace).gap_across,

@@ -365,46 +365,6 @@ class TestRss:
             RssRules(ego_response=-1)
 
 
-class TestPostEncroachmentTime:
-    def test_of_a_crossing_is_from_leaving_to_arriving(self):
-        # The NPC's rear leaves the ego's track, y = 1, at 0.7 s: (1 + 2.5 + 3.5) / 10. The ego's front arrives at
-        # the NPC's track, x = 29, at (29 - 2.5) / 10 = 2.65 s. Ticks: 0.01 s.
-        ticks = np.arange(500) / 100
-        ego = vehicle(10 * ticks, speed=10)
-        npc = vehicle(30, -3.5 + 10 * ticks, heading=math.pi / 2, speed=10)
-        pet = criticality.post_encroachment_time(trace_of(ego, npc, physics_hz=100, ads_hz=10))
-        assert pet == pytest.approx([1.95], abs=0.0101)
-        assert criticality.post_encroachment_time(trace_of(npc, ego, physics_hz=100, ads_hz=10)) == pytest.approx(pet)
-
-    def test_of_following_is_the_net_time_gap(self):
-        trace = trace_of(vehicle(0, speed=20, ticks=60), vehicle(25, speed=20, ticks=60))
-        assert criticality.post_encroachment_time(trace) == pytest.approx([1.0], abs=1 / 15)
-
-    def test_is_zero_at_overlap(self):
-        assert criticality.post_encroachment_time(trace_of(vehicle(0), vehicle(4))) == 0
-
-    def test_is_infinite_for_neighbours_that_share_no_place(self):
-        trace = trace_of(vehicle(0, speed=20, ticks=60), vehicle(0, 4, speed=20, ticks=60))
-        assert criticality.post_encroachment_time(trace) == math.inf
-
-    def test_is_infinite_beyond_the_horizon(self):
-        trace = trace_of(vehicle(0, speed=10, ticks=150), vehicle(55, speed=10, ticks=150))
-        assert criticality.post_encroachment_time(trace, horizon=4) == math.inf
-        assert criticality.post_encroachment_time(trace, horizon=6) == pytest.approx(5, abs=1 / 15)
-
-    @given(seeds)
-    def test_post_encroachment_time_is_smallest_lag_of_overlaps(self, seed):
-        trace = random_trace(seed, rows=6, vehicles=2)
-        lengths, widths = trace.sizes.T
-        lags = [
-            abs(i - j) / 15
-            for i, ego in enumerate(trace.ego)
-            for j, npc in enumerate(trace.npcs[:, 0])
-            if polygon_distance(corners(ego, lengths[0], widths[0]), corners(npc, lengths[1], widths[1])) == 0
-        ]
-        assert criticality.post_encroachment_time(trace)[0] == pytest.approx(min(lags, default=math.inf))
-
-
 class TestDurations:
     def test_execution_time_is_that_of_the_run(self):
         assert criticality.execution_time(trace_of(vehicle(0, ticks=45), vehicle(50, ticks=45))) == pytest.approx(3)
