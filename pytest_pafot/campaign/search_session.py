@@ -652,7 +652,7 @@ class SearchSession:
             state.known_alone,
             self._unused,
             self._without_effect,
-            *self._unlike_episodes,
+            self._left_out,
             self._out_of_reach,
             self.harness.policy.loading_hint if state.runs else "",
         )
@@ -765,15 +765,10 @@ class SearchSession:
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
 
     @property
-    def _unlike_episodes(self) -> Iterator[str]:
-        """Notes on code of the user's environment that has no effect in runs."""
-        world = self.harness.world
-        if not self.state.runs or self.harness.policy.drives_itself:
-            return
-        if told := left_out_text(world):
-            yield told
-        if world.has_traffic_in_reset:
-            yield "what `reset` does to other vehicles has no effect on NPCs, which begin as their scenario says"
+    def _left_out(self) -> str:
+        """A note on methods of the user's environment that have no effect in runs; or empty."""
+        is_driven = bool(self.state.runs) and not self.harness.policy.drives_itself
+        return left_out_text(self.harness.world) if is_driven else ""
 
     @property
     def _unused(self) -> str:

@@ -173,11 +173,6 @@ class BaseWorld(ABC):
         """The methods of the environment that change its state, but are not called in runs of a policy."""
         return {}
 
-    @property
-    def has_traffic_in_reset(self) -> bool:
-        """True if a reset of the environment changes its traffic, which has no effect on NPCs."""
-        return False
-
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the given options of the environment that have no effect in a search, under what has it instead.
 

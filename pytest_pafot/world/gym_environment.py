@@ -36,7 +36,6 @@ from pytest_pafot.world.limits import CONNECTED
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,
-    ControlledVehicle,
     ExitEnv,
     IntersectionEnv,
     RegulatedRoad,
@@ -519,26 +518,6 @@ class GymEnvironment:
             if changed := [*changed, *(key for key in _assigned(cls, name) if key not in changed)]:
                 found[name] = tuple(changed)
         return found
-
-    @cached_property
-    def has_traffic_in_reset(self) -> bool:
-        """True if the ``reset`` of the environment or of its wrappers changes how other vehicles drive."""
-        if type(self.unwrapped).reset is AbstractEnv.reset and not self.wrapper_names:
-            return False
-        outer = self.make()
-        env = outer.unwrapped
-        x, y = env.vehicle.position
-        other = ControlledVehicle(env.road, [x + 30.0, y], env.vehicle.heading, speed=20.0)
-        env.road.vehicles.append(other)
-        env._reset = lambda: None
-
-        def state() -> tuple[float, ...]:
-            return (*other.position, other.heading, other.speed, other.target_speed)
-
-        before = state()
-        with vehicle_classes_kept(), suppress(Exception), self.in_time():  # a run would show it
-            outer.reset(seed=0)
-        return state() != before
 
     def check_keeps_no_ego(self) -> None:
         """Refuse an environment that would read the ego of its reset, which drives in no run of a policy.

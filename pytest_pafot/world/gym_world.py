@@ -287,11 +287,6 @@ class World(BuiltInWorld):
         return {name: changed for name, changed in left_out.items() if name not in asked}
 
     @property
-    def has_traffic_in_reset(self) -> bool:
-        """True if the environment's own ``reset``, or that of a wrapper, changes vehicles that are NPCs in runs."""
-        return self.planner_hz is None and self.environment.has_traffic_in_reset
-
-    @property
     def has_lock_step(self) -> bool:
         """True if several runs can proceed in lock step.
 

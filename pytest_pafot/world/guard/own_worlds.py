@@ -218,9 +218,6 @@ class OwnWorld(BaseWorld):
     left_out = _declared("left_out", MappingProxyType({}))
     """The methods of the environment that change its state, but are not called in runs of a policy."""
 
-    has_traffic_in_reset = _is_declared("has_traffic_in_reset")
-    """True if a reset of the environment changes its traffic."""
-
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the given options of the environment that have no effect in a search."""
         known = getattr(self.world, "options_without_effect", None)
