@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from pytest_pafot.oracle.checks import CheckFailed, check, reject, target
     from pytest_pafot.oracle.run import Run
     from pytest_pafot.plugin.marks import catalogue, search
-    from pytest_pafot.searching.fitness import Weights
     from pytest_pafot.world import (
         Drive,
         Highway,
@@ -69,7 +68,6 @@ _NAMES = {
     "oracle.checks": "CheckFailed check reject target",
     "oracle.run": "Run",
     "plugin.marks": "catalogue search",
-    "searching.fitness": "Weights",
     "world": "Drive Highway NpcLimits Observation Perception Planned Simulator SimulatorWorld VehicleState "
     "World WorldError WorldLike",
 }
@@ -83,7 +81,7 @@ __all__ = [
     "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "Measure",
     "NpcLimits", "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded", "Recording",
     "Run", "SavedScenario", "Scenario", "ScenarioError", "Signal", "Simulator", "SimulatorWorld", "Step", "Sweep",
-    "Trace", "Track", "Traffic", "VehicleState", "VehicleType", "Weights", "World", "WorldError", "WorldLike", "Zone",
+    "Trace", "Track", "Traffic", "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone",
     "above", "always", "below", "catalogue", "check", "eventually", "explore", "load", "policies", "properties",
     "recorded", "reject", "search", "strategies", "sumo", "sweep", "target", "training_env", "until",
 ]  # fmt: skip

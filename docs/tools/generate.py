@@ -62,7 +62,6 @@ from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FINDING, SessionRecord
-from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
     Control,
@@ -98,7 +97,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
     "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "Parameter of the test that receives the run.",
-    "fitness": "[The fitness](fitness.md): a name, a measure, `pafot.Weights(...)`, or a function of the trace.",
+    "fitness": "[The fitness](fitness.md): a name, a measure, or a function of the trace.",
     "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"`, '
     '`"ego"`, `"avoidable"` or `"preventable"`.',
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
@@ -262,7 +261,6 @@ def sections() -> dict[str, str]:
         "recorded": _table(["Argument", "Meaning"], _arguments(recorded)),
         "training": _table(["Argument", "Meaning"], _arguments(training_env)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
-        "weights": _fields_table(Weights),
         "measures": _measures_table(),
         "file": _file_table(),
         "example-file": f"```yaml\n{text_of(_example())}```\n",

@@ -27,7 +27,6 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, READY, VehicleType, named_vehicles
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.fitness import Weights
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
 from pytest_pafot.support.references import REVISION, described, factory_named, imported
@@ -92,7 +91,7 @@ class SearchArguments(TypedDict, total=False):
     around: Any
     ads: Any
     arg: str
-    fitness: str | Weights | Callable[[Trace], float]
+    fitness: str | Callable[[Trace], float]
     blame: str
     decision_limit: float
     runs: int
@@ -140,7 +139,7 @@ class Request:
     # ``avoidable``: as ``ego``, and also for collisions that the rules excuse although braking late avoids them.
     blame: str = "any"
     decision_limit: float | None = None  # the longest decision of the ADS that is not a finding [s]
-    fitness: str | Weights | Callable[[Trace], float] = "default"
+    fitness: str | Callable[[Trace], float] = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
     road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
@@ -208,11 +207,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         raise request.error("generations=0", problem)
     if limit is not None and not (plain_number(limit) or 0) > 0:  # written so that NaN is refused, too
         raise request.error("decision_limit=...", f"expected seconds, more than 0, received {limit!r}")
-    if not (isinstance(goal, (str, Weights)) or callable(goal)):
+    if not (isinstance(goal, str) or callable(goal)):
         raise request.error(
             "fitness=...",
-            "expected default, paper, av-fuzzer, a measure such as headway, pafot.Weights(...) or a function of a "
-            f"Trace that returns a float, received {goal!r}",
+            "expected default, paper, av-fuzzer, a measure such as headway, or a function of a Trace that returns a "
+            f"float, received {goal!r}",
         )
     return request
 

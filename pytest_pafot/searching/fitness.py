@@ -15,8 +15,7 @@ import inspect
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from numbers import Real
 from types import MappingProxyType
 
@@ -27,7 +26,6 @@ from pytest_pafot.criticality.measures import MANOEUVRE_SECONDS
 from pytest_pafot.criticality.signals import MEASURES
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Outcome, Trace
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.text import meant
 
@@ -39,41 +37,31 @@ class FitnessError(ValueError):
     """A fitness that cannot be used, or that failed on a run; the message states what was expected and what to do."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """The weights of the four risks of the default fitness. Only their ratios matter.
+TAU = 1.5
+"""The time to contact of which the risk is one half [s]; usual between normal and critical (van der Horst 1990)."""
 
-    Attributes:
-        ttc: weight of the risk 1 / (1 + TTC / tau); TTC is the smallest time until ego and an NPC touch.
-        gap: of 1 / (1 + gap / 1 m); the gap is the smallest between the boxes.
-        shortfall: of the larger of the largest shortfall of the safety distance, 0 to 1, and 1 / (1 + PET / 1 s), PET
-            being the post-encroachment time of a crossing NPC.
-        time: of 1 - ET / planned duration, ET being the time to the collision; 0 without one.
-        tau: the TTC of which the risk is one half [s]; usual between normal and critical (van der Horst 1990).
+
+def risks(trace: Trace) -> tuple[float, float, float, float]:
+    """Return the four risks of the default fitness, each from 0 to 1, of a run that is not invalid.
+
+    They are 1 / (1 + TTC / tau), with the smallest time until ego and an NPC touch; 1 / (1 + gap / 1 m), with the
+    smallest gap between the boxes; the larger of the largest shortfall of the safety distance and 1 / (1 + PET / 1 s),
+    PET being the post-encroachment time of a crossing NPC; and 1 - ET / planned duration, ET being the time to the
+    collision, or 0 without one.
     """
-
-    ttc: float = 1.0
-    gap: float = 1.0
-    shortfall: float = 1.0
-    time: float = 1.0
-    tau: float = 1.5
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if (number := plain_number(value)) is None or number < 0:
-                raise FitnessError(f"Weights.{field.name}: expected a finite number, at least 0, received {value!r}")
-        if self.ttc + self.gap + self.shortfall + self.time == 0:
-            raise FitnessError("Weights: expected at least one weight above 0, received four zeros")
-        if self.tau == 0:
-            raise FitnessError("Weights.tau: expected seconds, more than 0, received 0")
+    planned = criticality.planned_duration(trace)  # 0 if NPCs cross and the ADS fails at its first decision
+    times = (each.post_encroachment_time for each in criticality.passages(trace) if each is not None)
+    encroachment = min((time for time in times if not math.isnan(time)), default=math.inf)
+    return (
+        1 / (1 + criticality.min_ttc(trace) / TAU),
+        1 / (1 + criticality.min_gap(trace)),
+        max(criticality.max_safety_shortfall(trace), 1 / (1 + encroachment)),
+        1 - _time_to_collision(trace) / planned if planned else 0.0,
+    )
 
 
-DEFAULT_WEIGHTS = Weights()
-
-
-def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
-    """Return the default fitness: the weighted mean of four risks, each from 0 to 1, plus 1 for a collision.
+def weighted(trace: Trace) -> float:
+    """Return the default fitness: the mean of four :func:`risks`, each from 0 to 1, plus 1 for a collision.
 
     It is in [0, 1] without a collision and in [1, 2] with one: any collision outranks any near-miss. The measures are
     those of the paper, in forms that rise steadily towards a collision. The time until the boxes touch replaces METTC,
@@ -84,17 +72,8 @@ def weighted(trace: Trace, weights: Weights = DEFAULT_WEIGHTS) -> float:
     """
     if trace.outcome == Outcome.INVALID:
         return WORST_RANK
-    planned = criticality.planned_duration(trace)  # 0 if NPCs cross and the ADS fails at its first decision
-    times = (each.post_encroachment_time for each in criticality.passages(trace) if each is not None)
-    encroachment = min((time for time in times if not math.isnan(time)), default=math.inf)
-    total = (
-        weights.ttc / (1 + criticality.min_ttc(trace) / weights.tau)
-        + weights.gap / (1 + criticality.min_gap(trace))
-        + weights.shortfall * max(criticality.max_safety_shortfall(trace), 1 / (1 + encroachment))
-        + weights.time * (1 - _time_to_collision(trace) / planned if planned else 0.0)
-    )
-    mean = total / (weights.ttc + weights.gap + weights.shortfall + weights.time)
-    return _never_nan(mean + (trace.outcome == Outcome.COLLISION))
+    contact, gap, shortfall, time = risks(trace)
+    return _never_nan((contact + gap + shortfall + time) / 4 + (trace.outcome == Outcome.COLLISION))
 
 
 def paper(trace: Trace) -> float:
@@ -169,13 +148,12 @@ FITNESSES: Mapping[str, Fitness] = MappingProxyType(
 """The functions by the names that ``fitness=`` accepts; the name of a measure stands for its worst value in the run."""
 
 
-def resolve(fitness: str | Weights | Fitness = "default") -> Fitness:
+def resolve(fitness: str | Fitness = "default") -> Fitness:
     """Return the fitness of a trace. If a user's function fails, it raises a :class:`FitnessError`.
 
     Args:
-        fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, a measure or its name, :class:`Weights` for the default
-            with other weights, a function from a Trace to a number (higher is worse for the ego), or
-            ``module:function``.
+        fitness: ``"default"``, ``"paper"``, ``"av-fuzzer"``, a measure or its name, a function from a Trace to a number
+            (higher is worse for the ego), or ``module:function``.
 
     Raises:
         FitnessError: for anything else.
@@ -183,9 +161,9 @@ def resolve(fitness: str | Weights | Fitness = "default") -> Fitness:
     return _Checked(_function(fitness))
 
 
-def is_built_in(fitness: str | Weights | Fitness) -> bool:
-    """Return whether a fitness comes with the plugin: it is a name, or :class:`Weights`; not a user's function."""
-    return isinstance(fitness, Weights) or (isinstance(fitness, str) and fitness in FITNESSES)
+def is_built_in(fitness: str | Fitness) -> bool:
+    """Return whether a fitness comes with the plugin: it is a name, and not a user's function."""
+    return isinstance(fitness, str) and fitness in FITNESSES
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,8 +250,6 @@ class _Checked:
 
 
 def _function(fitness: object) -> Fitness:
-    if isinstance(fitness, Weights):
-        return partial(weighted, weights=fitness)
     if isinstance(fitness, str) and fitness in FITNESSES:
         return FITNESSES[fitness]
     names = ", ".join(map(repr, FITNESSES))
@@ -286,7 +262,7 @@ def _function(fitness: object) -> Fitness:
         hint = meant(fitness, FITNESSES)
         raise FitnessError(f"fitness: expected {names} or a function of a Trace, received {fitness!r}{hint}")
     if not callable(fitness):
-        raise FitnessError(f"fitness: expected {names}, Weights(...) or a function of a Trace, received {fitness!r}")
+        raise FitnessError(f"fitness: expected {names} or a function of a Trace, received {fitness!r}")
     try:
         signature = inspect.signature(fitness)
     except ValueError:  # builtins have no signature: the first call shows whether it fits

@@ -14,15 +14,16 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from example_ads import idm_mobil
 from pytest_pafot import Highway, Run, Scenario
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.searching import DistinctSearch, Evaluation, PafotSearch, RandomSearch, SearchSpace
-from pytest_pafot.searching.fitness import Steered, Weights, resolve
+from pytest_pafot.searching.fitness import Steered, resolve, risks
 from tests.benchmarks.command import in_processes, options, print_head
 from tests.benchmarks.positive_controls import NOT_RUN_COLLISION
 from tests.helpers.campaigns import run_campaign
@@ -45,14 +46,21 @@ class Variant:
 
 
 DEFAULT = Variant()
-OFF = {"ttc": 0.0, "gap": 0.0, "shortfall": 0.0, "time": 0.0}
+RISKS = ("ttc", "gap", "shortfall", "time")
+
+
+def risk(number: int, trace: Trace) -> float:
+    """Return one of the four risks of the default fitness, plus 1 for a collision."""
+    return risks(trace)[number] + (trace.outcome == Outcome.COLLISION)
+
+
 COLLISIONS: Mapping[str, Variant] = {
     "random": Variant(algorithm=RandomSearch),
     "pafot, as it is": DEFAULT,
     "the paper's literal grid, clearance 0 m": replace(DEFAULT, world=Highway(clearance=0.0)),
     "clearance 10 m": replace(DEFAULT, world=Highway(clearance=10.0)),
     "fitness: the paper's sum": replace(DEFAULT, fitness="paper"),
-    **{f"fitness: {name} alone": replace(DEFAULT, fitness=Weights(**(OFF | {name: 1.0}))) for name in OFF},
+    **{f"fitness: {name} alone": replace(DEFAULT, fitness=partial(risk, n)) for n, name in enumerate(RISKS)},
     "children bred again: never (the paper's)": replace(DEFAULT, parameters=(("breeding_attempts", 0),)),
     "no local fuzzer": replace(DEFAULT, parameters=(("local_generations", 0),)),
     "no restarts": replace(DEFAULT, parameters=(("restart_after", ENDLESS),)),

@@ -283,7 +283,7 @@ def refused(search, match, **options):
         ({"npcs": 3}, "space.npcs 2 in the file, 3 now"),
         ({"lanes": 3}, "world.*4 in the file, 3 now"),
         ({"blame": "ego"}, "blame 'any' in the file, 'ego' now"),
-        ({"fitness": pafot.Weights(ttc=2)}, "fitness 'default' in the file, 'Weights.*ttc=2"),
+        ({"fitness": "paper"}, "fitness 'default' in the file, 'paper' now"),
         ({"decision_limit": 60.0}, "decision_limit None in the file, 60.0 now"),
     ],
 )

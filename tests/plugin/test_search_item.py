@@ -349,8 +349,8 @@ def test_printed_fresh_base_seed_repeats_the_search(project):
     assert project.contents == first
 
 
-def test_fitness_may_be_name_weights_or_function(project):
-    each = ["'paper'", "pafot.Weights(ttc=2.0)", "lambda trace: -trace.duration"]
+def test_fitness_may_be_name_or_function(project):
+    each = ["'paper'", "lambda trace: -trace.duration"]
     tests = (f"@pafot.search(SHORT, fitness={given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(each))
     project.write("\n".join(tests))
     project.run(generations=2).assert_outcomes(passed=len(each))

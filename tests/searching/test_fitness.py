@@ -14,7 +14,7 @@ from pytest_pafot.attribution.responsibility import Attribution
 from pytest_pafot.criticality.signals import Measure
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.fitness import FitnessError, Steered, Weights, before_impact, paper, resolve, weighted
+from pytest_pafot.searching.fitness import FitnessError, Steered, before_impact, paper, resolve, risks, weighted
 from tests.helpers.tables import table
 from tests.helpers.traces import blamed_on, collision_at, random_states, scenario_of, trace_of, vehicle
 
@@ -65,65 +65,35 @@ class TestWeighted:
         # Overlap: TTC risk 1, gap risk 1, shortfall 1; 6 s of the planned 60 s.
         assert weighted(crash()) == pytest.approx(1 + (1 + 1 + 1 + 0.9) / 4)
 
-    @table(
-        ("weights", "risk"),
-        [
-            (Weights(ttc=2, gap=0, shortfall=0, time=0), 3 / 7),
-            (Weights(ttc=2, gap=0, shortfall=0, time=0, tau=6), 3 / 4),
-            (Weights(ttc=0, gap=3, shortfall=0, time=0), 1 / 21),
-            (Weights(ttc=0, gap=0, shortfall=1, time=0), 1 / 3),
-            (Weights(ttc=0, gap=0, shortfall=0, time=1), 0),
-            (Weights(ttc=0, gap=3, shortfall=1, time=0), (3 / 21 + 1 / 3) / 4),
-        ],
-    )
-    def test_weights_choose_among_the_risks_by_their_ratio(self, weights, risk):
-        assert weighted(following(), weights) == pytest.approx(risk)
+    def test_risks_are_in_the_order_of_the_sum(self):
+        assert risks(following()) == pytest.approx((3 / 7, 1 / 21, 1 / 3, 0))
 
     @given(seeds, without_collision)
     def test_lies_between_zero_and_one_without_a_collision(self, seed, outcome):
         assert 0 <= weighted(random_trace(seed, outcome)) <= 1
 
-    @given(seeds, without_collision, st.tuples(*[st.floats(0.01, 10)] * 4))
-    def test_any_collision_outranks_any_run_without(self, seed, outcome, values):
-        weights = Weights(**dict(zip(("ttc", "gap", "shortfall", "time"), values, strict=True)))
-        assert weighted(random_trace(seed, outcome), weights) < weighted(rammed(), weights)
+    @given(seeds, without_collision)
+    def test_any_collision_outranks_any_run_without(self, seed, outcome):
+        assert weighted(random_trace(seed, outcome)) < weighted(rammed())
 
     def test_an_earlier_collision_is_worse(self):
         late = trace_of(vehicle(0, speed=20, ticks=180), vehicle(244, ticks=180), outcome=Outcome.COLLISION)
         assert weighted(late) < weighted(crash())
 
     def test_short_run_without_collision_gains_no_fitness(self):
-        only_time = Weights(ttc=0, gap=0, shortfall=0)
-        assert weighted(harmless(outcome=Outcome.ADS_ERROR), only_time) == 0
+        assert risks(harmless(outcome=Outcome.ADS_ERROR))[3] == 0
 
     def test_time_is_relative_to_the_scenario_plan(self):
-        only_time = Weights(ttc=0, gap=0, shortfall=0)
-        assert weighted(crash(scenario=scenario_of(genes=2, gene_seconds=4.0)), only_time) == pytest.approx(1.25)
+        assert risks(crash(scenario=scenario_of(genes=2, gene_seconds=4.0)))[3] == pytest.approx(0.25)
 
     def test_collision_after_the_plan_has_no_time_risk(self):
-        only_time = Weights(ttc=0, gap=0, shortfall=0)
-        assert weighted(crash(scenario=scenario_of(genes=1, gene_seconds=4.0)), only_time) == 1
+        assert risks(crash(scenario=scenario_of(genes=1, gene_seconds=4.0)))[3] == 0
 
     def test_closer_is_worse(self):
         runs = [trace_of(vehicle(0, speed=20), vehicle(x, speed=18)) for x in (80, 40, 20, 10, 6)]
         values = [weighted(run) for run in runs]
         assert values == sorted(values)
         assert len(set(values)) == 5
-
-
-class TestWeights:
-    @table("value", [-1, math.nan, math.inf, "1"])
-    def test_refuse_what_is_no_weight(self, value):
-        with pytest.raises(FitnessError, match=r"Weights.gap: expected a finite number, at least 0, received"):
-            Weights(gap=value)
-
-    def test_refuse_four_zeros(self):
-        with pytest.raises(FitnessError, match="at least one weight above 0"):
-            Weights(ttc=0, gap=0, shortfall=0, time=0)
-
-    def test_refuse_a_tau_of_zero(self):
-        with pytest.raises(FitnessError, match=r"Weights.tau: expected seconds, more than 0, received 0"):
-            Weights(tau=0)
 
 
 class TestPaper:
@@ -171,16 +141,12 @@ class TestResolve:
     def test_paper_is_selectable(self):
         assert resolve("paper")(following()) == paper(following())
 
-    def test_weights_stand_for_the_default_with_other_weights(self):
-        weights = Weights(ttc=0)
-        assert resolve(weights)(following()) == weighted(following(), weights)
-
     @table("value", [3, 2.5, True, np.float32(0.5), np.bool_(True), np.int64(7), math.inf])
     def test_a_function_may_return_any_real_number(self, value):
         assert resolve(lambda trace: value)(following()) == float(value)
 
     def test_a_partial_and_a_measure_are_functions(self):
-        assert resolve(partial(weighted, weights=Weights(ttc=0)))(following()) == weighted(following(), Weights(ttc=0))
+        assert resolve(partial(weighted))(following()) == weighted(following())
         assert resolve(criticality.hardest_brake)(following()) == 0
 
     def test_a_function_never_sees_an_invalid_run(self):
@@ -213,7 +179,7 @@ class TestResolve:
 
     @table("value", [3, None, ["default"]])
     def test_anything_else_is_refused(self, value):
-        with pytest.raises(FitnessError, match=r"expected 'default', 'paper', 'av-fuzzer', .*'headway', .*Weights"):
+        with pytest.raises(FitnessError, match=r"expected 'default', 'paper', .* or a function of a Trace"):
             resolve(value)
 
     def test_function_of_two_arguments_is_refused_early(self):

@@ -14,7 +14,7 @@ from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.fitness import Fitness, Weights
+from pytest_pafot.searching.fitness import Fitness
 from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.errors import install
 from pytest_pafot.support.references import referred_to
@@ -38,7 +38,7 @@ class AlgorithmClass:
     made_by: Callable[..., Algorithm[Any]]  # the class
     name: str  # the name in files and reports
     # the fitness that it maximises unless a different one is requested: a name, weights or a function
-    fitness: str | Weights | Fitness = "default"
+    fitness: str | Fitness = "default"
     instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
     begins_with_given: bool = False  # whether it begins with the scenarios in ``space.first``
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
