@@ -2,10 +2,9 @@
 
     python -m tests.benchmarks.recordings [--recordings 8] [--scenarios FOLDER] [--vehicles FILE ...]
 
-Records highway-env's own traffic of IDM and MOBIL vehicles, and makes scenarios of each recording. Drives that of
-recorded NPCs for 20 s with an ego that keeps its speed, as the recorded one does, and each manoeuvre of the other one
-where nothing disturbs it. Prints how far the NPCs are from the tracks. With ``--scenarios``, also
-reads all ``.xosc`` files of a folder, with the catalogues of ``--vehicles``, and prints why the others are refused.
+Records highway-env's own traffic of IDM and MOBIL vehicles, and drives the scenario of each recording for 20 s with an
+ego that keeps its speed, as the recorded one does. Prints how far the NPCs are from the tracks. With ``--scenarios``,
+also reads all ``.xosc`` files of a folder, with the catalogues of ``--vehicles``, and prints why others are refused.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import re
 import sys
 import tempfile
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -65,24 +63,6 @@ def distances_as_recorded(recording: pafot.Recording) -> list[float]:
     return found
 
 
-def distances(recording: pafot.Recording) -> list[float]:
-    """Return how far each NPC of a recording's scenario is from its track at most [m]."""
-    scenario, ego = (
-        recording.scenario(at=BEGIN, seconds=SECONDS, as_manoeuvres=True),
-        recording.vehicle("ego").at(BEGIN)[0],
-    )
-    nearest = sorted(recording.vehicles, key=lambda each: abs(each.at(BEGIN)[0, X] - ego[X]))[1:]
-    times, found = np.arange(SECONDS * 10) / 10, []
-    world = pafot.Highway(lanes=6, speed_limit=36.3, duration=float(SECONDS))
-    for (manoeuvre,), vehicle in zip(scenario.npcs, nearest, strict=False):
-        alone = replace(scenario, npcs=[[replace(manoeuvre, ahead=400.0)]], ego_speed=0.0)
-        trace = world.rollout(alone, lambda: lambda seen: (0.0, 0.0))
-        track = vehicle.at(BEGIN + times) - vehicle.at(BEGIN)
-        x, y = (np.interp(times, trace.times, trace.states[:, 1, each] - trace.states[0, 1, each]) for each in (X, Y))
-        found.append(float(np.hypot(x - track[:, X], y - track[:, Y]).max()))
-    return found
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=int, default=8)
@@ -92,10 +72,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         paths = [(seed, Path(folder) / f"{seed}.csv") for seed in range(arguments.recordings)]
         recordings = [recorded_traffic(seed, path) for seed, path in paths]
-    for name, measured in (("as recorded", distances_as_recorded), ("as manoeuvres", distances)):
-        found = [each for recording in recordings for each in measured(recording)]
-        shares = ", ".join(f"{share:.0%}: {np.quantile(found, share):.2f} m" for share in (0.5, 0.75, 0.9, 1.0))
-        sys.stdout.write(f"{len(found)} tracks {name}, farthest at any moment: {shares}\n")
+    found = [each for recording in recordings for each in distances_as_recorded(recording)]
+    shares = ", ".join(f"{share:.0%}: {np.quantile(found, share):.2f} m" for share in (0.5, 0.75, 0.9, 1.0))
+    sys.stdout.write(f"{len(found)} tracks, farthest at any moment: {shares}\n")
     reasons: Counter[str] = Counter()
     for path in sorted(arguments.scenarios.rglob("*.xosc")) if arguments.scenarios else ():
         try:

@@ -16,7 +16,6 @@ import numpy as np
 
 from pytest_pafot import Manoeuvre, Scenario, ScenarioError, Step
 from pytest_pafot.extending import FloatArray
-from pytest_pafot.extras.recordings.following import MOST_STEPS
 from pytest_pafot.extras.recordings.openscenario_cast import Cast, Entity, Options, inner_names, refused, removed
 from pytest_pafot.extras.recordings.openscenario_parameters import resolved
 from pytest_pafot.extras.recordings.openscenario_trajectories import followed, vertices
@@ -33,6 +32,8 @@ SPEEDING_UP, BRAKING = 5.0, 8.0
 """What NPCs can do [m/s^2]."""
 AT_ONCE = 0.11
 """Up to this time a condition holds from the beginning [s]; authors write 0, 0.01 or 0.1."""
+MOST_STEPS = 16
+"""The most steps that a manoeuvre can have."""
 MOST_OVERLAP = 1.0
 """The largest distance by which a start beside the ego may be moved, because NPCs start level with it or clear [m]."""
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import Manoeuvre, Recorded, Scenario, Step, Track, VehicleType, catalogue
+from pytest_pafot import Recorded, Scenario, Track, VehicleType, catalogue
 from pytest_pafot.extending import HEADING, SPEED, FloatArray, Lane, RequestError, X, Y
-from pytest_pafot.extras.recordings.following import PACE, first_speed, followed
 from pytest_pafot.support.errors import FieldError, sentence
 from pytest_pafot.support.text import meant, visible
 
@@ -24,8 +23,8 @@ EGO_NAMES = ("ego", "hero", "egovehicle", "ego_vehicle")
 """The names, in lower case, by which the ego is found if nobody names it."""
 LANE_WIDTH = 3.5
 """The width of the lanes of a recording that has none [m]."""
-LONGEST, MOST_NPCS, FARTHEST, MOST_BESIDE = 120.0, 8, 200.0, 8
-"""The longest scenario [s], the most NPCs that it can have, and how far from the ego one can start [m, lanes]."""
+MOST_NPCS, FARTHEST, MOST_BESIDE = 8, 200.0, 8
+"""The most NPCs that a scenario can have, and how far from the ego one can start [m, lanes]."""
 RATE, FASTEST_RATE = 10, 15
 """The rate of tracks, and the highest one that a track can keep [1/s]."""
 STRAIGHT = 0.4
@@ -134,16 +133,6 @@ class Recording:
             raise RequestError(visible(f"{self.source}: expected one of the vehicles {some}, {received}"))
         return self.vehicles[names.index(str(name))]
 
-    def resampled(self, rate: float) -> Recording:
-        """Return the recording with ``rate`` rows per second, all at multiples of its inverse, on straight lines."""
-        vehicles = []
-        for vehicle in self.vehicles:
-            first, last = math.ceil(vehicle.times[0] * rate - 1e-6), math.floor(vehicle.times[-1] * rate + 1e-6)
-            if last >= first:
-                times = np.clip(np.arange(first, last + 1) / rate, vehicle.times[0], vehicle.times[-1])
-                vehicles.append(replace(vehicle, times=times, states=vehicle.at(times)))
-        return replace(self, vehicles=tuple(vehicles), rate=rate)
-
     def seen_from(self, name: object) -> Recording:
         """Return the recording with a vehicle as its ego, turned so that the road is along x in its direction.
 
@@ -175,9 +164,7 @@ class Recording:
             vehicles.append(replace(vehicle, states=states))
         return replace(self, vehicles=tuple(vehicles), lanes=tuple(lanes), ego=ego.name)
 
-    def scenario(
-        self, ego: object = None, at: float | None = None, seconds: float = 20.0, *, as_manoeuvres: bool = False
-    ) -> Scenario:
+    def scenario(self, ego: object = None, at: float | None = None, seconds: float = 20.0) -> Scenario:
         """Return a scenario that starts as the recording is at a time, and whose NPCs then drive as recorded.
 
         The NPCs are the eight vehicles nearest to the ego that drive in its direction at that time, and if they are
@@ -191,9 +178,6 @@ class Recording:
             ego: the vehicle in whose place the policy drives; the recording's ego by default.
             at: the time of the start on the clock of the data [s]; when the ego is first seen by default.
             seconds: how long the NPCs follow their tracks [s].
-            as_manoeuvres: give them manoeuvres instead: places relative to the ego, and steps by time, of speeds and
-                changes of lanes. These keep the gaps of the recording between bumpers, can be driven on every road, and
-                stay near the tracks whatever the policy does.
 
         Raises:
             RequestError: if the recording lacks the ego or the time, or nothing drives near the ego then, or the road
@@ -204,7 +188,7 @@ class Recording:
         seen = self.seen_from(self.ego if ego is None else ego)
         own = seen.vehicle(seen.ego)
         start = float(own.times[0] if at is None else at)
-        longest = LONGEST if as_manoeuvres else (Track.most - 1) / RATE
+        longest = (Track.most - 1) / RATE
         if not own.times[0] <= start <= own.times[-1] or not 0.0 < seconds <= longest:
             raise RequestError(
                 f"{self.source}: expected a time at which {own.name} was seen, from {own.times[0]:g} to "
@@ -218,7 +202,7 @@ class Recording:
                 f"{own.name}, which turns by {math.degrees(bent.max(initial=0.0)):.0f} degrees; start at another time"
             )
         columns = _Columns(seen.lanes, float(here[Y]))
-        lane, least = columns.of(here[Y]), 0
+        lane = columns.of(here[Y])
         found: list[tuple[float, float, int, RecordedVehicle]] = []
         for other in seen.vehicles:
             first = max(start, float(other.times[0]))
@@ -230,35 +214,14 @@ class Recording:
                 found.append((first, abs(state[X] - its[X]), len(found), other))
         nearest: list[RecordedVehicle] = []
         for first, *_, other in sorted(found):
-            is_there = first == start or (not as_manoeuvres and _has_come(other, [own, *nearest], start))
-            if is_there and len(nearest) < MOST_NPCS:
+            if len(nearest) < MOST_NPCS and (first == start or _has_come(other, [own, *nearest], start)):
                 nearest.append(other)
         if not nearest:
             raise RequestError(
                 f"{self.source}: expected vehicles within {FARTHEST:g} m of {own.name} that drive in its direction at "
                 f"{start:g} s, received none; start at another time"
             )
-        if not as_manoeuvres:
-            return self._as_recorded(own, nearest, start, seconds, columns)
-        manoeuvres = []
-        for other in nearest:
-            first = other.at(start)[0]
-            room = (own.length + other.length) / 2
-            manoeuvre = Manoeuvre(
-                beside=columns.of(first[Y]) - lane,
-                ahead=_ahead(first[X] - here[X], room, columns.of(first[Y]) == lane),
-                speed=first_speed(first),
-            )
-            manoeuvres.append(replace(manoeuvre, steps=_steps(other, start, seconds, columns)))
-            reached = np.cumsum([manoeuvre.beside, *(step.column for step in manoeuvres[-1].steps)])
-            least = min(least, int(reached.min()))
-        first_lane = max(lane if columns.are_known else 1, -least)
-        return Scenario(
-            npcs=tuple((each,) for each in manoeuvres),
-            ego_lane=first_lane,
-            ego_speed=max(float(here[SPEED]), 0.0),
-            vehicles=tuple(each.vehicle_type for each in nearest),
-        )
+        return self._as_recorded(own, nearest, start, seconds, columns)
 
     @property
     def entries(self) -> Sequence[Any]:
@@ -343,18 +306,6 @@ def _has_come(vehicle: RecordedVehicle, others: Sequence[RecordedVehicle], start
         if (is_near & (across < (size.width + its_size.width) / 2)).any():
             return False
     return True
-
-
-def _ahead(distance: float, room: float, is_in_lane: bool) -> float:
-    """Return the distance between bumpers [m] for one between centres; a manoeuvre cannot start with an overlap."""
-    gap = max(round(abs(distance) - room, 1), 0.5 if is_in_lane else 0.1)
-    return 0.0 if not is_in_lane and abs(distance) < room / 2 else math.copysign(gap, distance)
-
-
-def _steps(vehicle: RecordedVehicle, start: float, seconds: float, columns: _Columns) -> tuple[Step, ...]:
-    """Return the steps that follow a vehicle from a time on until it leaves the recording or the road."""
-    states = _driven(vehicle, start, seconds, PACE)
-    return followed(states, columns.shares(states[:, Y]), vehicle.vehicle_type)
 
 
 def _driven(vehicle: RecordedVehicle, start: float, seconds: float, rate: float) -> FloatArray:

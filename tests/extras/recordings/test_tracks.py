@@ -244,12 +244,6 @@ def test_two_rows_of_a_vehicle_at_one_time_are_refused(tmp_path):
         pafot.recorded(path)
 
 
-def test_resampled_recording_has_rows_at_multiples_of_the_tick(tmp_path):
-    read = pafot.recorded(ngsim(tmp_path)).resampled(15)
-    assert read.vehicle(1).times == pytest.approx(np.arange(150, 239) / 15)
-    assert read.vehicle(1).states[:15, X] == pytest.approx(-8 * 0.3048 + 9.144 * np.arange(15) / 15)
-
-
 def test_heading_turns_the_shorter_way_between_rows():
     headings = np.array([3.1, -3.1])
     states = np.stack([np.zeros(2), np.zeros(2), headings, np.ones(2)], axis=-1)
