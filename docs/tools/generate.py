@@ -29,7 +29,7 @@ from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
 from pytest_pafot.criticality.temporal import above, always, below, eventually, until
 from pytest_pafot.extras import policies
 from pytest_pafot.extras.comparison import algorithm_run
-from pytest_pafot.extras.comparison.command import SPACE, add_arguments
+from pytest_pafot.extras.comparison.command import add_arguments
 from pytest_pafot.extras.episodes.progress_command import add_arguments as add_progress_arguments
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
@@ -86,7 +86,7 @@ REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 ROAD = ("lanes", "speed_limit", "clearance")
-"""The options of ``compare`` about the road that the mark has, too; ``SPACE`` has those about the scenarios."""
+"""The arguments of the mark about the road."""
 OF_SEARCH = ("traffic", "vehicles", "blame", "runs", "seed", "against", "begin_with")
 """The options of ``search`` that are arguments of the mark."""
 _WORLD = re.compile(r"the world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL)
@@ -265,7 +265,7 @@ def sections() -> dict[str, str]:
         "file": _file_table(),
         "example-file": f"```yaml\n{text_of(_example())}```\n",
         "strategies": _strategies_table(),
-        "compare": _command_table(add_arguments, as_in_mark=(*ROAD, *SPACE)),
+        "compare": _command_table(add_arguments),
         "search-command": _command_table(add_search_arguments, as_in_mark=OF_SEARCH),
         "run-table": _columns_table(run_table.COLUMNS),
         "results": _columns_table(

@@ -28,13 +28,6 @@ from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.references import PLANNER
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
-SAMPLED_NPCS = "sampled, or 2 in the paper's scenarios and on a bent road where none crosses the ego's way"
-SAMPLED_GENES = "sampled, or 10 in the paper's scenarios; on a bent road 3, and at most 10 in the paper's scenarios"
-START = " in the paper's scenarios and with --world, otherwise sampled; on a bent road, the environment's"
-
-
-SPACE = ("npcs", "genes", "gene_seconds", "traffic", "vehicles", "ego_lane", "ego_speed")
-"""The options that are fields of a space of scenarios."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,24 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_population = "scenarios per generation (default: that of each algorithm)"
     parser.add_argument("--population", type=int, metavar="N", help=of_population)
     add_world_arguments(parser, "default: a highway, in SI units")
-    for name, number, metavar, meaning in (
-        ("--lanes", int, "N", f"number of lanes (default: {Highway().lanes})"),
-        ("--speed-limit", float, "V", f"speed limit [m/s] (default: {Highway().speed_limit})"),
-        ("--duration", float, "S", "duration of a scenario [s] (default: 60, or the environment's)"),
-        ("--clearance", float, "D", "clearance of the grid [m]; the paper has 0 (default: 3)"),
-        ("--npcs", int, "N", f"number of NPCs, 1 to 8 (default: {SAMPLED_NPCS})"),
-        ("--genes", int, "N", "genes of each NPC (default: as many as fill a scenario)"),
-        ("--gene-seconds", float, "S", f"duration of a gene [s] (default: {SAMPLED_GENES})"),
-    ):
-        parser.add_argument(name, type=number, metavar=metavar, help=meaning)
-    of_traffic = "how the NPCs drive (default: as in a test with the algorithm)"
-    parser.add_argument("--traffic", metavar="STYLE", help=of_traffic)
-    of_vehicles = "what vehicles NPCs can be, such as car,truck (default: cars)"
-    parser.add_argument("--vehicles", type=lambda text: text.split(","), metavar="A,B", help=of_vehicles)
-    of_ego_lane = f"first lane of the ego, from 0 at the left (default: 1{START})"
-    parser.add_argument("--ego-lane", type=int, metavar="N", help=of_ego_lane)
-    of_ego_speed = f"first speed of the ego and of NPCs that do not cross [m/s] (default: 22{START})"
-    parser.add_argument("--ego-speed", type=float, metavar="V", help=of_ego_speed)
+    of_duration = "duration of a scenario [s] (default: 60, or the environment's)"
+    parser.add_argument("--duration", type=float, metavar="S", help=of_duration)
+    of_clearance = "clearance of the grid [m]; the paper has 0 (default: 3)"
+    parser.add_argument("--clearance", type=float, metavar="D", help=of_clearance)
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
@@ -128,29 +107,21 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         RequestError: for a value that no world or space accepts.
     """
     road: dict[str, Any] = {
-        name: value
-        for name in ("lanes", "speed_limit", "duration", "clearance")
-        if (value := getattr(arguments, name)) is not None
+        name: value for name in ("duration", "clearance") if (value := getattr(arguments, name)) is not None
     }
     is_planner = arguments.ads.endswith(PLANNER)
     world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
-    is_own = world is not None and not isinstance(world, World)
-    for name in road if is_own else ("lanes", "speed_limit") if world is not None else ():
-        if name in road:
-            raise RequestError(
-                f"--{name.replace('_', '-')}: expected no such option with --world {arguments.world}, received "
-                f"{road[name]!r}; leave it out, because that world has its own"
-            )
-    world = Highway(**road) if world is None else world if is_own else replace(world, **road)
-    if isinstance(world, World):
+    if world is None:
+        world = Highway(**road)
+    elif isinstance(world, World):
+        world = replace(world, **road)
         world.check()
-    given = {name: value for name in SPACE if (value := getattr(arguments, name)) is not None}
-    try:
-        space = base_world(world).space(given)
-    except ValueError as error:
-        raise RequestError(str(error)) from None
-    if odd := next((each for each in space.vehicles if not base_world(world).can_drive(each)), None):
-        raise RequestError(f"--vehicles: expected some that follow the bends of {world!r}, received {odd.described}")
+    elif road:
+        name, value = next(iter(road.items()))
+        raise RequestError(
+            f"--{name}: expected no such option with --world {arguments.world}, received {value!r}; leave it out, "
+            "because that world has its own"
+        )
     generations = None if arguments.seconds is not None else arguments.generations
     if arguments.seconds is None and generations is None:
         generations = 100
@@ -166,6 +137,6 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         parameters={} if arguments.population is None else {"population": arguments.population},
         world=WorldData.of(world).data,
         world_name=arguments.world or "",
-        space=space.plain,
-        drawn={name: value for name, value in drawn_space(world, given).items() if name != "crossings"},
+        space=base_world(world).space({}).plain,
+        drawn={name: value for name, value in drawn_space(world, {}).items() if name != "crossings"},
     )

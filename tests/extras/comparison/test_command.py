@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import VAN, Highway, Scenario, World
+from pytest_pafot import Highway, World
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
@@ -198,22 +198,6 @@ def test_runs_of_equal_seconds_are_compared_separately(tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_requested_traffic_and_vehicles_apply_to_all_algorithms(tmp_path):
-    arguments = ["--algorithms", "distinct,pafot", "--runs", "1", "--generations", "1", "--seed", "3"]
-    assert compare(tmp_path, *arguments, "--traffic", "everyday", "--vehicles", "van") == 0
-    for name in ("distinct", "pafot"):
-        with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
-            driven = [Scenario.from_canonical(json.loads(row["executed"])) for row in csv.DictReader(file)]
-        assert {each.traffic.style for each in driven} == {"everyday"}
-        assert {vehicle for each in driven for vehicle in each.all_vehicles} == {VAN}
-
-
-def test_vehicles_that_cannot_follow_the_road_are_refused(tmp_path, capsys):
-    assert compare(tmp_path, "--world", "racetrack-v0", "--vehicles", "car,truck") == 2
-    assert "--vehicles: expected some that follow the bends of World(" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsys):
     arguments = ["--algorithms", "distinct,distinct@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "4"]
     assert compare(tmp_path, *arguments) == 0
@@ -249,7 +233,7 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
     """A policy that stands still is never responsible, and a second of driving causes no collision."""
-    arguments = ["--duration", "1", "--gene-seconds", "1", "--generations", "2", "--runs", "2"]
+    arguments = ["--duration", "1", "--generations", "2", "--runs", "2"]
     arguments += ["--algorithms", "pafot,random"]
     assert compare(tmp_path, "--ads", "tests.extras.comparison.test_command:standing", *arguments) == 0
     found = tables_of((tmp_path / "report.md").read_text())
@@ -293,10 +277,8 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
         (["--population", "1"], "population: expected at least 2"),
         (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
-        (["--lanes", "9"], "lanes: expected .* received 9"),
-        (["--npcs", "9"], "npcs: expected 1 to 8 NPCs"),
+        (["--clearance", "-1"], "clearance: expected .* received -1"),
         (["--world", "nowhere-v0"], "nowhere-v0"),
-        (["--world", "highway-v0", "--lanes", "4"], "--lanes: expected no such option with --world highway-v0"),
     ],
 )
 def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments, message):
@@ -305,13 +287,6 @@ def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, argume
     assert re.match(f"compare: .*{message}", error, re.DOTALL), error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.usefixtures("copies")
-@pytest.mark.parametrize("workers", ["1", "2"])
-def test_unfitting_scenario_is_reported_in_one_line(tmp_path, capsys, workers):
-    assert compare(tmp_path, "--ego-lane", "7", "--workers", workers) == BAD_USE
-    assert "compare: ego_lane: expected a lane from 0 to 3, received 7" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("below", ["", "deep"])
