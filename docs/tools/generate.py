@@ -441,7 +441,6 @@ def _option_default(option: Option) -> str:
         "shrink_rollouts": "by the ADS",
         "population": "by the algorithm",
         "memory": "by the machine",
-        "profile": "by the variable `CI`",
     }
     return ", ".join([stated.get(option.name, plain), *profiles])
 

@@ -60,7 +60,7 @@ from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 
 PLACE = "pafot.explore"
-OF_TESTS = ("arg", "debug", "profile", "report", "save", "strict_drift", "strict_health")
+OF_TESTS = ("arg", "debug", "report", "save", "strict_drift", "strict_health")
 """Arguments of ``@pafot.search`` that :func:`explore` refuses, because they have no meaning without pytest."""
 
 
@@ -343,7 +343,7 @@ def request_of(given: dict[str, Any]) -> Request:
             )
     check_names(given, place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
-    values |= {"profile": "", "corpus": "", "save": "new" if given.get("corpus") else "none"}
+    values |= {"corpus": "", "save": "new" if given.get("corpus") else "none"}
     for name in sorted(given.keys() & values.keys()):
         try:
             values[name] = None if given[name] is None else BY_NAME[name].read(given[name])

@@ -124,6 +124,7 @@ class Settings:
     item's value has their defaults. ``seed`` is the base seed, which a value always has.
     """
 
+    profile: str = ""  # its name: no option
     runs: int | None = option(
         "integer",
         "Number of runs after which each search ends, also within a generation.",
@@ -310,11 +311,6 @@ class Settings:
         everywhere=False,
         is_argument=False,
     )
-    profile: str = option(
-        "text",
-        "Set of defaults: ci (400 runs, seed 0, isolated) or local (40 runs, a new seed).",
-        choices=tuple(PROFILES),
-    )
     debug: bool = option(
         "switch",
         "In each replay, open the debugger in the policy's last decision that could have avoided the failure.",
@@ -354,7 +350,7 @@ class Settings:
 
 
 OPTIONS: tuple[Option, ...] = tuple(
-    Option(each.name, default=each.default, **each.metadata) for each in fields(Settings)
+    Option(each.name, default=each.default, **each.metadata) for each in fields(Settings) if each.metadata
 )
 
 BY_NAME: Mapping[str, Option] = {each.name: each for each in OPTIONS}

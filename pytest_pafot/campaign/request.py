@@ -117,7 +117,6 @@ class SearchArguments(TypedDict, total=False):
     unseeded: bool
     memory: int
     report: str
-    profile: str
     debug: bool
     strict_drift: bool
     strict_health: bool

@@ -804,8 +804,8 @@ class SearchSession:
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
             elif self.state.file is None:
                 yield f"ended before {what} shrunk: {shrink if by_command else again}"
-        is_default = settings.profile == LOCAL and settings.runs == PROFILES[LOCAL]["runs"]
-        if is_default and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
+        is_short = settings.runs == PROFILES[LOCAL]["runs"]
+        if is_short and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
             longer = request.option("runs", PROFILES[FULL]["runs"])
             yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
 

@@ -1,7 +1,7 @@
 """The sources of option values.
 
-Of several sources with a value, the first of this list is used: command line, mark, environment, the profile that the
-user named, configuration file, the automatic profile, the default.
+Of several sources with a value, the first of this list is used: command line, mark, environment, configuration file,
+profile, default.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | None:
-    """Return the value of the option ``corpus``; None if that value, or the choice of a profile, is wrong."""
+    """Return the value of the option ``corpus``; None if that value is wrong."""
     value = option_value(config, BY_NAME["corpus"], marker)
     return None if value is None else str(value)
 
@@ -50,7 +50,7 @@ def corpus_name(config: pytest.Config, marker: Mapping[str, object]) -> str | No
 def option_value(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Any:
     """Return the value of an option for a mark with some arguments; None if it is wrong, which each search reports."""
     try:
-        return Sources(config=config, marker=marker, environ=os.environ).value(option, None, LOCAL)
+        return Sources(config=config, marker=marker, environ=os.environ).value(option)
     except RequestError:
         return None
 
@@ -73,9 +73,7 @@ def isolates(config: pytest.Config, marker: Mapping[str, object]) -> bool:
     Raises:
         RequestError: if the value of an option is wrong.
     """
-    sources = Sources(config=config, marker=marker, environ=os.environ)
-    named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
-    return bool(sources.value(BY_NAME["isolate"], named, FULL if is_ci(os.environ) else LOCAL))
+    return bool(Sources(config=config, marker=marker, environ=os.environ).value(BY_NAME["isolate"]))
 
 
 def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any], fresh_seed: int) -> Request:
@@ -117,17 +115,11 @@ def resolve(
     sources = Sources(config=config, marker=marker, environ=environ)
     for option in OPTIONS:  # A wrong argument is an error even if another source replaces it today.
         sources.argument(option)
-    named = sources.given(BY_NAME["profile"]) or sources.ini(BY_NAME["profile"])
-    automatic = FULL if is_ci(environ) else LOCAL
-    values = {
-        option.name: sources.value(option, named, automatic)
-        for option in OPTIONS
-        if option.everywhere and option.name != "profile"
-    }
-    values |= sources.budget(named, automatic)
+    values = {option.name: sources.value(option) for option in OPTIONS if option.everywhere}
+    values |= sources.budget()
     if values["seed"] is None:
         values["seed"] = fresh_seed if values["resume"] is None else 0  # a resumed search needs a constant seed
-    return Settings(profile=named or automatic, **values)
+    return Settings(profile=sources.profile, **values)
 
 
 class Sources(NamedTuple):
@@ -137,33 +129,31 @@ class Sources(NamedTuple):
     marker: Mapping[str, object]
     environ: Mapping[str, str]
 
-    def value(self, option: Option, named: str | None, automatic: str) -> Any:
-        """Return the value of an option from the first source that has one.
+    @property
+    def profile(self) -> str:
+        """The name of the profile."""
+        return FULL if is_ci(self.environ) else LOCAL
 
-        Args:
-            option: the option.
-            named: the profile that the user named; None without one.
-            automatic: the profile that is used otherwise.
+    def value(self, option: Option) -> Any:
+        """Return the value of an option from the first source that has one.
 
         Raises:
             RequestError: if the value is wrong; the message names its source.
         """
-        sources = self._sources(option, named, automatic)
-        return next((value for source in sources if (value := source()) is not None), option.default)
+        return next((value for source in self._sources(option) if (value := source()) is not None), option.default)
 
-    def budget(self, named: str | None, automatic: str) -> dict[str, Any]:
+    def budget(self) -> dict[str, Any]:
         """Return the options that limit a search (:data:`BUDGETS`), all from the first source that has one of them."""
-        each = [self._sources(BY_NAME[name], named, automatic) for name in BUDGETS]
+        each = [self._sources(BY_NAME[name]) for name in BUDGETS]
         together = ([source() for source in sources] for sources in zip(*each, strict=True))
         given = next((values for values in together if any(value is not None for value in values)), (None, None))
         return dict(zip(BUDGETS, given, strict=True))
 
-    def _sources(self, option: Option, named: str | None, automatic: str) -> tuple[Callable[[], Any], ...]:
+    def _sources(self, option: Option) -> tuple[Callable[[], Any], ...]:
         return (
             *(partial(_read, option, place, value) for place, value in self._places(option)),
-            lambda: PROFILES[named].get(option.name) if named else None,
             lambda: self.ini(option),
-            lambda: None if named else PROFILES[automatic].get(option.name),
+            lambda: PROFILES[self.profile].get(option.name),
         )
 
     def given(self, option: Option) -> Any:

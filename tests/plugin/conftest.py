@@ -218,7 +218,6 @@ def project(request, pytester, monkeypatch, found, tmp_path_factory):
         "PAFOT_SEED",
         "PAFOT_RUNS",
         "PAFOT_GENERATIONS",
-        "PAFOT_PROFILE",
     ):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))

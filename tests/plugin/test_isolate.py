@@ -240,20 +240,18 @@ def pids(project):
 
 @pytest.mark.parametrize(
     ("source", "is_apart"),
-    [("none", True), ("marker", False), ("environment", False), ("ini", False), ("profile", True), ("local", False)],
+    [("none", True), ("marker", False), ("environment", False), ("ini", False)],
 )
 def test_profile_of_ci_isolates_unless_somebody_says_otherwise(isolated, monkeypatch, source, is_apart):
     test = MANY.replace("npcs=2", "npcs=2, isolate=False" if source == "marker" else "npcs=2")
     project = isolated(test=test)
-    if source != "profile":
-        monkeypatch.setenv("CI", "true")
+    monkeypatch.setenv("CI", "true")
     if source == "environment":
         monkeypatch.setenv("PAFOT_ISOLATE", "0")
     if source == "ini":
         project.pytester.makeini("[pytest]\npafot_isolate = false\n")
-    options = {"profile": ["--pafot-profile=ci"], "local": ["--pafot-profile=local"]}.get(source, [])
-    session(project, *options, "--pafot-seed=0", *QUICK)
-    project.run("-p", "no:cacheprovider", *options, "--pafot-seed=0", generations=0)
+    session(project, "--pafot-seed=0", *QUICK)
+    project.run("-p", "no:cacheprovider", "--pafot-seed=0", generations=0)
     assert len(pids(project)) > 1 or not is_apart
     assert (f"pid-{os.getpid()}" not in pids(project)) == is_apart
 

@@ -64,22 +64,8 @@ def test_the_marker_wins_over_the_environment(project):
     assert settings(project, marker={"generations": 2}, environ={"PAFOT_GENERATIONS": "3"}).generations == 2
 
 
-def test_the_environment_wins_over_a_named_profile(project):
-    assert settings(project, "--pafot-profile=ci", environ={"PAFOT_GENERATIONS": "3"}).generations == 3
-
-
-def test_a_named_profile_wins_over_the_ini_file(project):
-    assert settings(project, "--pafot-profile=ci", ini="pafot_runs = 5").runs == 400
-
-
-def test_the_ini_file_wins_over_the_automatic_profile(project):
+def test_the_ini_file_wins_over_the_profile(project):
     assert settings(project, ini="pafot_generations = 5", environ={"CI": "1"}).generations == 5
-
-
-@pytest.mark.parametrize("source", ["marker", "environ", "ini"])
-def test_a_profile_may_be_named_anywhere(project, source):
-    named = {"marker": {"profile": "ci"}, "environ": {"PAFOT_PROFILE": "ci"}, "ini": "pafot_profile = ci"}
-    assert settings(project, **{source: named[source]}).runs == 400
 
 
 @pytest.mark.parametrize(
@@ -88,7 +74,6 @@ def test_a_profile_may_be_named_anywhere(project, source):
         ({"marker": {"generations": 100}}, None, 100),
         ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
         ({"ini": "pafot_generations = 100"}, None, 100),
-        ({"ini": "pafot_generations = 100", "marker": {"profile": "ci"}}, 400, None),
         ({"marker": {"runs": 7}, "environ": {"PAFOT_GENERATIONS": "2"}}, 7, None),
         ({"marker": {"runs": 7, "generations": 2}}, 7, 2),
         ({"marker": {"generations": 0}}, None, 0),
@@ -99,10 +84,7 @@ def test_budget_comes_from_one_source_and_overrides_profile(project, sources, ru
     assert (found.runs, found.generations) == (runs, generations)
 
 
-EVERYWHERE = [option for option in OPTIONS if option.everywhere and option.name != "profile"]
-"""All options except the one that changes the others, which has its own test above."""
-
-
+EVERYWHERE = [option for option in OPTIONS if option.everywhere]
 SWITCHES = [option.name for option in EVERYWHERE if option.kind == "switch"]
 
 

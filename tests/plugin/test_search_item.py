@@ -370,7 +370,6 @@ def test_short_default_search_without_findings_says_so(project):
     [
         ("< 1", ["--pafot-shrink-rollouts=0"]),
         ("> 0", ["--pafot-generations=3"]),
-        ("> 0", ["--pafot-profile=ci", "--pafot-runs=40"]),
         ("> 0", ["--pafot-max-time=0"]),
     ],
 )
