@@ -6,22 +6,18 @@ import sys
 import warnings
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.corpus.layout import CORPUS, SUFFIX, chosen_folder, folder_of_module, link_out
-from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.marks import arguments_of
-from pytest_pafot.plugin.option_sources import corpus_name, isolates
+from pytest_pafot.plugin.option_sources import isolates
 from pytest_pafot.support.isolation import isolating
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from pytest_pafot.findings.finding import Finding
     from pytest_pafot.model.scenario import Scenario
     from pytest_pafot.oracle.run import Run
     from pytest_pafot.world.base_world import WorldLike
@@ -33,35 +29,6 @@ class Simulate(Protocol):
 
     def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
-
-
-class Corpus:
-    """The value of the fixture ``pafot_corpus``: the saved scenarios of the module that requests it.
-
-    Attributes:
-        folder: the folder with a folder for each test of the module; it may not exist.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def __iter__(self) -> Iterator[Finding]:
-        """Iterate over the findings in all saved files, in the order of tests and ids.
-
-        Raises:
-            CorpusError: if a file cannot be read.
-        """
-        from pytest_pafot.corpus.reader import load  # noqa: PLC0415
-
-        return map(load, self.paths)
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    @property
-    def paths(self) -> list[Path]:
-        """The paths of the saved files."""
-        return sorted(self.folder.glob(f"*/*{SUFFIX}"))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -148,14 +115,3 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     with isolating(lambda: False):
         simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))
     return simulate
-
-
-@pytest.fixture
-def pafot_corpus(request: pytest.FixtureRequest) -> Corpus:
-    """Return the saved scenarios of all tests in the test's module, to iterate over."""
-    corpus = corpus_name(request.config, arguments_of(request.node) or {}) or CORPUS
-    folder = folder_of_module(request.path, corpus, request.config.rootpath)
-    link = link_out(chosen_folder(request.path, corpus), folder.parent, request.config.rootpath)
-    if link is not None:
-        pytest.fail(f"the fixture pafot_corpus: {refusal(link)}", pytrace=False)
-    return Corpus(folder)

@@ -103,28 +103,6 @@ def test_search(run):
     )
 
 
-def test_pafot_corpus_contains_saved_scenarios_of_the_module(saved):
-    saved.write(
-        """
-@pafot.search(SHORT, stop_after=1)
-def test_fails(run):
-    assert run.duration < 1
-
-def test_corpus(pafot_corpus, pafot_simulate):
-    (finding,) = pafot_corpus
-    assert len(pafot_corpus) == 1
-    assert finding.test == "test_it.py::test_fails"
-    assert pafot_simulate(finding.scenario, lambda: lambda observation: (0.0, 0.0)).duration > 1
-"""
-    )
-    saved.run("-k", "test_corpus").assert_outcomes(passed=1, deselected=2)
-
-
-def test_pafot_corpus_is_empty_where_nothing_is_saved(project):
-    project.write("def test_corpus(pafot_corpus):\n    assert list(pafot_corpus) == []\n")
-    project.run().assert_outcomes(passed=1)
-
-
 INVALID = """
 from dataclasses import replace
 from hypothesis import given, settings, strategies
