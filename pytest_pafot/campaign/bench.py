@@ -193,7 +193,7 @@ class Bench:
                 trace = self.runner.processes.in_gym(scenario)
             else:
                 self.record.write(scenario)
-                trace = GENERATORS.run(world.rollout_in_gym, scenario, self.harness.drawing(policy).factory)
+                trace = GENERATORS.run(world.rollout_in_gym, scenario, policy.factory)
         self.runner.decisions += len(trace.actions)
         self.record.clear()
         return Run(trace, decision_limit=self.harness.request.decision_limit)

@@ -34,7 +34,6 @@ from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.driving.policy import DrivesElsewhere, Policy
-from pytest_pafot.world.guard.chance import Unseeded
 from pytest_pafot.world.guard.failure import exits, let_through
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
@@ -177,18 +176,13 @@ class Harness:
         memory = self.request.settings.memory
         return Job(
             world=world,
-            policy=self.drawing(self.policy),
+            policy=self.policy,
             records=self.records,
             owner=owner,
             world_data=data,
             root=self.root,
             memory=memory,
         )
-
-    def drawing(self, policy: Policy) -> Policy:
-        """Return a policy with which the global random generators are seeded for each run, unless the test says no."""
-        is_seeded = not self.request.settings.unseeded or policy.drives_itself or policy.elsewhere is not None
-        return policy if is_seeded else Policy(Unseeded(policy.factory))
 
     @property
     def acts_in_si(self) -> bool:
@@ -250,7 +244,7 @@ class Harness:
         if self.against is None:
             return None
         with refusals():
-            job = replace(job, policy=self.drawing(self.against.policy), reference=self.against.shown)
+            job = replace(job, policy=self.against.policy, reference=self.against.shown)
             return runner_for(job, record, isolate=isolate)
 
     def judge_reference(self, runner: Runner, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
@@ -282,7 +276,7 @@ class Harness:
     def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
         """Return whether the test fails in a scenario with another ADS, such as the same ADS with perfect sight."""
         __tracebackhide__ = True
-        job = replace(self.job(), policy=self.drawing(Policy(ads)))
+        job = replace(self.job(), policy=Policy(ads))
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
             try:
                 run = self.run_of(runner.run(scenario, afresh=True))

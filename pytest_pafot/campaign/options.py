@@ -261,12 +261,6 @@ class Settings:
         "ADS with `batch` ([more](../guide/planners.md#if-it-raises-hangs-or-ends-its-process)).",
         default=False,
     )
-    unseeded: bool = option(
-        "switch",
-        "Leave the global random generators as they are, instead of seeding them for each run.",
-        "For a policy that seeds [them](../guide/random-policies.md) itself.",
-        default=False,
-    )
     memory: int | None = option(
         "integer",
         "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",

@@ -114,7 +114,6 @@ class SearchArguments(TypedDict, total=False):
     save: str
     workers: int | str
     isolate: bool
-    unseeded: bool
     memory: int
     report: str
     debug: bool

@@ -217,11 +217,6 @@ def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):
     assert len(later.finding.scenario.npcs) == 1
 
 
-def test_unseeded_generators_are_the_users(tmp_path):
-    random.seed(1)
-    assert found(Brakes, tmp_path, unseeded=True).finding.flaky is not None
-
-
 @pytest.mark.parametrize("ads", [Brakes, Unrepeatable])
 @pytest.mark.parametrize(
     ("then", "share", "label", "note"),

@@ -6,13 +6,12 @@ process. The generator of torch is seeded, too, if something else has imported t
 
 from __future__ import annotations
 
-import inspect
 import os
 import random
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -91,27 +90,6 @@ def _seed_torch(torch: Any, seed: int) -> None:
             vars(sys).pop("tracebacklimit", None)
         else:
             sys.tracebacklimit = before
-
-
-@dataclass(frozen=True)
-class Unseeded:
-    """A factory of policies for which the global generators stay as they are."""
-
-    ads: Callable[..., Any]
-
-    @property
-    def __wrapped__(self) -> Callable[..., Any]:
-        """The wrapped factory, from which :mod:`inspect` takes the signature."""
-        return self.ads
-
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        """Make a policy."""
-        return self.ads(*arguments, **named)
-
-
-def is_unseeded(factory: Callable[..., Any]) -> bool:
-    """Return whether a factory is an :class:`Unseeded`, or wraps one."""
-    return isinstance(inspect.unwrap(factory, stop=lambda each: isinstance(each, Unseeded)), Unseeded)
 
 
 class OwnDraws:
@@ -206,7 +184,7 @@ class _Generators:
     def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
         """Make a run with seeded generators, and return its trace, which says whether it drew from them."""
         __tracebackhide__ = True
-        if self._is_running or is_unseeded(factory):
+        if self._is_running:
             return rollout(scenario, factory, **given)
         self._is_running = True
         self._holders += 1

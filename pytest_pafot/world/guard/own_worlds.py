@@ -19,7 +19,7 @@ from pytest_pafot.world.base_world import REQUIRED, BaseWorld, FirstDecision, Ro
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
 from pytest_pafot.world.driving.seeing import SeeingAds
-from pytest_pafot.world.guard.chance import GENERATORS, is_unseeded
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import error_of
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world, unending
 from pytest_pafot.world.gym_world import World
@@ -63,12 +63,10 @@ def _rollout_batch(world: BaseWorld, scenarios: Sequence[Scenario], ads_factory:
     They are made one by one then.
     """
     __tracebackhide__ = True
-    is_seeded = not is_unseeded(ads_factory)
     with GENERATORS.held():
-        if is_seeded:
-            GENERATORS.share()
+        GENERATORS.share()
         made = world.rollout_batch(scenarios, ads_factory)
-        if is_seeded and not GENERATORS.is_shared():
+        if not GENERATORS.is_shared():
             made = [rollout_of(world)(each, ads_factory) for each in scenarios]
         return made
 

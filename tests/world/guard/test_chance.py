@@ -15,7 +15,7 @@ import pytest
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.world.guard.chance import GENERATORS, Unseeded, _seed_torch
+from pytest_pafot.world.guard.chance import GENERATORS, _seed_torch
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 WORLD = Highway(duration=2.0)
@@ -117,15 +117,6 @@ def test_they_are_given_back_after_an_exception_of_the_factory() -> None:
     with pytest.raises(RuntimeError, match="no weights"):
         drive(ads)
     assert random.random() == expected
-
-
-def test_an_unseeded_policy_draws_from_the_users_generators() -> None:
-    random.seed(5)
-    first = drive(Unseeded(of_python))
-    random.seed(5)
-    again, later = drive(Unseeded(of_python)), drive(Unseeded(of_python))
-    assert first.actions == again.actions != later.actions
-    assert not first.drew
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked on Unix alone")
