@@ -56,7 +56,7 @@ from pytest_pafot.support.errors import AdsFactoryError, RequestError, RevisionE
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.proportions import LEVEL, difference, holm, mcnemar
 from pytest_pafot.support.references import PLANNER, REVISION, described
-from pytest_pafot.support.text import ascii_text, csv_text, markdown_table, one_line, plural, visible, wrapped_to
+from pytest_pafot.support.text import ascii_text, csv_text, one_line, plural, visible, wrapped_to
 from pytest_pafot.support.versions import installed_versions
 
 # Comparison of two versions of a policy in the same situations, as values and in words.
@@ -202,17 +202,17 @@ def sentence_of(old: str, new: str, lines: Sequence[ComparedLine]) -> str:
     return f"{new} is {verdict_of(lines)} than {old}: {'; '.join(claims)}{others}"
 
 
-def text_of(old: str, new: str, rows: Sequence[PairRow], width: int | None = None) -> str:
-    """Return the sentence on two policies, the table and the notes, as Markdown; with a width, as lines for people."""
+def text_of(old: str, new: str, rows: Sequence[PairRow], width: int) -> str:
+    """Return the sentence on two policies, what differs and the notes, wrapped to a width."""
     lines = lines_of(rows)
-    head = ["", "old", "new", "new better in", "new worse in", "of", "new - old, 95 %", "p, Holm", ""]
-    table = [
-        [f"{line.what}{'' if line.unit is None else f' [{line.unit.strip()}], median' if line.unit else ', median'}"]
-        + [f"{each:.4g}" if line.unit is not None else str(each) for each in (line.old, line.new)]
-        + [str(each) for each in (line.better, line.worse, line.pairs)]
-        + [line.interval, f"{line.p:.2g}", line.verdict]
-        for line in lines
-    ]
+    differences = []
+    for line in lines:
+        unit = "" if line.unit is None else f" [{line.unit.strip()}], median" if line.unit else ", median"
+        before, after = (f"{each:.4g}" if line.unit is not None else str(each) for each in (line.old, line.new))
+        differences.append(
+            f"{line.what}{unit}: old {before}, new {after}; new better in {line.better}, worse in {line.worse} of "
+            f"{line.pairs}; new - old {line.interval} (95 %); p {line.p:.2g} (Holm); {line.verdict}"
+        )
     saved, notes = [row for row in rows if row.part == "saved"], []
     if saved:
         labels = Counter(row.told for row in saved).most_common()
@@ -228,15 +228,7 @@ def text_of(old: str, new: str, rows: Sequence[PairRow], width: int | None = Non
     if errors:
         notes += [f"- errors in {plural(len(errors), 'episode')} count as crashes; seed {errors[0].name}: "]
         notes[-1] += ascii_text(errors[0].told)
-    sentence = f"{sentence_of(old, new, lines)}."
-    if width is None:
-        return "\n\n".join([sentence, markdown_table(head, table), "\n".join(notes)]) + "\n"
-    differences = [
-        f"{what}: old {before}, new {after}; new better in {better}, worse in {worse} of {count}; "
-        f"new - old {interval} (95 %); p {p} (Holm); {verdict}"
-        for what, before, after, better, worse, count, interval, p, verdict in table
-    ]
-    parts = [[sentence], differences, notes]
+    parts = [[f"{sentence_of(old, new, lines)}."], differences, notes]
     wrapped = ([part for text in texts for part in wrapped_to(text, width, phrases=True)] for texts in parts)
     return "\n\n".join(map("\n".join, wrapped)) + "\n"
 
@@ -245,13 +237,6 @@ EPISODES = 300
 """The number of episodes if the command names an environment and no number."""
 FIRST = 10
 """The number of first scenarios: a policy that fails in all of them is refused, because it does not drive at all."""
-HOW_TO_READ = f"""
-A line compares both policies in the same situations, pair by pair, and claims a difference where p, adjusted for the
-number of lines, is at most {LEVEL:g}. Policies that are not told apart may still differ: compare more situations to
-find out. Failures of its own are those in random scenarios that the ego is responsible for. Saved scenarios, and those
-that a search found, were chosen because one of the two fails in them, so they do not count for the verdict:
-`introduced` fails only with the new policy, `fixed` only with the old one, `common` with both.
-"""
 
 
 OTHER_VERSION = f"give {REVISION}main, the policy of the branch main"
@@ -538,19 +523,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures for programs")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write a page, in Markdown")
     of_exit = "worse: exit with 1 if any line is worse; not-better: exit with 1 unless the new version is better "
     of_exit += "or has the same policy (default: exit with 0 whatever the verdict)"
     parser.add_argument("--fail-on", choices=("worse", "not-better"), help=of_exit)
 
 
-def run(given: argparse.Namespace, command: Sequence[str]) -> int:
+def run(given: argparse.Namespace, _: Sequence[str]) -> int:
     """Compare the policies, print which is better, write the requested files, and return the exit code."""
     try:
         # Report what is wrong before anything is driven.
-        for path in (each for each in (given.json, given.report) if each is not None):
-            if not path.parent.is_dir() or path.is_dir():
-                raise RequestError(f"expected a file in a folder that exists, received {path}; give a different one")
+        path = given.json
+        if path is not None and (not path.parent.is_dir() or path.is_dir()):
+            raise RequestError(f"expected a file in a folder that exists, received {path}; give a different one")
         if given.corpus is not None and not given.corpus.is_dir():
             raise RequestError(f"--corpus: expected a folder, received {given.corpus}; give one that exists")
         episodes = EPISODES if given.episodes is None else given.episodes
@@ -576,10 +560,10 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         old = plan.old if plan.revision is None else plan.revision.label
         lines = lines_of(rows)
         verdict, sentence = verdict_of(lines), same_as
-        printed = page = f"{same_as}\n"
+        printed = f"{same_as}\n"
         if not same_as:
             sentence = sentence_of(old, plan.new, lines)
-            printed, page = (text_of(old, plan.new, rows, each) for each in (shutil.get_terminal_size().columns, None))
+            printed = text_of(old, plan.new, rows, shutil.get_terminal_size().columns)
         more = "" if same_as else _hint(plan, rows, given.copy)
         more += "".join(["\n", *(f"- {line}\n" for line in both)]) if both else ""
         sys.stdout.write(printed + more)
@@ -596,9 +580,6 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
                 "versions": installed_versions(),
             }
             write_whole(given.json, json.dumps(data, indent=1) + "\n")
-        if given.report is not None:
-            title = f"# From {plan.old} to {plan.new}\n\n```sh\n{shlex.join(command)}\n```"
-            write_whole(given.report, f"{title}\n\n{page}{more}{HOW_TO_READ}")
     except OSError as error:
         if isinstance(error, ChildProcessError):
             raise
