@@ -61,8 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_fitness = "fitness for all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
     of_fitness += "(default: that of each algorithm)"
     parser.add_argument("--fitness", help=of_fitness)
-    of_population = "scenarios per generation (default: that of each algorithm)"
-    parser.add_argument("--population", type=int, metavar="N", help=of_population)
     add_world_arguments(parser, "default: a highway, in SI units")
     of_duration = "duration of a scenario [s] (default: 60, or the environment's)"
     parser.add_argument("--duration", type=float, metavar="S", help=of_duration)
@@ -134,7 +132,6 @@ def plan_of(arguments: argparse.Namespace) -> Plan:
         seed=arguments.seed,
         blame=arguments.blame,
         fitness=arguments.fitness,
-        parameters={} if arguments.population is None else {"population": arguments.population},
         world=WorldData.of(world).data,
         world_name=arguments.world or "",
         space=base_world(world).space({}).plain,

@@ -105,8 +105,6 @@ class Plan:
     # a reference driver in the ego's place is not at fault
     blame: str = "any"
     fitness: str | None = None  # for all algorithms: a name or ``module:function``; None for each algorithm's own
-    # parameters such as ``{"population": 8}``; every algorithm must accept all of them
-    parameters: Mapping[str, Any] = field(default_factory=dict)
     world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # in the form of a corpus file
     world_name: str = ""  # the argument --world: its module makes or registers the world, which may be code
     space: Mapping[str, Any] = field(default_factory=lambda: SearchSpace().plain)  # fields of a SearchSpace
@@ -191,10 +189,9 @@ class Plan:
             ValueError: if the algorithm or the fitness cannot be used.
         """
         (world, space), entrant = self.setting(name), self.entrant(name)
-        own = {"population": POPULATION} if entrant.is_papers else {}
         return AlgorithmRun(
             algorithm=entrant.algorithm,
-            parameters={**own, **self.parameters},
+            parameters={"population": POPULATION} if entrant.is_papers else {},
             ads=ads_factory(self.ads),
             holds=partial(never_collides, self.blame),
             world=world,

@@ -275,7 +275,6 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
         (["--generations", "0"], "--generations: expected a whole number, at least 1, received 0"),
         (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
         (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
-        (["--population", "1"], "population: expected at least 2"),
         (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
         (["--clearance", "-1"], "clearance: expected .* received -1"),
         (["--world", "nowhere-v0"], "nowhere-v0"),
