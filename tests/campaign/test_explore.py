@@ -450,7 +450,7 @@ def test_failing_ads_file_omits_the_reference_drivers():
             {"world": Bare(), "blame": "preventable"},
             r"\(blame='preventable'\): expected a world with reference_drivers",
         ),
-        ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected pafot\.Highway"),
+        ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected a world such as pafot\.Highway"),
         ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
         (
             {"drivers": {"last": "rev:main"}},

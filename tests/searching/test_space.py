@@ -94,7 +94,7 @@ def test_a_wide_space_draws_all_of_its_starts():
         ),
         (
             SearchSpace(most_npcs=(5,), traffic=Traffic("everyday", least_gap=4)),
-            "1 to 5 NPCs in everyday traffic (least_gap 4); the ego starts at 22 m/s in lane 1",
+            "1 to 5 NPCs in everyday traffic (as most drivers drive, least_gap 4); the ego starts at 22 m/s in lane 1",
         ),
     ],
 )
