@@ -277,11 +277,8 @@ def folder(pytester, monkeypatch, document):
 
 @pytest.mark.stories
 @pytest.mark.parametrize(("document", "story"), list(stories()))
-def test_samples_work_as_printed(story, folder, monkeypatch):
-    blocks = blocks_of(story)
-    if not any("neighbour" in block.rest for block in blocks if block.language == "console"):
-        monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")  # their runs, a fifth of all, change nothing that is printed
-    for block in blocks:
+def test_samples_work_as_printed(story, folder):
+    for block in blocks_of(story):
         if block.language in RUN:
             folder.show(block)
 

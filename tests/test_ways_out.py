@@ -172,7 +172,6 @@ RUN_BY = {
     "plugin/orphans.py": "test_the_command_that_a_summary_names_removes_the_files",
     "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "campaign/explore.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "extras/revisions/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "extras/episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
     "campaign/search_session.py": "test_finding_that_was_not_shrunk_names_the_command",
