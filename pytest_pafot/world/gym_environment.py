@@ -145,7 +145,7 @@ class EnvironmentGuard(HangGuard):
 
     def __init__(self, hang_limit: float) -> None:
         super().__init__(patience_with_world(hang_limit))
-        self._idle_limit = hang_limit
+        self.silence = hang_limit  # as around decisions: the timer may still run when the next decision begins
 
     @contextmanager
     def call(self) -> Iterator[None]:

@@ -211,7 +211,7 @@ class HangGuard:
         self.until = _WATCHDOG.until if is_limited else math.inf
         self.started: float | None = None
         self.interruption: BaseException | type[BaseException] | None = None
-        self._idle_limit: float | None = None  # what counts between decisions for native code [s]; None for the limit
+        self.silence = limit  # the time for which native code may keep all Python threads from running [s]
         self._sent = False
         self._ignored: tuple[float, float] | None = None
         self._lock = threading.Lock()
@@ -235,11 +235,6 @@ class HangGuard:
             _WATCHDOG.leave(self)
             if self._by_signal:
                 signal.signal(signal.SIGUSR1, self._previous)
-
-    @property
-    def silence(self) -> float:
-        """The time for which native code may keep all Python threads from running [s]."""
-        return self.limit if self._idle_limit is None or self.started is not None else self._idle_limit
 
     @property
     def pause(self) -> float:

@@ -304,9 +304,8 @@ def test_environment_that_ignores_interruptions_is_a_world_that_hangs(monkeypatc
     assert ends[0] == "world"
 
 
-def test_native_code_of_a_policy_is_noticed_as_soon_as_in_other_worlds():
+def test_native_code_is_noticed_as_soon_as_in_other_worlds():
+    """A step of the environment would else set the timer for it, which still runs when the next decision begins."""
     guard = EnvironmentGuard(30.0)
-    assert guard.silence == 30.0
-    guard.decision_starts()
-    assert guard.silence == 300.0
-    guard.decision_ends()
+    with guard.call():
+        assert (guard.limit, guard.silence) == (300.0, 30.0)
