@@ -265,6 +265,13 @@ def test_no_session_on_ci_passes_that_ends_in_time_after_a_failure(project, monk
     assert ("problem: 2 items failed, test_it.py::test_fails[s" in text_of(result)) is bool(code)
 
 
+def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, monkeypatch):
+    monkeypatch.setenv("CI", "true")
+    (project.path / "conftest.py").write_text(LEAVES)
+    project.write("def test_of_something_else():\n    assert False\n")
+    assert project.run().ret == 0
+
+
 @pytest.mark.parametrize(("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)])
 def test_a_day_that_is_over_is_told(day, is_told):
     assert bool(stale_day(day, date(2026, 10, 31))) is is_told

@@ -85,7 +85,7 @@ class RecordedVehicle:
 
     @property
     def vehicle_type(self) -> VehicleType:
-        """What it is as an NPC."""
+        """The type of vehicle that it is as an NPC."""
         return VehicleType.recorded(self.length, self.width, float(self.states[:, SPEED].max()))
 
     def __repr__(self) -> str:

@@ -37,7 +37,7 @@ class AlgorithmClass:
 
     made_by: Callable[..., Algorithm[Any]]  # the class
     name: str  # the name in files and reports
-    # the fitness that it maximises unless a different one is requested: a name, weights or a function
+    # the fitness that it maximises unless a different one is requested: a name or a function
     fitness: str | Fitness = "default"
     instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
     begins_with_given: bool = False  # whether it begins with the scenarios in ``space.first``
