@@ -73,17 +73,17 @@ _NAMES = {
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
-_OF_EXTRAS = ("Recording", "Sweep", "policies", "recorded", "sumo", "sweep", "training_env")  # see door.NAMES
+_OF_EXTRAS = ("Sweep", "policies", "sumo", "sweep", "training_env")  # see door.NAMES
 _MODULES = ("properties", "strategies")
 
 __all__ = [
     "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
     "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "Measure",
-    "NpcLimits", "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded", "Recording",
+    "NpcLimits", "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded",
     "Run", "SavedScenario", "Scenario", "ScenarioError", "Signal", "Simulator", "SimulatorWorld", "Step", "Sweep",
     "Trace", "Track", "Traffic", "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone",
     "above", "always", "below", "catalogue", "check", "eventually", "explore", "load", "policies", "properties",
-    "recorded", "reject", "search", "strategies", "sumo", "sweep", "target", "training_env", "until",
+    "reject", "search", "strategies", "sumo", "sweep", "target", "training_env", "until",
 ]  # fmt: skip
 
 

@@ -91,10 +91,8 @@ ALGORITHMS: Mapping[str, str] = MappingProxyType({
 """The search algorithms that only comparisons need, by name."""
 
 NAMES: Mapping[str, str] = MappingProxyType({
-    "Recording": f"{EXTRAS}.recordings.recording:Recording",
     "Sweep": f"{EXTRAS}.sweeps.maps:Sweep",
     "policies": f"{EXTRAS}.policies",
-    "recorded": f"{EXTRAS}.recordings.reading:recorded",
     "sumo": f"{EXTRAS}.sumo:sumo",
     "sweep": f"{EXTRAS}.sweeps.maps:sweep",
     "training_env": f"{EXTRAS}.training:training_env",

@@ -128,16 +128,6 @@ def test_export_writes_the_run_of_a_saved_file(told, here):
     assert (rows[0]["time"], rows[0]["vehicle"], rows[0]["speed"]) == ("0.0", "ego", "22.0")
 
 
-def test_recorded_tracks_are_driven_around_a_policy(told, here):
-    told("export", SAVED, "--to", "csv", "--ads", "constant_speed")
-    tracks = pafot.recorded("collision-xfail.csv")
-    scenario = tracks.scenario(seconds=5.0)
-    assert (tracks.ego, scenario.ego_speed, len(scenario.npcs)) == ("ego", 22.0, len(tracks.vehicles) - 1)
-    assert (
-        pafot.Highway(speed_limit=36.3, duration=1.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0)).duration == 1.0
-    )
-
-
 PROGRAM = """
 import json, sys
 for line in sys.stdin:

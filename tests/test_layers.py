@@ -24,7 +24,7 @@ CORE = (
 )  # fmt: skip
 EXTRAS = (
     "resumable", "algorithms", "executors", "policies", "testing", "revisions", "comparison", "episodes", "training",
-    "export", "sweeps", "requirements", "recordings", "sumo",
+    "export", "sweeps", "requirements", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
 """The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
@@ -80,7 +80,6 @@ QUESTIONS = {
     "criticality/asked.py": 1,  # a lateral speed is measured only across straight lanes
     "criticality/zones.py": 1,  # places on two ways are of use only together
     "extras/algorithms/map_elites.py": 1,  # the archive has places for zones only if there are any
-    "extras/recordings/commonroad_scenario.py": 1,  # whether a lane has points
     "extras/testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
     "extras/testing/traces.py": 10,  # the same
     "model/instructions/crossing.py": 1,  # whether NPCs can cross at all

@@ -34,7 +34,6 @@ from pytest_pafot.extras.episodes.progress_command import add_arguments as add_p
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
-from pytest_pafot.extras.recordings.reading import recorded
 from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.extras.sweeps.entries import ENTRIES
 from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
@@ -108,8 +107,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "one NPC in six is another one.",
     "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
     '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
-    "around": "[The recording](../guide/recordings.md#search-around-a-recording) that all scenarios vary, or a "
-    "scenario of it.",
+    "around": "The recording that all scenarios vary, or a scenario of it.",
     "requirement": "[What the test checks](../guide/requirements.md): an id or a list.",
     "title": "What the requirement asks for.",
     "owner": "Who answers for the test.",
@@ -258,7 +256,6 @@ def sections() -> dict[str, str]:
         "perception": _fields_table(Perception),
         "torch": _table(["Argument", "Meaning"], _arguments(policies.torch)),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
-        "recorded": _table(["Argument", "Meaning"], _arguments(recorded)),
         "training": _table(["Argument", "Meaning"], _arguments(training_env)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
         "measures": _measures_table(),
