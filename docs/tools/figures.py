@@ -5,10 +5,9 @@
 It prints the commit, the versions, and the CPU hours of each step. The results of a step are stored in DIR, in a folder
 named after the commit that last changed the code, and are not measured again there. So a step that was interrupted, or
 that ran on a different machine, continues if its folder is there. Then the results are written into the documents,
-between a line ``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``. Results without such lines are for
-sentences that quote them. The reports of comparisons stay in DIR; all their tables are stored as CSV files in
-docs/comparisons, whose page has the part of them that readers need. The tools that write documents themselves run last;
-they need Chromium, and the packages that their heads name.
+between a line ``<!-- measured: NAME -->`` and a line ``<!-- end of measured -->``. The reports of comparisons stay in
+DIR. All their tables are stored as CSV files in docs/comparisons, whose page has the part of them that readers need.
+The tools that write documents themselves run last. They need Chromium, and the packages that their heads name.
 
 With ``--quick``, a few short runs are measured to try the command, and written into a copy of the documents in DIR.
 """
@@ -48,49 +47,17 @@ REPORTS = {
 }
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
-BENCHMARKS: Mapping[str, tuple[str, str | None]] = {
-    "paper-collisions": ("paper_differences --tables collisions --scenarios {1000|20} --careless {200|2}", None),
-    "paper-readings": ("paper_differences --tables readings --scenarios {1000|20}", None),
-    "planted-defects": (
-        "planted_defects --half set-aside --arms default random cells random-cells lanes --seeds {20|1} "
-        "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
-        None,
-    ),
-    "planted-junctions": (
-        "planted_junctions --first-seed 10 --seeds {10|1} --runs {400|20} --workers WORKERS --save OUT.jsonl",
-        None,
-    ),
-    "junction-control": ("junction_control --runs {2000|20} --workers WORKERS", None),
-    "margins": ("margins --seeds {40|1} --runs {240|12} --workers WORKERS", None),
-    "margins-of-others": (
-        "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} --workers WORKERS",
-        None,
-    ),
-    "collisions": (
-        "ablation --tables collisions --runs {20|1} --hours {3|0.1} --workers WORKERS",
-        None,
-    ),
-    "failures": (
-        "ablation --tables failures --runs {24|1} --hours {6|0.1} --workers WORKERS",
-        None,
-    ),
-    "progress": (
-        "progress --seeds {20|1} --scenarios {200|20} --redraws {200|5} --workers WORKERS",
-        None,
-    ),
-    "shrinking": ("shrinking --runs {400|30} --workers WORKERS", None),
-    "endings": ("endings --runs {2000|100} --workers WORKERS", None),
-    "every-road": ("every_road --seeds {5|1} --generations {10|1} --workers WORKERS", None),
-    "distinctness": ("distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS", None),
-    "speed": ("speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}", None),
-    "training": ("training --seconds {8|1}", "docs/guide/training.md"),
-    "positive-controls": (
-        "positive_controls --first-seed 200 --seeds {3|1} --runs {400|30} --instructions cells --workers WORKERS",
-        None,
-    ),
-    "negative-control": ("negative_control --seeds {10|1} --runs {400|8} --workers WORKERS", None),
+BENCHMARKS: Mapping[str, str] = {
+    "planted-defects": "planted_defects --half set-aside --arms default random cells random-cells lanes --seeds {20|1} "
+    "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
+    "margins": "margins --seeds {40|1} --runs {240|12} --workers WORKERS",
+    "margins-of-others": "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} "
+    "--workers WORKERS",
+    "distinctness": "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
+    "speed": "speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}",
+    "negative-control": "negative_control --seeds {10|1} --runs {400|8} --workers WORKERS",
 }
-"""Arguments of the programs in tests/benchmarks, and the document with their tables."""
+"""Arguments of the programs in tests/benchmarks."""
 
 WRITERS = {
     "reference": "docs/tools/generate.py",
@@ -109,12 +76,7 @@ STATISTICS = "statistics.csv"
 """Every test of the reports."""
 STATISTICS_COLUMNS = "report,measure,at equal,first,second,median of first,median of second,A12 [95 %],p,Holm's p,test"
 STORED = {
-    "paper-collisions": ("paper-collisions.csv",),
-    "paper-readings": ("paper-readings.csv",),
     "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
-    "planted-junctions": ("planted-junctions.csv",),
-    "collisions": ("ablation-collisions.csv",),
-    "failures": ("ablation-failures.csv",),
     "margins": ("margins.csv",),
     "margins-of-others": ("margins-of-others.csv",),
 }
@@ -302,10 +264,7 @@ def redo(arguments: argparse.Namespace, root: Path, folder: Path) -> None:
         replace_report(comparisons / SEARCHES, head, name, searches_of(name, report))
         replace_report(comparisons / STATISTICS, STATISTICS_COLUMNS.split(","), name, statistics_of(name, report))
     for name in (each for each in BENCHMARKS if each in requested):
-        command, document = BENCHMARKS[name]
-        printed = measured(name, f"-m tests.benchmarks.{command}", arguments, folder)
-        if document is not None:
-            write_between(root / document, name, "\n".join(re.findall(r"(?:^\|.*\n)+", f"{printed}\n", re.MULTILINE)))
+        printed = measured(name, f"-m tests.benchmarks.{BENCHMARKS[name]}", arguments, folder)
         for path, (head, *rows) in zip(STORED.get(name, ()), tables_of(printed), strict=False):
             write_rows(comparisons / path, head, rows)
     for picture, published in PICTURES.items():

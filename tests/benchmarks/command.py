@@ -1,4 +1,4 @@
-"""Shared parts of the programs in this folder: options from their defaults, searches in processes, table headings."""
+"""Shared parts of the programs here: options from their defaults, searches in processes, a property, table headings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, TypeVar
+
+from pytest_pafot import Run
 
 KeyT = TypeVar("KeyT")
 ResultT = TypeVar("ResultT")
@@ -30,6 +32,10 @@ def options(about: str | None, **defaults: Any) -> argparse.Namespace:
             known = None if isinstance(default, list) else list(default)
             parser.add_argument(flag, nargs="+", choices=known, default=list(default))
     return parser.parse_args()
+
+
+def holds(run: Run) -> None:
+    assert not run.collision
 
 
 def seeds_of(given: argparse.Namespace) -> range:

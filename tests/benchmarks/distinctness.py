@@ -31,10 +31,11 @@ from example_ads import defects
 from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.signature import Signature
+from pytest_pafot.findings.signature import Failure, Signature
 from tests.benchmarks import policies_with_defects, policies_with_defects_2
-from tests.benchmarks.command import in_processes, options, print_head, seeds_of
-from tests.benchmarks.positive_controls import NOT_RUN_COLLISION, holds
+from tests.benchmarks.command import holds, in_processes, options, print_head, seeds_of
+
+NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
 
 COMBINED = (
     ("ignores-standing-vehicles", "looks-only-ahead"),

@@ -27,8 +27,7 @@ from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.model.trace import LANE
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.world.reference_drivers import REFERENCES, ReferenceDriver
-from tests.benchmarks.command import in_processes, options, seeds_of
-from tests.benchmarks.positive_controls import holds
+from tests.benchmarks.command import holds, in_processes, options, seeds_of
 from tests.helpers.sound_driver import SoundLaneChanger
 
 DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(

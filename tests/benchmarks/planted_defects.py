@@ -40,9 +40,8 @@ from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.extras.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch, RandomSearch
-from tests.benchmarks.command import as_they_end, options, print_head, seeds_of
+from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING, Planted
-from tests.benchmarks.positive_controls import holds
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
 
 HALVES: Mapping[str, Sequence[str]] = {"tuning": TUNING, "set-aside": SET_ASIDE}

@@ -54,9 +54,8 @@ from pytest_pafot.searching import (
 )
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.world import kernel
-from tests.benchmarks.command import options
+from tests.benchmarks.command import holds, options
 from tests.benchmarks.crowd import crowd
-from tests.benchmarks.positive_controls import holds
 from tests.helpers.campaigns import run_campaign
 from tests.helpers.gym_loop import drive, make_env, place, si_actions
 from tests.helpers.interpreted import InterpretedWorld

@@ -1,4 +1,4 @@
-"""No damaged file is read differently from its text; ``tests/benchmarks/mutants.py`` tries more of them."""
+"""No damaged file is read differently from its text."""
 
 import random
 from dataclasses import replace

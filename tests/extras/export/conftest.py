@@ -36,14 +36,13 @@ def of_both_kinds():
 
 @pytest.fixture(scope="session", params=[*POLICIES, JUNCTION, BOTH_KINDS])
 def exported(request):
-    """Return a finding and its trace, for a built-in file or one that ``tests.benchmarks.exports`` gives."""
+    """Return a finding and its trace, for a saved file or a stand-in."""
     name = request.param
     if name in (JUNCTION, BOTH_KINDS):  # an exporter only needs the finding's id
         trace = at_junction() if name == JUNCTION else of_both_kinds()
         return pafot.load(FILES / "collision-xfail.pafot.yaml").finding, trace
-    file, policy = (FILES / f"{name}.pafot.yaml", POLICIES[name]) if isinstance(name, str) else name
-    saved = pafot.load(file)
-    return saved.finding, saved.replay(ads_factory(policy)).trace
+    saved = pafot.load(FILES / f"{name}.pafot.yaml")
+    return saved.finding, saved.replay(ads_factory(POLICIES[name])).trace
 
 
 def refuses():
