@@ -178,11 +178,10 @@ def _run(given: list[str]) -> int:
         AdsFactoryError,
         FieldError,
         RequestError,
-        RevisionError,
     )
 
     # The errors that the user can correct. A worker that dies raises a ChildProcessError.
-    errors = (RequestError, FieldError, AdsFactoryError, RevisionError, ChildProcessError)
+    errors = (RequestError, FieldError, AdsFactoryError, ChildProcessError)
     parser = argparse.ArgumentParser(
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )

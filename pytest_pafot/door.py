@@ -29,21 +29,6 @@ class Command(NamedTuple):
 
 
 COMMANDS: Mapping[str, Command] = MappingProxyType({
-    "bisect": Command(
-        f"{EXTRAS}.revisions.bisect_command",
-        "find the commit of a policy since which a saved scenario fails",
-        "Replay a saved scenario with the policy of earlier commits, in a copy of the repository. Print the first "
-        "commit that fails, what it changed, and the first decision that differs from the commit before. Nothing is "
-        "changed here.",
-        is_gate=True,
-    ),
-    "progress": Command(
-        f"{EXTRAS}.episodes.progress_command",
-        "tell whether the new version of a policy is better than the old one",
-        "Drive two versions of a policy in the same random scenarios, ordinary traffic and saved scenarios, and search "
-        "for what only one of them fails. Print which is better, and how sure that is.",
-        is_gate=True,
-    ),
     "compare": Command(
         f"{EXTRAS}.comparison.command",
         "compare search algorithms on a policy",
@@ -105,8 +90,6 @@ DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 """A context manager: the executor of a Dask scheduler for the option ``dask``."""
 EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"
 """The pool of scenarios that runs them by the user's executor."""
-REFERENCES = f"{EXTRAS}.revisions.session_references"
-"""What a search needs to know of its reference: ``revision_of``, and ``compared`` with it."""
 
 
 def opened(place: str) -> Any:

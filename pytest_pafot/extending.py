@@ -10,10 +10,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot.campaign.explore import AlgorithmRun, judged_runs, replay_saved
-    from pytest_pafot.campaign.harness import refusals, same_policy
+    from pytest_pafot.campaign.explore import AlgorithmRun
+    from pytest_pafot.campaign.harness import refusals
     from pytest_pafot.campaign.request import drawn_space
-    from pytest_pafot.campaign.setup_fault import SetupFaultError, check_drives
+    from pytest_pafot.campaign.setup_fault import SetupFaultError
     from pytest_pafot.campaign.verdict import Verdict, judged_with_drivers
     from pytest_pafot.commands.inventory import Inventory
     from pytest_pafot.commands.policy_reference import (
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pytest_pafot.corpus.layout import SUFFIX, files_below
     from pytest_pafot.corpus.saved import Saved
     from pytest_pafot.criticality.measures import Encounters
-    from pytest_pafot.execution.pool import ProcessLostError, Requests, WorkerPool
+    from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
     from pytest_pafot.execution.runner import driving
     from pytest_pafot.execution.scenario_pool import ExecutionError, Job
     from pytest_pafot.findings.finding import Finding
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from pytest_pafot.model.instructions.instruction import WithStart
     from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
     from pytest_pafot.oracle.checks import require
-    from pytest_pafot.plugin.collection import policy_of, searched_test
-    from pytest_pafot.plugin.failure_reports import replay_of
     from pytest_pafot.report.animation import drawn_episode
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
     from pytest_pafot.searching.algorithms.distinct import NicheSearch
@@ -56,7 +54,7 @@ if TYPE_CHECKING:
     from pytest_pafot.support.errors import RequestError
     from pytest_pafot.world.codec import WorldData, code_of
     from pytest_pafot.world.driving.ads import AdsFactory
-    from pytest_pafot.world.driving.policy import DrivesElsewhere, Policy
+    from pytest_pafot.world.driving.policy import Policy
     from pytest_pafot.world.driving.policy_driver import checked_action
     from pytest_pafot.world.engines.npc_drivers import register
     from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld, drive_episode
@@ -64,10 +62,10 @@ if TYPE_CHECKING:
     from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 _NAMES = {
-    "campaign.explore": "AlgorithmRun judged_runs replay_saved",
-    "campaign.harness": "refusals same_policy",
+    "campaign.explore": "AlgorithmRun",
+    "campaign.harness": "refusals",
     "campaign.request": "drawn_space",
-    "campaign.setup_fault": "SetupFaultError check_drives",
+    "campaign.setup_fault": "SetupFaultError",
     "campaign.verdict": "Verdict judged_with_drivers",
     "commands.inventory": "Inventory",
     "commands.policy_reference": "add_world_arguments ads_factory caution check_function chosen_world identity",
@@ -75,7 +73,7 @@ _NAMES = {
     "corpus.layout": "SUFFIX files_below",
     "corpus.saved": "Saved",
     "criticality.measures": "Encounters",
-    "execution.pool": "ProcessLostError Requests WorkerPool",
+    "execution.pool": "ProcessLostError WorkerPool",
     "execution.runner": "driving",
     "execution.scenario_pool": "ExecutionError Job",
     "findings.finding": "Finding",
@@ -83,8 +81,6 @@ _NAMES = {
     "model.instructions.instruction": "WithStart",
     "model.trace": "ACCELERATION HEADING LANE SPEED STEERING X Y FloatArray Lane",
     "oracle.checks": "require",
-    "plugin.collection": "policy_of searched_test",
-    "plugin.failure_reports": "replay_of",
     "report.animation": "drawn_episode",
     "searching.algorithms.catalogue": "ALGORITHMS AlgorithmClass resolve_algorithm",
     "searching.algorithms.distinct": "NicheSearch",
@@ -97,7 +93,7 @@ _NAMES = {
     "support.errors": "RequestError",
     "world.codec": "WorldData code_of",
     "world.driving.ads": "AdsFactory",
-    "world.driving.policy": "DrivesElsewhere Policy",
+    "world.driving.policy": "Policy",
     "world.driving.policy_driver": "checked_action",
     "world.engines.npc_drivers": "register",
     "world.engines.ordinary_traffic": "SteppedWorld drive_episode",
@@ -108,16 +104,16 @@ _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()
 
 __all__ = [
     "ACCELERATION", "ALGORITHMS", "HEADING", "LANE", "SPEED", "STEERING", "SUFFIX", "AdsFactory", "AlgorithmClass",
-    "AlgorithmEvent", "AlgorithmRun", "DrivesElsewhere", "Encounters", "Evaluation", "ExecutionError", "Finding",
+    "AlgorithmEvent", "AlgorithmRun", "Encounters", "Evaluation", "ExecutionError", "Finding",
     "FloatArray", "GenerationFinished", "GenerationState", "GenerationalSearch", "Inventory", "Job", "Lane",
-    "LocalSearchStarted", "NewBest", "NicheSearch", "Policy", "ProcessLostError", "RequestError", "Requests",
+    "LocalSearchStarted", "NewBest", "NicheSearch", "Policy", "ProcessLostError", "RequestError",
     "Restarted", "Saved", "SearchSpace", "Session", "SetupFaultError", "Severity", "SteppedWorld", "Verdict",
     "WithStart", "WorkerPool", "WorldData", "X", "Y", "add_world_arguments", "ads_factory", "base_world", "caution",
-    "check_ask", "check_drives", "check_evaluations", "check_function", "check_parameters", "check_time",
+    "check_ask", "check_evaluations", "check_function", "check_parameters", "check_time",
     "checked_action", "chosen_world", "code_of", "drawn_episode", "drawn_space", "drive_episode", "driving",
-    "end_of_local_search", "files_below", "first_crossed", "identity", "judged_runs", "judged_with_drivers", "mutate",
-    "policy_of", "refusals", "register", "replay_of", "replay_saved", "require", "resolve_algorithm", "rollout_of",
-    "same_policy", "sample", "sample_manoeuvres", "searched_test", "varied",
+    "end_of_local_search", "files_below", "first_crossed", "identity", "judged_with_drivers", "mutate",
+    "refusals", "register", "require", "resolve_algorithm", "rollout_of",
+    "sample", "sample_manoeuvres", "varied",
 ]  # fmt: skip
 
 

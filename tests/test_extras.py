@@ -14,12 +14,10 @@ from pytest_pafot import door
 from pytest_pafot.__main__ import main
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.world import AdsFactoryError
-from tests.helpers.sessions import command_in_a_copy
 from tests.plugin.conftest import found, project  # noqa: F401
 from tests.searching.conftest import make_evaluation  # noqa: F401
 
 pytest.importorskip("pytest_pafot.extras", reason="all of this is about the extras")
-from tests.extras.plugin.test_bisect_command import BAD, GOOD, bisect, commit, tried  # noqa: F401
 
 SAVED = Path(__file__).parent / "corpus" / "saved" / "collision-xfail.pafot.yaml"
 FAST = pafot.World("highway-fast-v0", {"vehicles_count": 8, "duration": 6})
@@ -98,19 +96,6 @@ def test_rate_counts_crashes_of_a_policy_in_ordinary_traffic(told):
     assert (code, "of 2 episodes crashed" in text) == (0, True)
     code, text = told("rate --ads policies:raises@planner", *options)
     assert (code, "the ADS failed in 2 episodes" in text) == (1, True), text
-
-
-def test_progress_tells_whether_a_version_is_better(told):
-    code, text = told("progress policies:keeps_speed policies:brakes --scenarios 1 --workers 1")
-    assert code == 0
-    verdict = "policies:brakes is not told apart from policies:keeps_speed: failures of its own ("
-    assert verdict in " ".join(text.split())
-
-
-def test_progress_refuses_a_policy_that_is_the_old_one(told):
-    code, text = told("progress policies:brakes policies:brakes --scenarios 2 --workers 1")
-    assert code == 2
-    assert "expected another version than OLD" in text
 
 
 def test_training_env_is_an_environment_of_scenarios():
@@ -220,19 +205,3 @@ def test_compare_writes_a_report_on_two_algorithms(told, here, monkeypatch):
     report = (here / "out" / "report.md").read_text()
     assert "2 runs of each algorithm" in report
     assert "| random |" in report
-
-
-def test_bisect_names_the_first_commit_that_fails(commit, tried, capsys):  # noqa: F811
-    first, bad = commit(GOOD), commit(BAD)
-    assert bisect("--good", first) == 0
-    assert f"\n{bad} is the first that fails, by Ann at " in capsys.readouterr().out
-
-
-@pytest.mark.processes
-def test_reference_may_be_a_revision(commit):  # noqa: F811
-    commit(f"{POLICIES}\n# its first version\n")
-    Path("planner.py").write_text(POLICIES)
-    line = "search planner:brakes --runs 4 --seed 1 --against rev:HEAD"
-    told = command_in_a_copy("pytest_pafot", *line.split()).out
-    assert "1 of 1 file of the policy differ: planner.py" in " ".join(told.split()), told
-    assert "introduces 0 failures" in told

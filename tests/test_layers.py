@@ -23,7 +23,7 @@ CORE = (
     "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "extending", "__main__",
 )  # fmt: skip
 EXTRAS = (
-    "resumable", "algorithms", "executors", "policies", "testing", "revisions", "comparison", "episodes", "training",
+    "resumable", "algorithms", "executors", "policies", "testing", "comparison", "episodes", "training",
     "export", "sweeps", "requirements", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
@@ -38,7 +38,7 @@ HOMES = {
     "highway_env": {"world"},
     "gymnasium": {"world", "training"},
     "hypothesis": {"strategies"},
-    "pytest": {"plugin", "revisions"},
+    "pytest": {"plugin"},
     "_pytest": set(),
     "pluggy": set(),
     "PIL": {"report"},

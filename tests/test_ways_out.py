@@ -89,8 +89,6 @@ def test_every_option_that_messages_name_exists_also_in_search():
 
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
-    "bisect": ["extras/revisions/bisect_command.py"],
-    "progress": ["extras/episodes/progress_command.py", "extras/episodes/progress_command.py"],
     "rate": ["extras/episodes/rate_command.py", "extras/episodes/rate.py", "extras/resumable.py"],
     "compare": [
         "extras/comparison/command.py",
@@ -103,9 +101,8 @@ OF_COMMANDS = {
 }
 SHOWN_BY = {
     "corpus": [["corpus", each] for each in ("list", "join", "prune", "nearby", "shrink", "accept")],
-    "progress": [["progress"], ["search"]],
 }
-"""The helps with the options of a command. ``progress`` also names those of ``search``."""
+"""The helps with the options of a command."""
 OF_PYTEST = {
     "--rootdir",
     "--collect-only",
@@ -172,8 +169,6 @@ RUN_BY = {
     "plugin/orphans.py": "test_the_command_that_a_summary_names_removes_the_files",
     "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "extras/revisions/bisect_command.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "extras/episodes/progress_command.py": "test_progress_names_a_search_that_saves_what_only_the_new_policy_fails",
     "campaign/search_session.py": "test_finding_that_was_not_shrunk_names_the_command",
     "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
     "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
@@ -249,15 +244,6 @@ def test_options_that_a_session_of_search_names_repeat_it(here):
     for finding in json.loads((here / "j.json").read_text())["findings"]:
         assert finding["file"] is None
         assert finding["id"] in ran(finding["replay"])[1]
-
-
-@pytest.mark.processes
-def test_progress_names_a_search_that_saves_what_only_the_new_policy_fails(here):
-    code, told = ran("python -m pytest_pafot progress idm_mobil 'planner:Planner:a b' --scenarios 12 --workers 1")
-    assert code == 0, told
-    code, told = ran(named_in(told, "save and see it: "))
-    assert (code, "against example_ads.idm_mobil:make: introduces" in told) == (1, True), told
-    assert [*here.rglob("*.pafot.yaml")]
 
 
 @pytest.mark.processes

@@ -30,11 +30,9 @@ from pytest_pafot.criticality.temporal import above, always, below, eventually, 
 from pytest_pafot.extras import policies
 from pytest_pafot.extras.comparison import algorithm_run
 from pytest_pafot.extras.comparison.command import add_arguments
-from pytest_pafot.extras.episodes.progress_command import add_arguments as add_progress_arguments
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
-from pytest_pafot.extras.revisions.bisect_command import add_arguments as add_bisect_arguments
 from pytest_pafot.extras.sweeps.entries import ENTRIES
 from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
 from pytest_pafot.extras.sweeps.maps import Sweep
@@ -189,7 +187,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
     "expect.closing_speed": "Of the collision [m/s]; only a label.",
     "expect.ego_mean_speed": "Of the ego until the event [m/s], by which neighbours are re-timed.",
-    "expect.against": "The reference that passed, such as `module:factory` or `rev:main (1a2b3c4)`.",
+    "expect.against": "The reference that passed, such as `module:factory`.",
     "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "
     "it names.",
     "expect.npc_manoeuvre, expect.ego_manoeuvre": "Shortly before the collision.",
@@ -268,8 +266,6 @@ def sections() -> dict[str, str]:
         "results": _columns_table(
             {name: text for name, text in algorithm_run.COLUMNS.items() if run_table.COLUMNS.get(name) != text}
         ),
-        "bisect": _command_table(add_bisect_arguments),
-        "progress": _command_table(add_progress_arguments),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
         "manoeuvre": _fields_table(Manoeuvre),

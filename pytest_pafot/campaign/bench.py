@@ -187,9 +187,7 @@ class Bench:
             return None
         policy = self.harness.policy
         with self._recorded(), refusals():
-            if policy.elsewhere is not None:
-                trace = policy.elsewhere.driven("rollout_in_gym", world, scenario)
-            elif isinstance(self.runner.processes, Isolated):
+            if isinstance(self.runner.processes, Isolated):
                 trace = self.runner.processes.in_gym(scenario)
             else:
                 self.record.write(scenario)

@@ -1,8 +1,4 @@
-"""Searches without pytest: ``@pafot.search`` as one function, for notebooks and scripts, and what extras make of it.
-
-An extra runs one algorithm for a comparison, judges given scenarios, or replays a saved one, with the arguments of
-:func:`explore` and as a test would.
-"""
+"""Searches without pytest: ``@pafot.search`` as one function, for notebooks, scripts and comparisons."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import hashlib
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -22,7 +18,7 @@ from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of, with_drivers
 from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
-from pytest_pafot.campaign.replays import Replayed, Replays
+from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import (
     Request,
     SearchArguments,
@@ -35,15 +31,13 @@ from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import Verdict, judge, source_file
+from pytest_pafot.campaign.verdict import source_file
 from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
-from pytest_pafot.corpus.saved import Saved, refusal
-from pytest_pafot.execution.runner import runner_here
+from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -57,7 +51,6 @@ from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
 
 PLACE = "pafot.explore"
 OF_TESTS = ("arg", "debug", "report", "save", "strict_drift", "strict_health")
@@ -307,28 +300,6 @@ def _of_collision(run: Run) -> run_table.Row:
     }
 
 
-def judged_runs(
-    scenarios: Sequence[Scenario], world: Any, ads: AdsFactory, holds: Callable[[Run], None], *, blame: str
-) -> Iterator[tuple[Run, Verdict]]:
-    """Drive scenarios with a policy in this process, and yield each run with its verdict."""
-    with runner_here(world, ads) as runner:
-        runner.announce(scenarios)
-        for scenario in scenarios:
-            run = base_world(world).run_of(runner.run(scenario))
-            yield run, judge(run, holds, blame=blame)
-
-
-def replay_saved(saved: Saved, holds: Callable[[Run], None], node_id: str, **given: Any) -> Replayed:
-    """Replay a saved scenario as the test ``node_id`` does; ``given`` are arguments of :func:`explore`.
-
-    Raises:
-        RequestError: if the scenario cannot be replayed with these arguments.
-        ProcessLostError: if the process of the policy dies or hangs.
-    """
-    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        return replays_of(request_of(given), holds, node_id, Path(scratch)).labelled(saved, saved.id)
-
-
 def request_of(given: dict[str, Any]) -> Request:
     """Return the checked request for a search with the arguments of :func:`explore`, including ``ads``.
 
@@ -376,11 +347,6 @@ def replays_of(
         where = "drivers" if name in request.drivers.values() else "against"
         raise request.error(where, f"expected a factory, or its name as module:factory, received {name!r}")
 
-    def revision(name: str) -> NoReturn:
-        expected = "a factory, or its name as module:factory"
-        drive = "a revision drives in a test with @pafot.search, and by the command search"
-        raise request.error("drivers", f"expected {expected}, received {name!r}; {drive}")
-
     # Without a corpus, findings are not saved, but the search and its replays need the place where they would be.
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
     folder = folder_of_test(Path(module), test, str(corpus), Path())
@@ -391,7 +357,7 @@ def replays_of(
     if settings.resume is not None:
         check_states(settings.resume, Path.cwd())
     policy, world = Policy(request.ads), build_world(request, Highway())
-    drivers = drivers_of(request, policy.factory, fixture, revision)
+    drivers = drivers_of(request, policy.factory, fixture)
     harness = Harness(
         request=request,
         world=with_drivers(world, drivers),

@@ -27,13 +27,13 @@ from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts, ReferenceOutcome, Run
-from pytest_pafot.support.errors import DriverError, RequestError, RevisionError
-from pytest_pafot.support.references import REVISION, factory_named, name_of
+from pytest_pafot.support.errors import DriverError, RequestError
+from pytest_pafot.support.references import factory_named, name_of
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
-from pytest_pafot.world.driving.policy import DrivesElsewhere, Policy
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.failure import exits, let_through
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
@@ -45,7 +45,6 @@ class Reference:
 
     policy: Policy
     name: str  # the name in saved files; empty for a factory that no text can refer to
-    commit: str = ""  # the hash of the commit, if the reference is a revision
 
     @property
     def shown(self) -> str:
@@ -64,13 +63,6 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], te
     """
     if given is None:
         return None
-    if isinstance(given, DrivesElsewhere):
-        return Reference(policy=Policy(given), name=given.label, commit=given.commit)
-    if is_revision(given):
-        raise AgainstError(
-            f"against: expected a factory or its name as module:factory, received {given!r}; a revision is compared by "
-            "pytest and by the commands search and progress"
-        )
     found: Any = given
     if isinstance(given, str):
         try:
@@ -88,11 +80,6 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], te
     return reference
 
 
-def is_revision(given: object) -> bool:
-    """Return whether the option ``against`` names a revision, whose policy the extra of revisions builds."""
-    return isinstance(given, str) and given.startswith(REVISION)
-
-
 def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
     """Return why two factories make the same policy, so that it would be compared with itself; empty if they may not.
 
@@ -108,7 +95,7 @@ def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
             return ""
     return (
         "expected a policy that differs from the tested one, received one of the same name with the same files, so it "
-        f"would be compared with itself; give {REVISION}main, which takes all files from the branch main"
+        "would be compared with itself; put the earlier policy, with all its modules, into a package of another name"
     )
 
 
@@ -317,7 +304,7 @@ def refusals(whose: str = "the ADS") -> Iterator[None]:
     __tracebackhide__ = True
     try:
         yield
-    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError, RevisionError) as error:
+    except (WorldError, AdsFactoryError, ScenarioError, ExecutionError) as error:
         raise RequestError(str(error)) from None
     except skips() as error:  # raised by the factory: exceptions of the ADS are in the trace
         raise RequestError(no_skip(f"the factory of {whose}", error)) from None

@@ -158,9 +158,9 @@ class Settings:
     )
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Count only failures that this reference passes: rev:REVISION, or module:factory for a second ADS.",
-        "[`rev:main` is the test's policy in that revision](../guide/what-broke.md). In the mark also a factory, or "
-        "the name of its fixture.",
+        "Count only failures that this reference passes, a second ADS: module:factory.",
+        "[How to compare two versions](../guide/what-broke.md). In the mark also a factory, or the name of its "
+        "fixture.",
         or_class=True,
     )
     pairs: int = option(
@@ -169,11 +169,6 @@ class Settings:
         "They decide whether [its findings count](../guide/what-broke.md).",
         default=700,
         least=1,
-    )
-    copy: str | None = option(
-        "text",
-        "Files and folders that --pafot-against=rev:REVISION needs and git ignores, such as weights.",
-        "Relative to the current folder, separated by spaces, quoted as in a shell.",
     )
     max_time: float | None = option(
         "seconds",

@@ -41,7 +41,6 @@ from pytest_pafot.findings.finding import (
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
-from pytest_pafot.findings.situation import missed
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.sight import Sight
@@ -81,52 +80,6 @@ class Around:
     passing: int = 0
     failing: Finding | None = None
     seconds: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayResult:
-    """The result of the item of a saved scenario, for other plugins.
-
-    Attributes:
-        finding: the finding that its file stores.
-        label: the label of the replay.
-        run, verdict: the run and the verdict on it; None if its process died or hung.
-        note: a text on the time after the file's end; empty if nothing is to be said.
-    """
-
-    finding: Finding
-    label: str
-    run: Run | None
-    verdict: Verdict | None
-    note: str = ""
-
-    @property
-    def judged(self) -> tuple[bool | None, str]:
-        """True if the replay passes, None if that cannot be decided; and a sentence on how it ended.
-
-        A replay fails only by the failure that the file describes: the saved event, or a failure of the same signature.
-        A replay passes if the saved situation occurred and the test function accepted the run. Versions of packages are
-        ignored, as between commits of a policy, which all run with the packages that are installed now.
-        """
-        finding, label, run, verdict = self.finding, self.label, self.run, self.verdict
-        if run is None or verdict is None:
-            return (False if label == Label.STILL_FAILING else None), "the process died or hung"
-        if label == Label.FLAKY or not (verdict.failed or verdict.passes):
-            return None, label if label == Label.FLAKY else f"the test function did not judge the run: {verdict.kind}"
-        failure = verdict.failure if verdict.failed else None
-        found = replace(finding, found=replace(finding.found, versions={}))
-        now = replay_label(found, run, failure, {})
-        if failure is not None:
-            is_same = now is Label.STILL_FAILING or is_same_failure(finding, run, failure)
-            return (False if is_same else None), f"{'' if is_same else 'another failure: '}{headline(run, verdict)}"
-        why = unhandled(finding, run)
-        is_tested = now is Label.FIXED or finding.expect.is_crash or (why and not missed(finding.expect.situation, run))
-        return (True if is_tested else None), why or ending(run)
-
-    @property
-    def passes_otherwise(self) -> bool:
-        """True if the test function accepted the run, and the same run each time, whatever the file is about."""
-        return self.verdict is not None and self.verdict.passes and self.label != Label.FLAKY
 
 
 @dataclass(frozen=True, slots=True)

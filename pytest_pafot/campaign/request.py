@@ -29,7 +29,7 @@ from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag, plain_number
-from pytest_pafot.support.references import REVISION, described, factory_named, imported
+from pytest_pafot.support.references import described, factory_named, imported
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
@@ -101,7 +101,6 @@ class SearchArguments(TypedDict, total=False):
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any]
     pairs: int
-    copy: str
     max_time: float
     resume: str
     begin_with: str
@@ -236,13 +235,12 @@ def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any
         if name in BUILT_IN_DRIVERS and value != name:
             problem = f"{name!r} to have no factory, because it is a driver of the plugin, received {value!r:.100}"
             raise RequestError(f"{wrong} {problem}; choose another name, or write {name!r}: {name!r}")
-        is_revision = isinstance(value, str) and value.startswith(REVISION)
-        if isinstance(value, str) and ":" in value and not is_revision:
+        if isinstance(value, str) and ":" in value:
             try:
                 value = factory_named(value)  # noqa: PLW2901
             except ValueError as error:
                 raise RequestError(f"{place}: {error}") from error
-        if value != "" and not is_revision and (problem := _problem_of_ads(value)):
+        if value != "" and (problem := _problem_of_ads(value)):
             raise RequestError(f"{place}: {name!r}: {problem}")
         drivers[name] = value
     return drivers
@@ -252,24 +250,16 @@ def _some_drivers(known: Sequence[str]) -> str:
     return f'some of {", ".join(map(repr, known))}, or a mapping such as {{"last": MyPlanner}}'
 
 
-def drivers_of(
-    request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any], revision: Callable[[str], Any]
-) -> dict[str, Any]:
+def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
     """Return the factories of the drivers of free NPCs by name, if named with the policy under test as ``policy``.
 
-    ``fixture`` returns the value of a fixture, and ``revision`` the factory of a driver by the policy of a revision.
+    ``fixture`` returns the value of a fixture.
     """
-    given = request.settings.against
-    if isinstance(given, str) and given.startswith(REVISION) and set(request.drivers) - {"idm", "mobil"}:
-        problem = f"only idm and mobil with against={given!r}, whose process has none of these policies, received"
-        raise request.error("drivers=...", f"expected {problem} {', '.join(request.drivers)}")
     made: dict[str, Any] = {"policy": policy} if "policy" in request.drivers else {}
     for name, each in request.drivers.items():
         if name in BUILT_IN_DRIVERS or each == "":
             continue
-        made[name] = (
-            each if not isinstance(each, str) else revision(each) if each.startswith(REVISION) else fixture(each)
-        )
+        made[name] = fixture(each) if isinstance(each, str) else each
     return made
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,20 +116,6 @@ class FirstGeneration:
             judged = " that were judged" if self.unjudged else ""
             raise SetupFaultError(*self.last, f"all {self.runs} runs{where}{judged}")
         self.is_alike = False
-
-
-def check_drives(runs: Iterable[tuple[Run, Verdict]]) -> None:
-    """Check that judged runs do not all end in the same exception. No more of them are taken once that is known.
-
-    Raises:
-        SetupFaultError: if they do.
-    """
-    first = FirstGeneration()
-    for run, verdict in runs:
-        first.see(run, verdict)
-        if not first.is_alike:
-            return
-    first.end("")
 
 
 def cause_of(run: Run, verdict: Verdict) -> Cause | None:

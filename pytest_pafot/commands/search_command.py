@@ -39,7 +39,7 @@ from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, fla
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.receipts import taken_receipt, unfinished
-from pytest_pafot.support.references import PLANNER, REVISION
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import one_line, visible
 
 CONFTEST, TEST = "conftest.py", "test_safety.py"
@@ -102,11 +102,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_blame += "these, those that a reference driver prevents; avoidable: those of ego, and those that braking late, "
     of_blame += "but hard, avoids (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
-    of_against = f"count only failures that a reference passes: {REVISION}REVISION for ADS in another revision of the "
-    of_against += f"repository, such as {REVISION}main, or module:factory[:argument]"
+    of_against = "count only failures that a reference passes, a second policy: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
-    of_copy = f"with --against {REVISION}REVISION, files and folders that ADS needs and git ignores, such as weights"
-    parser.add_argument("--copy", nargs="+", default=[], metavar="PATH", help=of_copy)
     of_begin = "saved scenarios to drive first: a folder, or others for those in which policies of others failed"
     parser.add_argument("--begin-with", flag("begin_with"), metavar="FOLDER", help=of_begin)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
@@ -147,12 +144,12 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if arguments.write_test:
         return _write_test(here, files, arguments.ads)
     against = arguments.against
-    if against is not None and not against.startswith(REVISION):
+    if against is not None:
         ads_factory(against, "--against")
         against = whole_name(against)
     given = {name: getattr(arguments, name) for name in OWN}
-    given |= {"against": against, "copy": shlex.join(arguments.copy) or None}
-    given["corpus"] = corpus = here / arguments.corpus  # The tests are not in this folder.
+    corpus = here / arguments.corpus  # The tests are not in this folder.
+    given |= {"against": against, "corpus": corpus}
     options = [f"{flag(name)}={value}" for name, value in given.items() if value is not None]
     with _session(files) as session:
         environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
@@ -335,9 +332,7 @@ def _drivers(given: Sequence[str], world: str | None) -> dict[str, str]:
         if not reference and name not in BUILT_IN_DRIVERS and world is None:
             expected = f"{', '.join(BUILT_IN_DRIVERS)}, or NAME=MODULE:FACTORY such as last=planner:Last"
             raise RequestError(f"--driver: expected {expected}, received {name!r}")
-        is_here = reference and not reference.startswith(REVISION)
-        built_in = name if name in BUILT_IN_DRIVERS else ""
-        drivers[name] = whole_name(reference) if is_here else reference or built_in
+        drivers[name] = whole_name(reference) if reference else name if name in BUILT_IN_DRIVERS else ""
     checked_drivers(drivers, "--driver")
     return drivers
 

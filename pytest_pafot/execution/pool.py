@@ -15,7 +15,6 @@ import os
 import pickle
 import select
 import signal
-import subprocess
 import sys
 import time
 import traceback
@@ -28,7 +27,7 @@ from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
 from pytest_pafot.support.errors import OutOfTime, flag, page
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
@@ -627,51 +626,6 @@ def _serve(
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         with suppress(OSError):  # the session may have ended
             tell(_Left(leave(), in_task))
-
-
-@dataclass(frozen=True, slots=True)
-class Requests:
-    """The requests to a process that drives a policy, at either end of a pipe: ``ask`` here, ``serve`` in the process.
-
-    Use it for a process that :class:`WorkerPool` cannot start, such as one with other imports than this one.
-    """
-
-    STUCK: ClassVar[int] = 86
-    """The exit code of the process if a decision in it ignores its interrupt."""
-
-    connection: Connection
-
-    def ask(self, request: bytes, process: subprocess.Popen[bytes], seconds: float = math.inf) -> Any:
-        """Send a pickled request, and return the answer.
-
-        Raises:
-            OutOfTime: if the time of the search is over.
-            TimeoutError: if there is no answer after some seconds.
-            EOFError: if the process has ended.
-            OSError: if the pipe is broken, or has no answer in it.
-        """
-        until = time.monotonic() + seconds
-        self.connection.send_bytes(request)
-        while not self.connection.poll(POLL):
-            check_time()
-            if time.monotonic() > until:
-                raise TimeoutError
-            if process.poll() is not None and not self.connection.poll():
-                raise EOFError
-        return pickle.loads(self.connection.recv_bytes(LARGEST))  # noqa: S301  (from a child process)
-
-    def serve(self, work: Callable[[Any], object]) -> None:
-        """Answer requests by what ``work`` returns or raises, until there are no more or the session has ended."""
-        # A decision that ignores its interrupt ends this process, not the session.
-        resort = LastResort(end=lambda: os._exit(self.STUCK), grace=IGNORED, file=os.dup(2))
-        with last_resort(resort), suppress(EOFError, OSError):
-            while True:
-                request = self.connection.recv_bytes()
-                try:
-                    answer = _sendable(work(pickle.loads(request)))  # noqa: S301  (from the session)
-                except BaseException as error:  # noqa: BLE001  (it is raised again in the session)
-                    answer = pickle.dumps(_portable(error))
-                self.connection.send_bytes(answer)
 
 
 def _ignore_interrupts() -> None:

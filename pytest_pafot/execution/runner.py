@@ -25,7 +25,6 @@ from typing import Any, Self, TypeVar, cast
 from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
-from pytest_pafot.execution.elsewhere import Elsewhere, StandIn
 from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
@@ -56,7 +55,7 @@ from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import listed, one_line, plural, visible
 from pytest_pafot.world import Highway
-from pytest_pafot.world.base_world import WorldLike
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.perception import ads_and_sight
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure
@@ -94,8 +93,6 @@ def runner_for(
     Raises:
         WorldError: if the world cannot be used.
     """
-    if (elsewhere := job.policy.elsewhere) is not None:  # Its runs are in a process of its own already.
-        job, workers, isolate, executor = replace(job, world=Elsewhere(job.world, elsewhere)), 1, False, None
     if isolate:
         return Runner(job=job, record=record, processes=Isolated(job, workers=workers, executor=executor), clock=clock)
     is_asked = job.policy.only_observes and not times_decisions
@@ -111,15 +108,6 @@ def runner_for(
         can_resume=not times_decisions and job.world.is_resumable,
         clock=clock,
     )
-
-
-@contextmanager
-def runner_here(world: WorldLike, ads: Callable[..., Any]) -> Iterator[Runner]:
-    """Provide a runner for a command, which makes all runs in this process and writes only temporary crash records."""
-    with tempfile.TemporaryDirectory(prefix="pafot-") as records:
-        job = Job(world=base_world(world), policy=Policy(ads), records=Path(records, "records"), owner="command")
-        with job.crash_record() as record, runner_for(job, record) as runner:
-            yield runner
 
 
 @dataclass(eq=False, kw_only=True)
@@ -242,7 +230,7 @@ class Runner:
             if self._copies is not None and not (afresh or self._copies.ended):
                 factory, decisions, copies = self._copies.around(factory, scenario, decisions, begun)
             given = {"decisions": decisions} if decisions else {}  # the user's own world need not have this argument
-            if most is not None and self.job.policy.elsewhere is None:
+            if most is not None:
                 factory = ending_after(factory, most - len(decisions))
             trace = rollout_of(self.job.world)(scenario, factory, **given)
             reused = min(len(decisions), len(trace.actions))  # a run may end earlier
@@ -806,10 +794,30 @@ class Isolated(Processes):
 
 
 @dataclass(frozen=True, slots=True)
-class _OtherRuns(StandIn):
-    """A stand-in for a world, with a different ``rollout``, which guards the ADS."""
+class _OtherRuns(BaseWorld):
+    """A stand-in for a world, with a different ``rollout``, which guards the ADS. It can do nothing else."""
 
+    world: BaseWorld
     drive: Callable[[Scenario, Callable[..., Any]], Any]
+
+    @property
+    def hang_limit(self) -> float:
+        """The limit of the world [s]."""
+        return self.world.hang_limit
+
+    @property
+    def speed_limit(self) -> float:
+        """The limit of the world [m/s]."""
+        return self.world.speed_limit
+
+    @property
+    def longest_run(self) -> float:
+        """The longest duration of a run in the world [s]."""
+        return self.world.longest_run
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the world as plain data."""
+        return self.world.to_dict()
 
     def rollout(self, scenario: Scenario, ads_factory: Callable[..., Any]) -> Any:
         """Call the function in the place of the world's ``rollout``."""
@@ -937,7 +945,7 @@ def must_stay_here(job: Job, scenario: Scenario) -> str:
     it may end its process. If it raises or hangs at its first decision, this process judges that. A policy that does
     without the answer of a thread decides otherwise there: so if a thread runs code of the project, both drive.
     """
-    if job.policy.drives_itself or job.policy.elsewhere is not None:
+    if job.policy.drives_itself:
         return ""
     patience = job.world.hang_limit
 

@@ -133,7 +133,7 @@ class Expect:
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         avoided_by: the last decision from which braking, or staying in the lane, avoids the collision in simulation;
             None if there is none.
-        against: the reference that passed the scenario, such as ``module:factory`` or ``rev:main (1a2b3c4)``; empty
+        against: the reference that passed the scenario, such as ``module:factory``; empty
             without a reference, or if it has no such name.
         traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
             folders.

@@ -353,11 +353,6 @@ def saved_of(item: pytest.Item) -> Saved | None:
     return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
 
 
-def searched_test(item: pytest.Item) -> str:
-    """Return the name of the test that an item searches, with its classes and parameters; empty if it is no search."""
-    return qualified_name(item) if is_search(item) else ""
-
-
 def policy_of(item: pytest.Item) -> Callable[..., Any]:
     """Return the ADS factory of a search or a replay, once pytest has set up its fixtures.
 

@@ -12,7 +12,7 @@ import re
 from collections.abc import Generator
 from datetime import date
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -29,13 +29,10 @@ from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 from pytest_pafot.support.traced import Traced
 
-if TYPE_CHECKING:
-    from pytest_pafot.campaign.replays import ReplayResult
-
 SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
-REPLAYED = pytest.StashKey["ReplayResult"]()
-"""The result of a replay."""
+REPLAYED = pytest.StashKey[bool]()
+"""Set once the scenario of an item was replayed, however the replay ended."""
 
 NOT_ACCEPTED = pytest.StashKey[str]()
 """How the failure of a replay goes beyond the one that its file accepts."""
@@ -58,11 +55,6 @@ _COLOUR = re.compile("\x1b\\[[0-9;]*m")
 
 pytest itself uses them to colour the difference of two values.
 """
-
-
-def replay_of(item: pytest.Item) -> ReplayResult | None:
-    """Return the result of an item that has replayed a saved scenario; None if it has not."""
-    return item.stash.get(REPLAYED, None)
 
 
 class KeptOutput:

@@ -9,7 +9,7 @@ from typing import NoReturn
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.replays import Around, Replayed, ReplayResult, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import Around, Replayed, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
@@ -82,7 +82,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     notes = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
     notes += replays.setting_changes(finding)
     detail = "; ".join(filter(None, notes))
-    item.stash[REPLAYED] = ReplayResult(finding, str(label), run, verdict, note)
+    item.stash[REPLAYED] = True
     if label in (Label.DRIFTED, Label.JUDGED_OTHERWISE, Label.FLAKY):
         missed = unhandled(finding, run) if label is Label.DRIFTED and not verdict.failed else ""
         notes = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
@@ -159,7 +159,7 @@ def _conclude_lost(
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
-    item.stash[REPLAYED] = ReplayResult(finding, str(facts.shows), None, None, note)
+    item.stash[REPLAYED] = True
     label = facts.label
     notes = [_against(replays), *replays.setting_changes(finding)]
     if label is Label.DRIFTED:

@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pytest_pafot.campaign.events import (
@@ -26,10 +25,10 @@ from pytest_pafot.campaign.events import (
     SearchStarted,
     SearchSummary,
 )
-from pytest_pafot.campaign.harness import Harness, checked_factory, is_revision, reference_of, with_drivers
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, Settings
+from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, with_drivers
+from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import AgainstError, Request, build_space, build_world, drivers_of
+from pytest_pafot.campaign.request import Request, build_world, drivers_of
 from pytest_pafot.campaign.search_session import (
     AFTER_A_DEATH,
     Events,
@@ -43,7 +42,6 @@ from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.door import REFERENCES, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.findings.decisions import advice_on, moved_over
@@ -63,14 +61,12 @@ from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
-from pytest_pafot.searching.space import sample
-from pytest_pafot.support.errors import OF_SEARCH, RequestError, RevisionError, command, flag, rerun
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
@@ -83,9 +79,6 @@ HERE: pytest.StashKey[dict[str, str]] = pytest.StashKey()
 NOT_ISOLATED = (
     "the ADS runs in this process although the profile ci isolates, so it ends the session if it ends its process"
 )
-
-LEAST_TO_BUILD = 30.0
-"""The time in which the policy of a revision may be built even if the time limit is over by then [s]."""
 
 OF_SUITE = "record_testsuite_property"
 """The fixture of pytest that records properties of the session."""
@@ -117,7 +110,6 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     name, root = node_ids.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     against, resume = request.settings.against, request.settings.resume
-    revision = _revision_of(item, request)
     here = item.config.invocation_params.dir
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
@@ -134,13 +126,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
     policy = Policy(policy_of(item))
-    drivers = drivers_of(
-        request,
-        policy.factory,
-        lambda name: checked_factory(item.funcargs[name], name),
-        lambda text: _driver_of(item, request, text),
-    )
-    given = against if revision is None else revision.policy
+    drivers = drivers_of(request, policy.factory, lambda name: checked_factory(item.funcargs[name], name))
     harness = Harness(
         request=request,
         world=with_drivers(world, drivers),
@@ -153,7 +139,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         records=records_of(item.config.rootpath),
         root=item.config.rootpath,
         versions=installed_versions(world.packages),
-        against=reference_of(given, lambda name: checked_factory(item.funcargs[name], name), policy),
+        against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name), policy),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
         drivers=drivers,
         needs_only_run=_needs_only_run(item, request.arg),
@@ -171,64 +157,6 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         if not known[harness.node_id]:
             return harness
     return replace(harness, request=replace(request, settings=replace(request.settings, isolate=False)))
-
-
-def _revision_of(item: pytest.Item, request: Request) -> Any:
-    """Return the policy of an item's test in the revision that its request names; None if it names none.
-
-    Raises:
-        AgainstError: if there is no such revision, or its policy cannot be built.
-    """
-    against = request.settings.against
-    if not is_revision(against):
-        return None
-    names = node_ids.base_id(item), node_ids.qualified_name(item), os.environ.get(OF_COMMAND, "")
-    try:
-        return opened(REFERENCES).revision_of(item, against, request.settings.copy or "", *names)
-    except RevisionError as error:
-        raise AgainstError(str(error)) from None
-
-
-def _driver_of(item: pytest.Item, request: Request, revision: str) -> Any:
-    """Return the factory of drivers of NPCs by the policy of an item's test in a revision.
-
-    Raises:
-        RequestError: if there is no such revision, or its policy cannot be built.
-    """
-    names = node_ids.base_id(item), node_ids.qualified_name(item), os.environ.get(OF_COMMAND, "")
-    try:
-        driver, label = opened(REFERENCES).driver_of(item, revision, request.settings.copy or "", *names)
-    except RevisionError as error:
-        raise request.error("drivers=...", str(error)) from None
-    if request.settings.is_search:
-        messages.send(item, "note", {"text": f"free NPCs that {revision} drives: the policy of {label}"})
-    return driver
-
-
-def _compare(item: pytest.Item, harness: Harness) -> None:
-    """Send lines on the policy and its reference. Skip the item if both are the same.
-
-    Raises:
-        AgainstError: if the policy of a revision cannot be driven, or git fails.
-    """
-    revision, against = _revision_of(item, harness.request), harness.against
-    lines, same = list[str](), ""
-    if not harness.request.settings.is_search:
-        return
-    if revision is not None:
-        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
-        try:
-            lines, same = opened(REFERENCES).compared(revision, harness.world, scenario)
-        except RevisionError as error:
-            raise AgainstError(str(error)) from None
-    elif against is not None:
-        policies = against.policy, harness.policy
-        before, after = (source_digests(each.factory, here=harness.root) for each in policies)
-        lines = [files_line(against.shown, before, "now", after)]
-    for line in (*lines, same) if same else lines:
-        messages.send(item, "compared", {"text": line})
-    if same:
-        pytest.skip(same)
 
 
 def _checked_executor(given: object) -> Executor | None:
@@ -309,10 +237,11 @@ def run_search(item: pytest.Function, request: Request) -> None:
     today = date.fromisoformat(shared.today)
     now = time.monotonic()
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
-    with runs_end_in(max(limit.end - now, LEAST_TO_BUILD)):  # for the policy of a revision, in its own process
-        harness = harness_of(item, request)
-        if harness.against is not None or is_revision(settings.against):  # which may not have the policy yet
-            _compare(item, harness)
+    harness = harness_of(item, request)
+    if harness.against is not None and settings.is_search:
+        policies = harness.against.policy, harness.policy
+        before, after = (source_digests(each.factory, here=harness.root) for each in policies)
+        messages.send(item, "compared", {"text": files_line(harness.against.shown, before, "now", after)})
     replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)

@@ -135,17 +135,6 @@ def plain_whole(value: object) -> int | None:
         return None
 
 
-class RevisionError(Exception):
-    """An error for a revision whose policy cannot be compared. The message says what to do.
-
-    ``missing`` names what the revision lacks, if that is why: a module, ``module:name`` or ``fixture:name``.
-    """
-
-    def __init__(self, message: str, missing: str = "") -> None:
-        super().__init__(message)
-        self.missing = missing
-
-
 class WorldError(FieldError):
     """A world that cannot be run, or a scenario that does not fit the world."""
 

@@ -20,9 +20,6 @@ MOST_NAMES = 8
 PLANNER = "@planner"
 """The suffix of the name of a policy that is a planner in SI units, although it drives in an environment."""
 
-REVISION = "rev:"
-"""The prefix of a reference that is a revision of the repository."""
-
 
 def factory_named(reference: str, what: str = "a factory") -> Callable[..., Any]:
     """Import the factory that a text such as ``module:factory`` or ``module:factory:argument`` refers to.

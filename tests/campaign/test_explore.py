@@ -452,10 +452,6 @@ def test_failing_ads_file_omits_the_reference_drivers():
         ),
         ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected a world such as pafot\.Highway"),
         ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
-        (
-            {"drivers": {"last": "rev:main"}},
-            r"pafot\.explore\(drivers\): .* received 'rev:main'; a revision drives in a test with @pafot\.search",
-        ),
         ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
     ],
 )

@@ -2,7 +2,10 @@
 
 import random
 from collections import deque
+from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -11,11 +14,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway, LaneInstruction, Outcome, PositionInstruction, Scenario
-from pytest_pafot.execution.runner import DecisionCache, runner_here
+from pytest_pafot.execution.runner import DecisionCache, runner_for
+from pytest_pafot.execution.scenario_pool import Job
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world import WorldError
+from pytest_pafot.world.driving.policy import Policy
 from tests.helpers.tables import table
 
 PI = PositionInstruction
@@ -126,7 +131,10 @@ def test_copies_of_a_policy_with_a_state_go_on_as_the_policy(seed, npcs, gene_se
 
     space = SearchSpace(npcs=npcs, genes=4, gene_seconds=gene_seconds)
     scenario = sample(space, rng)
-    with runner_here(WORLD, Remembering) as runner:
+    with ExitStack() as stack:
+        records = Path(stack.enter_context(TemporaryDirectory()))
+        job = Job(world=WORLD, policy=Policy(Remembering), records=records, owner="test")
+        runner = stack.enter_context(runner_for(job, stack.enter_context(job.crash_record())))
         for _ in range(12):
             trace = runner.run(scenario)
             assert differences(trace, WORLD.rollout(scenario, Remembering)) == []

@@ -18,13 +18,11 @@ pytestmark = pytest.mark.processes
 COMMANDS = {
     "map": "map r157/cut-in --ads planner:make --over gap=10:60:2 --fail-on preventable",
     "rate": "rate --ads planner:make@planner --world highway-fast-v0 --episodes 8 --workers 1 --fail-above 60%",
-    "progress": "progress planner:Old planner:make --scenarios 4 --workers 1 --fail-on worse",
     "compare": "compare --ads planner:make --algorithms random --runs 1 --generations 1 --workers 1 --out out",
 }
 LONG = {
     "compare": "compare --ads slow:make --algorithms random --runs 4 --out out --workers=2",
     "rate": "rate --ads slow:make@planner --world highway-fast-v0 --workers=2",
-    "progress": "progress slow:make slow:other --workers=2",
 }
 
 
@@ -33,7 +31,7 @@ LONG = {
 EACH = [
     *((place, "sys.exit(0)") for place in ENDINGS),
     ("IN_DECISION", "os._exit(0)"),
-    ("ON_IMPORT", "os._exit(0)"),  # progress drives in other processes, and imports in this one
+    ("ON_IMPORT", "os._exit(0)"),
 ]
 
 
@@ -44,7 +42,7 @@ def test_a_policy_that_ends_its_process_is_no_success(tmp_path, command, place, 
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by their variables")
-@pytest.mark.parametrize(("command", "name"), [("compare", "SIGINT"), ("rate", "SIGTERM"), ("progress", "SIGHUP")])
+@pytest.mark.parametrize(("command", "name"), [("compare", "SIGINT"), ("rate", "SIGTERM")])
 def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, name):
     check_that_all_ends(tmp_path, tmp_path_factory.mktemp("places"), LONG[command].split(), name)
 
@@ -57,7 +55,6 @@ def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
     assert {command: ended(tmp_path, line)[0] for command, line in COMMANDS.items()} == {
         "map": 1,
         "rate": 1,
-        "progress": 0,
         "compare": 0,
     }
 

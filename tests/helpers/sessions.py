@@ -269,8 +269,6 @@ PIPES = ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite")
 """The ends of the pipes of a process among these."""
 OF_ALL = (sys.prefix, sys.base_prefix, str(Path(__file__).parents[2] / "pytest_pafot"))
 """The folders of the modules that a copy keeps. Those of the project in which it runs may have changed."""
-REVISION = "pytest_pafot.extras.revisions."
-"""The beginning of the name of a module that drives the policy of a revision."""
 SESSION = search_command.PYTEST
 WORKER = "import sys;exec(eval(sys.stdin.readline()))"
 """The program of a worker of pytest-xdist, which receives the rest."""
@@ -307,7 +305,7 @@ def _call_of(command):
             return command[2:], lambda: _with_room(pytest.main, arguments)
         case [sys.executable, "-m", "pytest_pafot", *arguments]:
             return command[2:], lambda: _with_room(__main__.main_in_child, arguments)
-        case [sys.executable, "-c", str() as program, *arguments] if program == SESSION or REVISION in program:
+        case [sys.executable, "-c", str() as program, *arguments] if program == SESSION:
             return ["-c", *arguments], lambda: _with_room(exec, program, {"__name__": "__main__"})
         case [sys.executable, "-u", "-c", str() as program] if program == WORKER:
             return ["-c"], lambda: _with_room(exec, program, {"__name__": "__main__"})

@@ -230,4 +230,4 @@ def test_policy_is_not_compared_with_itself(project, now, before, is_itself):
     assert (result.ret, json.loads((project.path / "pafot.json").read_text())["exit"]) == (code, code)
     if is_itself:
         result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines(["*against (planner_before:make): expected a policy that differs *give rev:main*"])
+        result.stdout.fnmatch_lines(["*against (planner_before:make): expected a policy that differs *another name*"])

@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -77,33 +76,6 @@ def test_a_written_test_replays_what_the_search_has_saved(here):
     code, told = python("pytest", "-q", "--pafot-generations=0")
     assert code == 1
     assert "replayed 1 saved scenario: 1 still failing" in told
-
-
-@pytest.mark.processes
-def test_search_command_counts_what_a_revision_passes(here):
-    def git(*arguments):
-        subprocess.run(["git", "-c", "user.name=A", "-c", "user.email=a@b.c", *arguments], check=True)
-
-    stops = "self.name == 'stop' and -9.0 or 0.0, 0.0"
-    named = POLICY.replace("return 0.0, 0.0", f"return {stops}").replace("return Planner()", "planner = Planner()")
-    named = named.replace('assert name == "fast"', "pass") + "\n"
-    named = named.replace(
-        "planner = Planner()", "planner = Planner()\n    planner.name = NAME or name\n    return planner"
-    )
-    (here / "a_planner.py").write_text("from core import NAME\n" + named)
-    (here / "core.py").write_text("NAME = 'stop'\n")
-    git("init", "-q", "-b", "main")
-    git("add", "-A")
-    git("commit", "-qm", "It stops")
-    (here / "core.py").write_text("NAME = ''\n")
-    given = ["a_planner:make:fast", "--runs", "8", "--seed", "2", "--against", "rev:main", "--copy", "core.py"]
-    code, told = python("pytest_pafot", "search", *given, "--", "-q", "--pafot-shrink-rollouts=0")
-    assert code == 1, told
-    assert re.search(r"^against rev:main \(\w{7}\): introduces 1 failure, fixes 0, 0 as before$", told, re.MULTILINE), (
-        told
-    )
-    code, told = python("pytest_pafot", "search", "a_planner:Planner", "--against", "rev:nothing", "--", "-q")
-    assert (code, "expected a commit, a branch or a tag" in " ".join(told.split())) == (2, True)
 
 
 @pytest.mark.processes
@@ -392,28 +364,6 @@ def test_an_interrupted_search_ends_with_its_summary_and_its_page(here):
     assert "ended: interrupted" in " ".join(rest.split())
     assert "report: pafot.html (1 " in rest  # an error, if the interrupt comes while the finding is drawn
     assert (here / "pafot.html").exists()
-
-
-@pytest.mark.processes
-@pytest.mark.skipif(os.name == "nt", reason="a revision needs Unix sockets")
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_ended_search_leaves_no_session_and_no_copy(here, monkeypatch, tmp_path_factory, name):
-    places = tmp_path_factory.mktemp("places")
-    monkeypatch.setenv("TMPDIR", str(places))
-    git = ["git", "-c", "user.name=Ann", "-c", "user.email=ann@example.org"]
-    for arguments in (["init", "-q", "-b", "main"], ["add", "a_planner.py"], ["commit", "-qm", "Begin"]):
-        subprocess.run([*git, *arguments], cwd=here, check=True)
-    (here / "a_planner.py").write_text((here / "a_planner.py").read_text() + "\n")
-    command = [sys.executable, "-m", "pytest_pafot", "search", "a_planner:Planner", "--runs", "100000", "--seed", "2"]
-    with begun([*command, "--against", "rev:main"], stdout=subprocess.PIPE, text=True) as search:
-        deadline = time.monotonic() + 60.0
-        while not [*places.glob("pafot-tree-*/*/a_planner.py")] and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert [*places.glob("pafot-tree-*/*/a_planner.py")]
-        search.send_signal(getattr(signal, name))
-        search.communicate(timeout=60)  # It also waits for the session, which has the same output.
-    assert search.returncode == 128 + getattr(signal, name)
-    assert not [*places.glob("pafot-*")]
 
 
 @pytest.mark.processes

@@ -3,45 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, takes_nothing
 from pytest_pafot.world.driving.perception import ads_and_sight, sight_of
-from pytest_pafot.world.guard.chance import OwnDraws
-
-
-class DrivesElsewhere(ABC):
-    """A policy in place of a factory. It makes whole runs, and so may be a policy of any kind.
-
-    Attributes:
-        label: its name and commit, for texts.
-        commit: the hash of its commit.
-    """
-
-    __slots__ = ()
-    label: str
-    commit: str
-
-    def __call__(self) -> NoReturn:
-        """Refuse to make an ADS in this process."""
-        raise AdsFactoryError(f"{self.label}: expected a run in the process of this revision, received a call here")
-
-    @abstractmethod
-    def driven(self, method: str, world: BaseWorld, scenario: Scenario) -> Trace:
-        """Run a scenario by a method of a world, ``rollout`` or ``rollout_in_gym``.
-
-        Raises:
-            RevisionError: if the policy cannot drive, which says nothing about how it drives.
-            ProcessLostError: if its process dies or hangs.
-        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,11 +63,6 @@ class Policy:
         """True if its ADSs decide from observations alone, so that these can be made for any world and at any time."""
         return not (self.drives_itself or self.simulates)
 
-    @property
-    def elsewhere(self) -> DrivesElsewhere | None:
-        """The policy itself if it makes whole runs in a process of its own; otherwise None."""
-        return self.factory if isinstance(self.factory, DrivesElsewhere) else None
-
     @cached_property
     def sight(self) -> Sight | None:
         """The sight of its ADSs; None for perfect sight."""
@@ -134,18 +97,6 @@ class Policy:
         given = make_ads(self.factory, **arguments)
         decides, sight = ads_and_sight(given)
         return Ads(given, decides, sight, drives_itself=is_vehicle_class(given))
-
-    def make_drawing(self, seed: int) -> Ads:
-        """Make a fresh ADS that draws from generators of its own, seeded once."""
-        draws = OwnDraws(seed)
-        with draws:
-            ads = self.make()
-
-        def decides(observation: Any) -> Any:
-            with draws:
-                return ads.decides(observation)
-
-        return ads if ads.drives_itself else replace(ads, decides=decides)
 
     def _own(self, name: str) -> Any:
         """Return an attribute of the factory or of the factory that it wraps; None if there is none.

@@ -242,11 +242,10 @@ class FreeNpc:
                 "pafot.World with planner_hz= a planner, without it a vehicle class",
             )
         policy = Policy(given)
-        if policy.simulates or policy.elsewhere is not None:
-            needs = "the environment itself (env)" if policy.simulates else "a process of its own"
+        if policy.simulates:
             raise self._refused(
                 "a driver that decides from its observations",
-                f"{self._name!r}, which needs {needs}",
+                f"{self._name!r}, which needs the environment itself (env)",
                 "write driver='idm' or 'mobil'",
             )
         try:

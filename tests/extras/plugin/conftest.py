@@ -3,4 +3,4 @@
 from tests.helpers.sessions import imported
 from tests.plugin.conftest import *  # noqa: F403
 
-imported("extras.revisions", "extras.sweeps")
+imported("extras.sweeps")
