@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from pytest_pafot import properties, strategies
     from pytest_pafot.campaign.explore import Exploration, explore
     from pytest_pafot.campaign.saved_scenario import SavedScenario, load
-    from pytest_pafot.criticality.signals import Measure, Signal
-    from pytest_pafot.criticality.temporal import above, always, below, eventually, until
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
     from pytest_pafot.model.driving_style import Traffic
     from pytest_pafot.model.grid import Cell
@@ -55,8 +53,6 @@ __version__ = "0.1.0"
 _NAMES = {
     "campaign.explore": "Exploration explore",
     "campaign.saved_scenario": "SavedScenario load",
-    "criticality.signals": "Measure Signal",
-    "criticality.temporal": "above always below eventually until",
     "model.crossings": "CrossingVehicle Zone",
     "model.driving_style": "Traffic",
     "model.grid": "Cell",
@@ -78,12 +74,11 @@ _MODULES = ("properties", "strategies")
 
 __all__ = [
     "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
-    "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "Measure",
-    "NpcLimits", "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded",
-    "Run", "SavedScenario", "Scenario", "ScenarioError", "Signal", "Simulator", "SimulatorWorld", "Step", "Sweep",
-    "Trace", "Track", "Traffic", "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone",
-    "above", "always", "below", "catalogue", "check", "eventually", "explore", "load", "policies", "properties",
-    "reject", "search", "strategies", "sumo", "sweep", "target", "training_env", "until",
+    "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "NpcLimits",
+    "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded", "Run", "SavedScenario",
+    "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Step", "Sweep", "Trace", "Track", "Traffic",
+    "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "catalogue", "check", "explore", "load",
+    "policies", "properties", "reject", "search", "strategies", "sumo", "sweep", "target", "training_env",
 ]  # fmt: skip
 
 

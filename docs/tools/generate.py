@@ -25,8 +25,7 @@ from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
-from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange, Measure
-from pytest_pafot.criticality.temporal import above, always, below, eventually, until
+from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange
 from pytest_pafot.extras import policies
 from pytest_pafot.extras.comparison import algorithm_run
 from pytest_pafot.extras.comparison.command import add_arguments
@@ -223,9 +222,7 @@ def sections() -> dict[str, str]:
         "run": _properties_table(Run, without=RUN_INTERNALS),
         "signals": _signals_table(),
         "check": _table(["Argument", "Meaning"], _arguments(check)),
-        "temporal": _temporal_table(),
         "properties": _ready_list(),
-        "measure": _fields_table(Measure),
         "lane-change": _fields_table(EgoLaneChange),
         "passage": _fields_table(Passage),
         "collision": _fields_table(Collision),
@@ -573,12 +570,6 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
 
 def _arguments(function: Callable[..., Any]) -> list[list[str]]:
     return [[_code(names), _capital(text)] for names, text in _attributes(function, "Args:")]
-
-
-def _temporal_table() -> str:
-    functions = (above, below, always, eventually, until)
-    rows = [[f"`pafot.{each.__name__}({_stated(each)})`", _value(each)] for each in functions]
-    return _table(["Function", "Margin"], rows)
 
 
 def _ready_list() -> str:

@@ -31,11 +31,11 @@ from pytest_pafot.criticality.measures import (
 )
 from pytest_pafot.criticality.relative import RelativePositions
 from pytest_pafot.criticality.rss import RoadFrame, RssRules, longitudinal_gap
-from pytest_pafot.criticality.zones import Passage, passages, still_to_pass, time_advantage
+from pytest_pafot.criticality.zones import Passage, passages, time_advantage
 
 __all__ = [
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ettc", "execution_time",
     "gap", "hardest_brake", "longitudinal_gap", "max_safety_shortfall", "mettc", "min_centre_distance", "min_gap",
     "min_safety_distance", "min_ttc", "passages", "planned_duration", "safety_distance",
-    "still_to_pass", "time_advantage", "ttc",
+    "time_advantage", "ttc",
 ]  # fmt: skip

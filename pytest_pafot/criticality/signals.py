@@ -1,4 +1,4 @@
-"""Signals of a run, which have one value per tick, a name and a unit, and the table of all measures."""
+"""Signals of a run, which have one value per tick, and the table of all measures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,98 +17,8 @@ from pytest_pafot.criticality.zones import Passage, passages, time_advantage
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Trace
 
-if TYPE_CHECKING:
-    from typing import Self
-
-_Array: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
-
 Worse = Literal["low", "high", "both", "neither"]
 """Which values of a measure are worse for the ego: low values, high values, values far from 0, or neither."""
-
-
-_REORDER = frozenset({np.flip, np.sort, np.roll, np.partition})
-"""Functions of numpy that move values to other ticks."""
-
-_KEEP_UNIT = frozenset({np.absolute, np.fabs, np.negative, np.positive})
-
-
-class Signal(_Array):
-    """A numpy array with one value per tick of a run, and with the tick that each value belongs to.
-
-    A numpy operation that works value by value, such as ``abs(signal)``, ``signal / 2`` or
-    ``np.where(..., signal, 0)``, returns a signal over the same ticks. The new signal has no name. ``abs(signal)`` and
-    ``-signal`` keep the unit; all other operations drop it. In an operation on two signals, the first signal determines
-    the ticks. A slice such as ``signal[30:150]`` begins 30 ticks later. Any other selection, such as
-    ``signal[signal > 1]`` or ``signal[::2]``, returns a signal whose ticks are unknown. Comparisons and sums return
-    plain arrays and numbers.
-
-    Args:
-        values: one value per tick; the signal stores a read-only copy.
-        hz: ticks per second; None if unknown.
-        start: tick of the first value.
-        name: name, such as ``ego.speed``.
-        unit: unit, such as ``m/s``.
-
-    Raises:
-        ValueError: if ``values`` is not one-dimensional.
-    """
-
-    hz: float | None = None
-    start: int = 0
-    name: str = ""
-    unit: str = ""
-
-    def __new__(
-        cls, values: npt.ArrayLike, *, hz: float | None = None, start: int = 0, name: str = "", unit: str = ""
-    ) -> Self:
-        """Make a signal from any values."""
-        signal = np.array(values, dtype=np.float64).view(cls)
-        if signal.ndim != 1:
-            raise ValueError(f"signal {name!r}: expected one value a tick, received an array of shape {signal.shape}")
-        signal.__dict__.update(hz=hz, start=start, name=name, unit=unit)
-        signal.flags.writeable = False
-        return signal
-
-    def __array_finalize__(self, source: object) -> None:
-        """Copy ticks, name and unit from a source signal of the same shape; otherwise they are unknown."""
-        if isinstance(source, Signal) and source.shape == self.shape:
-            self.__dict__.update(source.__dict__)
-
-    def __array_wrap__(self, array: _Array, context: Any = None, return_scalar: bool = False) -> Any:
-        """Make a signal of an array that numpy computed from signals; this signal is the first of them."""
-        if array.shape != self.shape or array.dtype != np.float64:
-            return array[()] if return_scalar else array
-        signal = array.view(type(self))
-        unit = self.unit if context is not None and context[0] in _KEEP_UNIT else ""
-        signal.__dict__.update(self.__dict__, name="", unit=unit)
-        return signal
-
-    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Call a numpy function that is not arithmetic, and make a signal of the array that it returns."""
-        result = super().__array_function__(func, types, args, kwargs)
-        if func in _REORDER:
-            return np.asarray(result)
-        return self.__array_wrap__(result) if isinstance(result, np.ndarray) else result
-
-    def __getitem__(self, key: Any) -> Any:
-        """Return one value, or a selection of values as a signal."""
-        part = super().__getitem__(key)
-        if isinstance(part, Signal):
-            cut = key[0] if isinstance(key, tuple) and len(key) == 1 else key
-            is_stretch = isinstance(cut, slice) and cut.step in (None, 1)
-            start = self.start + cut.indices(len(self))[0] if is_stretch else 0
-            part.__dict__.update(self.__dict__, hz=self.hz if is_stretch else None, start=start)
-        return part
-
-    def __reduce__(self) -> Any:
-        made: tuple[Any, ...] = super().__reduce__()  # type: ignore[assignment]
-        return *made[:2], (made[2], self.__dict__)
-
-    def __setstate__(self, state: Any) -> None:
-        """Restore a pickled signal and make it read-only again: pickling makes arrays writeable."""
-        super().__setstate__(state[0])
-        self.__dict__.update(state[1])
-        self.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,39 +37,15 @@ class Measure:
     unit: str
     worse: Worse
     source: str
-    function: Callable[[Trace], npt.ArrayLike]
-
-    def __post_init__(self) -> None:
-        if self.worse not in get_args(Worse):
-            expected = ", ".join(map(repr, get_args(Worse)))
-            raise ValueError(f"measure {self.name!r}: expected worse= as one of {expected}, received {self.worse!r}")
-
-    def values(self, trace: Trace) -> FloatArray:
-        """Return all values of a run, shape [ticks + 1] or [NPCs, ticks + 1].
-
-        Raises:
-            ValueError: if the function returns an array of a different shape.
-        """
-        values = np.asarray(self.function(trace), dtype=np.float64)
-        rows, npcs = trace.ticks + 1, trace.states.shape[1] - 1
-        if values.shape not in ((rows,), (npcs, rows)):
-            raise ValueError(
-                f"measure {self.name!r}: expected one value a tick, shape ({rows},), or of each NPC, ({npcs}, {rows}), "
-                f"received shape {values.shape}"
-            )
-        return values
+    function: Callable[[Trace], FloatArray]
 
     def __call__(self, trace: Trace) -> float:
         """Return the measure as a fitness between -1 and 1, which is higher if the run is worse for the ego.
 
-        It is v / (1 + |v|), where v is the worst value, with its sign changed if low values are worse.
-
-        Raises:
-            ValueError: if ``worse`` is ``neither``.
+        It is v / (1 + |v|), where v is the worst value, with its sign changed if low values are worse. No measure
+        without a worse side is a fitness.
         """
-        if self.worse == "neither":
-            raise ValueError(f"measure {self.name!r}: expected worse='low', 'high' or 'both', received 'neither'")
-        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.values(trace))
+        risk = {"low": np.negative, "high": np.positive, "both": np.abs}[self.worse](self.function(trace))
         worst = float(risk.max(initial=-np.inf))
         return math.copysign(1.0, worst) if math.isinf(worst) else worst / (1 + abs(worst))
 
@@ -319,39 +205,53 @@ BY_NAME = {measure.name: measure for measure in MEASURES}
 
 
 class Signals:
-    """The signals of one run; each measure is computed only once."""
+    """The signals of one run; each function of its trace is called only once."""
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
-        self._values: dict[Measure, FloatArray] = {}
+        self._values: dict[Callable[[Trace], npt.ArrayLike], FloatArray] = {}
 
-    def of(self, measure: Measure, npc: int | None = None) -> Signal:
-        """Return a measure as a signal; ``npc`` is the index of the NPC if the measure has one value for each NPC.
+    def of(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
+        """Return the read-only values of a function of the trace, one value per tick.
+
+        Args:
+            function: returns an array of shape [ticks + 1], or [NPCs, ticks + 1] for a value of each NPC.
+            npc: index of the NPC if the function has one value for each NPC.
 
         Raises:
-            ValueError: if ``npc`` is missing, or is given for a measure that is not one of each NPC.
+            ValueError: if the function returns an array of a different shape, or if ``npc`` is missing, or is given
+                for a function that has no row for each NPC.
         """
-        values = self._values.get(measure)
+        values = self._values.get(function)
         if values is None:
-            values = self._values[measure] = measure.values(self.trace)
+            values = np.array(function(self.trace), dtype=np.float64)
+            rows, npcs = self.trace.ticks + 1, self.trace.states.shape[1] - 1
+            if values.shape not in ((rows,), (npcs, rows)):
+                raise ValueError(
+                    f"signal {_named(function)}: expected one value a tick, shape ({rows},), or of each NPC, "
+                    f"({npcs}, {rows}), received shape {values.shape}"
+                )
+            values.flags.writeable = False
+            self._values[function] = values
         if (values.ndim == 2) is (npc is None):
             wanted = "npc=0 and so on, because it has a row for each NPC" if npc is None else "no npc="
-            raise ValueError(f"measure {measure.name!r}: expected {wanted}, received npc={npc}")
-        name = measure.name if npc is None else f"npcs[{npc}].{measure.name.removeprefix('npcs.')}"
-        row = values if npc is None else values[npc]
-        return Signal(row, hz=self.trace.physics_hz, name=name, unit=measure.unit)
+            raise ValueError(f"signal {_named(function)}: expected {wanted}, received npc={npc}")
+        return values if npc is None else values[npc]
 
-    def all(self) -> Iterator[Signal]:
-        """Yield the signals of all measures: one per measure of the ego, and one per NPC for a measure of each NPC.
+    def all(self) -> Iterator[tuple[str, FloatArray]]:
+        """Yield the name and the values of all measures: one of the ego, and one per NPC for a measure of each NPC.
 
         The time advantage is defined only for NPCs that cross, so the others have no such signal.
         """
         npcs = range(self.trace.states.shape[1] - 1)
         crossing = [npc for npc, zone in enumerate(self.trace.zones) if zone is not None]
         for measure in MEASURES:
-            of_npcs = crossing if measure.name == "npcs.time_advantage" else npcs
-            of_whom = of_npcs if measure.name.startswith(NpcSignals._of) else (None,)
-            yield from (self.of(measure, npc) for npc in of_whom)
+            vehicle, _, name = measure.name.partition(".")
+            if vehicle == "npcs":
+                for npc in crossing if name == "time_advantage" else npcs:
+                    yield f"npcs[{npc}].{name}", self.of(measure.function, npc)
+            else:
+                yield measure.name, self.of(measure.function)
 
     @property
     def ego(self) -> EgoSignals:
@@ -362,6 +262,10 @@ class Signals:
     def npcs(self) -> tuple[NpcSignals, ...]:
         """The signals of each NPC."""
         return tuple(NpcSignals(self, npc) for npc in range(self.trace.states.shape[1] - 1))
+
+
+def _named(function: object) -> str:
+    return repr(getattr(function, "__name__", function))
 
 
 class _Vehicle:
@@ -383,32 +287,32 @@ class _Vehicle:
             measure = BY_NAME.get(self._of + name)
             if measure is None or name.startswith("_"):
                 raise AttributeError(f"{self._of}{name}: expected one of {', '.join(dir(self))}")
-            return self._signals.of(measure, self._npc)
+            return self._signals.of(measure.function, self._npc)
 
 
 class EgoSignals(_Vehicle):
     """The signals of the ego, see :data:`MEASURES`."""
 
     _of = "ego."
-    speed: Signal
-    acceleration: Signal
-    jerk: Signal
-    lateral_acceleration: Signal
-    lane: Signal
+    speed: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    lateral_acceleration: FloatArray
+    lane: FloatArray
 
 
 class NpcSignals(_Vehicle):
     """The signals of one NPC, see :data:`MEASURES`."""
 
     _of = "npcs."
-    speed: Signal
-    acceleration: Signal
-    lane: Signal
-    ahead: Signal
-    right: Signal
-    gap: Signal
-    ttc: Signal
-    time_advantage: Signal
+    speed: FloatArray
+    acceleration: FloatArray
+    lane: FloatArray
+    ahead: FloatArray
+    right: FloatArray
+    gap: FloatArray
+    ttc: FloatArray
+    time_advantage: FloatArray
 
     @property
     def zone(self) -> Zone | None:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Trace
@@ -99,16 +98,6 @@ def times_expected(trace: Trace, npc: int, tick: int) -> tuple[Stretch, Stretch]
         for place in stretch
     )
     return (ego_enters, ego_leaves), (enters, leaves)
-
-
-def still_to_pass(trace: Trace) -> npt.NDArray[np.bool_]:
-    """Return whether neither ego nor NPC has left the zone of their ways yet, shape [ticks + 1, NPCs].
-
-    False for an NPC that does not cross.
-    """
-    ticks = np.arange(trace.ticks + 1)[:, None]
-    left = [0.0 if each is None else min(each.ego_leaves, each.npc_leaves) for each in passages(trace)]
-    return np.asarray(ticks < np.multiply(left, trace.physics_hz) - ROUNDING)
 
 
 def _has_places(trace: Trace) -> bool:

@@ -45,8 +45,7 @@ class Check:
         unit: unit of the value.
         time: time of the worst value [s]; None if unknown.
         npc: index of the NPC that the check is about; None if unknown.
-        values: all values, one per tick, if the check received such an array and its ticks are known; otherwise None.
-        start: tick of the first value in ``values``.
+        values: all values, one per tick, if the check received such an array; otherwise None.
     """
 
     name: str
@@ -58,7 +57,6 @@ class Check:
     time: float | None = None
     npc: int | None = None
     values: FloatArray | None = field(default=None, compare=False, repr=False)
-    start: int = field(default=0, compare=False, repr=False)
 
     @property
     def bounds(self) -> dict[str, float | None]:
@@ -145,11 +143,11 @@ def check(
 
     Args:
         value: a number, or an array with one value per tick, such as ``run.ego.jerk``, of which the worst counts. NaN
-            fails. A formula, such as of ``always``, needs no bound.
+            fails.
         name: of the check; failures of one name are one finding.
-        at_most, at_least: bounds [unit]; one is required, except for a formula.
-        unit: such as ``"m/s^3"``; by default the signal's.
-        at: time of the event [s]; by default that of an array's worst tick, or of the tick that decides a formula.
+        at_most, at_least: bounds [unit]; one is required.
+        unit: such as ``"m/s^3"``.
+        at: time of the event [s]; by default that of an array's worst tick.
         npc: index of the NPC that it is about; -1, as in ``run.leader``, means none.
         scale: divisor of the margin [unit], to compare checks; by default the bound, or 1 if it is 0.
 
@@ -158,10 +156,7 @@ def check(
         ValueError: if the check is not valid.
     """
     __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
-    what, is_margin = f"check {name!r}", hasattr(value, "is_formula")
-    # A formula is a margin, which is to be at least 0, unless the user wants more.
-    if is_margin and at_most is None and at_least is None:
-        at_least = 0.0
+    what = f"check {name!r}"
     if at_most is None and at_least is None:
         raise ValueError(
             f"{what}: expected at_most=, at_least= or both, received neither; without bounds use pafot.target"
@@ -174,23 +169,22 @@ def check(
         margins = np.min([sign * (values - bound) / _scale(name, bound, scale) for bound, sign in bounds], axis=0)
     # NaN must never pass: it is worse than any number.
     margins = np.where(np.isnan(margins), -np.inf, margins)
-    is_formula = getattr(value, "is_formula", False)
-    tick = 0 if is_formula else int(margins.argmin())
-    clock = _clock(value, values)
-    # The time of a formula is that of the tick which decides it, not that of its only value at the beginning.
-    moment = float(value.deciders[0]) if is_formula else tick
-    time = None if clock is None or math.isinf(moment) else (clock[0] + moment) / clock[1]
+    tick, recording = int(margins.argmin()), _RECORDING.get()
+    # An array has the ticks of the evaluated run if it has one value per tick of that run.
+    hz = None if recording is None or values.size == 1 or values.size != recording.ticks + 1 else recording.hz
+    time = None if hz is None else tick / hz
+    if at is not None:
+        time = checked_number(at, what, "at= as seconds since the run began", least=0.0)
     made = Check(
         name=_named(name),
         value=float(values[tick]),
         margin=float(margins[tick]),
         at_most=None if at_most is None else float(at_most),
         at_least=None if at_least is None else float(at_least),
-        unit=_unit(name, unit or str(getattr(value, "unit", ""))),
-        time=time if at is None else checked_number(at, what, "at= as seconds since the run began", least=0.0),
+        unit=_unit(name, unit),
+        time=time,
         npc=_npc(name, npc),
-        values=None if clock is None else values,
-        start=0 if clock is None else clock[0],
+        values=None if hz is None else values,
     )
     # The search learns from checks that hold, too: their margins are its objectives.
     _record(made)
@@ -273,20 +267,6 @@ def _npc(name: str, npc: Any) -> int | None:
         there = "" if most is None else f", at most {most - 1}"
         raise ValueError(f"check {name!r}: expected npc= as the index of an NPC{there}, received {npc!r:.100}")
     return None if npc is None or npc < 0 else int(npc)
-
-
-def _clock(value: Any, values: FloatArray) -> tuple[int, float] | None:
-    """Return the tick of an array's first value and the ticks per second; None for a number, or if they are unknown.
-
-    They are those of the array if it is a signal. Otherwise they are those of the evaluated run, if the array has one
-    value per tick of that run.
-    """
-    if values.size == 1:
-        return None
-    if getattr(value, "hz", None) is not None:
-        return value.start, value.hz
-    recording = _RECORDING.get()
-    return None if recording is None or values.size != recording.ticks + 1 else (0, recording.hz)
 
 
 def _short(value: float, bound: float | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise, takewhile
@@ -21,14 +21,12 @@ from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import (
-    BY_NAME,
     EgoLaneChange,
     EgoSignals,
-    Measure,
     NpcSignals,
-    Signal,
     Signals,
     ego_lane_changes,
+    headway,
     leader,
 )
 from pytest_pafot.model.crossings import Zone
@@ -275,9 +273,9 @@ class Run(Shown):
         return self._signals.npcs
 
     @property
-    def headway(self) -> Signal:
+    def headway(self) -> FloatArray:
         """The gap to the leader divided by the ego's speed [s], a signal."""
-        return self.signal(BY_NAME["headway"])
+        return self.signal(headway)
 
     @cached_property
     def leader(self) -> npt.NDArray[np.intp]:
@@ -343,13 +341,13 @@ class Run(Shown):
             off = max(off, math.dist(tuple(planned), tuple(driven)))
         return off
 
-    def signal(self, measure: Measure, npc: int | None = None) -> Signal:
-        """Return a measure of your own as a signal; ``npc`` is the index of the NPC for a measure of each.
+    def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
+        """Return a function of the trace as a signal; ``npc`` is the index of the NPC for a function of each.
 
         Raises:
-            ValueError: if the measure returns an array of a different shape, or if ``npc`` is missing.
+            ValueError: if the function returns an array of a different shape, or if ``npc`` is missing.
         """
-        return self._signals.of(measure, npc)
+        return self._signals.of(function, npc)
 
     def to_pandas(self) -> DataFrame:
         """Return all signals as a data frame with a row per tick and columns such as ``npcs[0].gap``.
@@ -365,8 +363,9 @@ class Run(Shown):
             raise ModuleNotFoundError(
                 f"run.to_pandas(): expected pandas to be installed; {install('compare')} brings it"
             ) from error
-        columns = {signal.name: np.asarray(signal) for signal in self._signals.all()}
-        return pd.DataFrame({**columns, "leader": self.leader}, index=pd.Index(self.trace.times, name="time"))
+        return pd.DataFrame(
+            {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")
+        )
 
     # Who caused the collision, and who would have prevented it.
 

@@ -196,12 +196,11 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
         at_least=check.at_least,
         time=None if tick is None else round(tick / hz, 3),
     )
-    if check.values is None or check.start + len(check.values) > trace.ticks + 1:
+    if check.values is None or len(check.values) != trace.ticks + 1:
         return view
-    end, (low, high) = check.start + len(check.values), _axis(check, check.values)
+    values, (low, high) = check.values, _axis(check, check.values)
     digits = max(4, 4 - math.floor(math.log10(high - low)))
-    values, excess = np.full(trace.ticks + 1, np.nan), np.full(trace.ticks + 1, -np.inf)
-    values[check.start : end], excess[check.start : end] = check.values, _excess(check, check.values)
+    excess = _excess(check, values)
     spans = [range(before + 1, tick + 1) for before, tick in pairwise([-1, *ticks])]
     worst = [values[span[int(excess[span].argmax())]] for span in spans]
     return replace(

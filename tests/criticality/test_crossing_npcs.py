@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import criticality
-from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, passages, still_to_pass, time_advantage
+from pytest_pafot.criticality import Encounters, RoadFrame, RssRules, passages, time_advantage
 from pytest_pafot.criticality.measures import safety_shortfall
 from pytest_pafot.criticality.signals import MEASURES, Signals, ego_lane_changes, leader
 from pytest_pafot.model.grid import Cell
@@ -36,7 +36,7 @@ IN_ONE_LANE = {
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",
-    "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration", "still_to_pass",
+    "max_safety_shortfall", "min_safety_distance", "passages", "planned_duration",
     "time_advantage",
 }  # fmt: skip
 
@@ -239,20 +239,11 @@ def test_missing_place_makes_times_at_zone_nan():
     assert math.isnan(time_advantage(broken)[20, 0])
 
 
-def test_zone_is_pending_until_one_vehicle_leaves_it():
-    trace = mixed()
-    first, second, _ = passages(trace)
-    assert (first.ego_leaves, second.npc_leaves) == (82 / HZ, 81 / HZ)
-    assert still_to_pass(trace).sum(axis=0).tolist() == [82, 81, 0]
-    assert still_to_pass(trace)[81].tolist() == [True, False, False]
-
-
 @table("missing", ["on_way", "track"])
 def test_zones_without_places_have_no_passages(missing):
     trace = replace(mixed(), **{missing: None})
     assert passages(trace) == (None, None, None)
     assert np.isnan(time_advantage(trace)[:, :2]).all()
-    assert not still_to_pass(trace).any()
     assert Signals(trace).npcs[0].zone == ZONES[CROSSES]
     assert Run(trace).explain().startswith("no collision")
 
@@ -274,7 +265,7 @@ def test_signals_of_crossing_npc_are_numbers_except_position():
 
 def test_only_npcs_with_zone_have_time_advantage_column():
     trace = mixed()
-    named = [signal.name for signal in Signals(trace).all() if "time_advantage" in signal.name]
+    named = [name for name, _ in Signals(trace).all() if "time_advantage" in name]
     assert named == ["npcs[0].time_advantage", "npcs[1].time_advantage"]
     straight = trace_of(trace.states[:, 0], trace.states[:, 3])
-    assert not [signal.name for signal in Signals(straight).all() if "time_advantage" in signal.name]
+    assert not [name for name, _ in Signals(straight).all() if "time_advantage" in name]

@@ -1,6 +1,5 @@
 """Signals against independent oracles: motions whose formulas are known, and loops over ticks and NPCs."""
 
-import copy
 import math
 import pickle
 import sys
@@ -11,18 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import criticality
-from pytest_pafot.criticality.signals import MEASURES, EgoSignals, Measure, NpcSignals, Signal
+from pytest_pafot.criticality.signals import MEASURES, EgoSignals, NpcSignals
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
-from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, random_states, scenario_of, trace_of, vehicle
-
-SPEED_OF_ALL = Signal([1.0, 2.0, 4.0], hz=10, start=5, name="ego.speed", unit="m/s")
-
-
-def described(signal):
-    return signal.hz, signal.start, signal.name, signal.unit
 
 
 def run_of(*vehicles, **fields):
@@ -32,75 +24,6 @@ def run_of(*vehicles, **fields):
 def random_run(seed, *, rows=12, vehicles=4):
     states = random_states(np.random.default_rng(seed), rows, vehicles)
     return run_of(*states.transpose(1, 0, 2))
-
-
-class TestSignal:
-    def test_signal_has_its_ticks_name_and_unit(self):
-        assert SPEED_OF_ALL.tolist() == [1.0, 2.0, 4.0]
-        assert described(SPEED_OF_ALL) == (10, 5, "ego.speed", "m/s")
-
-    def test_signal_is_read_only_copy_of_its_values(self):
-        values = np.array([1.0, 2.0])
-        signal = Signal(values)
-        values[0] = 7.0
-        assert signal[0] == 1.0
-        with pytest.raises(ValueError, match="read-only"):
-            signal[0] = 3.0
-
-    @table(
-        "changed",
-        [
-            SPEED_OF_ALL * 3.6,
-            3.6 * SPEED_OF_ALL,
-            SPEED_OF_ALL - Signal([0.0, 0.0, 0.0], hz=20, start=9, name="other"),
-            np.array([1.0, 1.0, 1.0]) + SPEED_OF_ALL,
-            np.maximum(2.0, SPEED_OF_ALL),
-            np.where(np.array([True, False, True]), SPEED_OF_ALL, 0.0),
-            np.cumsum(SPEED_OF_ALL),
-            np.gradient(SPEED_OF_ALL),
-            SPEED_OF_ALL.clip(1.5, 3.0),
-        ],
-    )
-    def test_computed_signal_has_ticks_without_name_or_unit(self, changed):
-        assert isinstance(changed, Signal)
-        assert described(changed) == (10, 5, "", "")
-
-    @table("changed", [-SPEED_OF_ALL, abs(SPEED_OF_ALL), np.fabs(SPEED_OF_ALL)])
-    def test_a_size_or_a_sign_leaves_the_unit(self, changed):
-        assert described(changed) == (10, 5, "", "m/s")
-
-    def test_a_stretch_begins_as_many_ticks_later(self):
-        assert described(SPEED_OF_ALL[1:]) == (10, 6, "ego.speed", "m/s")
-        assert described(SPEED_OF_ALL[-1:]) == (10, 7, "ego.speed", "m/s")
-        assert described(np.diff(SPEED_OF_ALL)) == (10, 6, "", "")
-
-    @table("key", [slice(None, None, 2), slice(None, None, -1), [0, 2], SPEED_OF_ALL > 1.0])
-    def test_any_other_selection_is_over_no_known_ticks(self, key):
-        assert described(SPEED_OF_ALL[key])[:2] == (None, 0)
-
-    def test_comparisons_and_sums_are_plain(self):
-        assert type(SPEED_OF_ALL > 1.0) is np.ndarray
-        for number in (SPEED_OF_ALL.max(), SPEED_OF_ALL.mean(), np.median(SPEED_OF_ALL), SPEED_OF_ALL[0]):
-            assert type(number) is np.float64
-        assert SPEED_OF_ALL.std() == pytest.approx(math.sqrt(14 / 9))
-
-    def test_signal_changed_in_place_loses_its_name(self):
-        speed = SPEED_OF_ALL.copy()
-        speed *= 3.6
-        assert described(speed) == (10, 5, "", "")
-
-    @table("again", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
-    def test_a_copy_is_the_same_signal(self, again):
-        there = again(SPEED_OF_ALL)
-        assert there.tolist() == SPEED_OF_ALL.tolist()
-        assert described(there) == described(SPEED_OF_ALL)
-
-    def test_signal_is_still_read_only_after_pickling(self):
-        assert not pickle.loads(pickle.dumps(SPEED_OF_ALL)).flags.writeable
-
-    def test_more_than_one_value_a_tick_is_refused(self):
-        with pytest.raises(ValueError, match=r"expected one value a tick, received an array of shape \(1, 2\)"):
-            Signal([[1.0, 2.0]])
 
 
 class TestVehicles:
@@ -115,12 +38,6 @@ class TestVehicles:
         assert run.npcs[2].lane.tolist() == run.trace.npcs[:, 2, LANE].tolist()
         assert run.npcs[1].gap.tolist() == criticality.gap(run.trace)[:, 1].tolist()
         assert run.npcs[1].ttc.tolist() == criticality.ttc(run.trace)[:, 1].tolist()
-
-    def test_they_have_names_units_and_ticks(self):
-        run = random_run(2)
-        assert described(run.ego.jerk) == (15, 0, "ego.jerk", "m/s^3")
-        assert described(run.npcs[1].gap) == (15, 0, "npcs[1].gap", "m")
-        assert described(run.headway) == (15, 0, "headway", "s")
 
     def test_unknown_signal_name_lists_the_known_names(self):
         with pytest.raises(AttributeError, match=r"ego\.sped: expected one of acceleration, jerk"):
@@ -217,31 +134,37 @@ class TestLaneChanges:
         assert run_of(ego, vehicle(50.0)).lane_changes == ()
 
 
-class TestOwnMeasures:
-    def test_custom_measure_is_a_signal_of_the_run(self):
-        room = Measure("room", "m", "low", "mine", lambda trace: 10.0 - trace.ego[:, X])
+class TestOwnSignals:
+    def test_custom_function_is_a_read_only_signal_of_the_run(self):
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0))
-        assert run.signal(room).tolist() == [10.0, 7.0]
-        assert described(run.signal(room)) == (15, 0, "room", "m")
+        room = run.signal(lambda trace: 10.0 - trace.ego[:, X])
+        assert room.tolist() == [10.0, 7.0]
+        assert type(room) is np.ndarray
+        assert not room.flags.writeable
 
-    def test_custom_measure_for_each_npc_needs_npc_index(self):
-        far = Measure("far", "m", "low", "mine", lambda trace: trace.npcs[:, :, X].T)
+    def test_custom_function_for_each_npc_needs_npc_index(self):
+        def far(trace):
+            return trace.npcs[:, :, X].T
+
         run = run_of(vehicle([0.0, 3.0]), vehicle(30.0), vehicle(50.0))
-        assert described(run.signal(far, npc=1)) == (15, 0, "npcs[1].far", "m")
+        assert run.signal(far, npc=1).tolist() == [50.0, 50.0]
         with pytest.raises(ValueError, match="'far': expected npc=0 and so on, because it has a row for each NPC"):
             run.signal(far)
 
     def test_it_is_computed_once(self):
         asked = []
-        room = Measure("room", "m", "low", "mine", lambda trace: asked.append(trace) or trace.times)
+
+        def room(trace):
+            asked.append(trace)
+            return trace.times
+
         run = random_run(5)
         assert run.signal(room).tolist() == run.signal(room).tolist()
         assert len(asked) == 1
 
     def test_an_array_of_another_shape_is_refused(self):
-        room = Measure("room", "m", "low", "mine", lambda trace: trace.times[1:])
-        with pytest.raises(ValueError, match=r"'room': expected one value a tick, shape \(12,\), or of each"):
-            random_run(6).signal(room)
+        with pytest.raises(ValueError, match=r"expected one value a tick, shape \(12,\), or of each"):
+            random_run(6).signal(lambda trace: trace.times[1:])
 
 
 class TestFrame:
@@ -264,15 +187,6 @@ class TestFrame:
 def test_every_measure_gives_one_number_for_each_tick():
     run = run_of(vehicle([0.0, 3.0], speed=20.0), vehicle([9.0, 7.0]), outcome=Outcome.COLLISION)
     for measure in MEASURES:
-        assert measure.values(run.trace).shape[-1] == 2, measure.name
-        assert pickle.loads(pickle.dumps(measure)).values(run.trace).tolist() == measure.values(run.trace).tolist()
-
-
-@table("reordered", [np.flip(SPEED_OF_ALL), np.sort(SPEED_OF_ALL), np.roll(SPEED_OF_ALL, 1)])
-def test_reordered_values_are_not_a_signal(reordered):
-    assert not isinstance(reordered, Signal)
-
-
-def test_a_measure_says_which_values_are_worse():
-    with pytest.raises(ValueError, match="expected worse= as one of 'low', 'high', 'both', 'neither', received 'lo'"):
-        Measure("x", "", "lo", "", lambda trace: trace.ego[:, 3])
+        assert measure.function(run.trace).shape[-1] == 2, measure.name
+        again = pickle.loads(pickle.dumps(measure)).function(run.trace)
+        assert again.tolist() == measure.function(run.trace).tolist()

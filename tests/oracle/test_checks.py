@@ -41,29 +41,6 @@ def test_a_value_never_reads_as_its_bound():
     assert str(made(20.0, at_most=20.0)) == "jerk 20 <= 20"
 
 
-GAP = pafot.above(pafot.Signal([3.0, 1.0, 2.0, 1.0, 4.0], hz=2, unit="m"), 1.5)
-
-
-@table(
-    ("formula", "says"),
-    [
-        (pafot.always(GAP), "-0.5 < 0 m at 0.5 s"),
-        (pafot.always(GAP, within=(1, 5)), "-0.5 < 0 m at 1.5 s"),
-        (pafot.always(GAP - 9.0, within=(0, 5)), "-9.5 < 0 at 0.5 s"),
-        (pafot.eventually(GAP - 9.0), "-6.5 < 0 at 2.0 s"),
-        (pafot.eventually(pafot.always(GAP, within=(0, 0.5)), within=(0, 1)), "-0.5 < 0 m at 0.5 s"),
-        (pafot.eventually(pafot.always(GAP - 4, within=(0, 1)), within=(0.5, 2)), "-1.5 < 0 at 2.0 s"),
-        (pafot.until(GAP, GAP - 9, within=(0.5, 1)), "-8.5 < 0 at 1.0 s"),
-        (~pafot.eventually(GAP, within=(1, 2)) / 5, "-0.5 < 0 at 2.0 s"),
-        (pafot.always(pafot.eventually(GAP - 2, within=(0, 0.5)))[1:], "-1.5 < 0 at 1.0 s"),
-        (pafot.eventually(GAP, within=(9, 10)), "-inf < 0 m"),
-        (pafot.always(GAP) + pafot.always(GAP), "-1.0 < 0"),
-    ],
-)
-def test_formula_message_has_its_deciding_tick(formula, says):
-    assert str(made(formula)) == f"jerk {says}"
-
-
 def test_margin_is_in_units_of_bound_or_scale():
     assert made(15.0, at_most=20.0).margin == 0.25
     assert made(15.0, at_most=20.0, scale=5.0).margin == 1.0

@@ -87,21 +87,6 @@ def test_single_number_has_bound_and_moment_without_curve():
     assert (check.value, check.at_most, check.time, check.values) == (35.1, 20.0, 4.2, ())
 
 
-def test_sliced_values_stay_at_their_original_ticks():
-    signal = pafot.Signal(peaks(t5=99.0, t61=35.1), hz=15)[30:150]
-    view = shown(signal, at_most=20)
-    assert view.check.time == pytest.approx(61 / 15, abs=0.001)
-    assert view.check.values[0] is view.check.values[-1] is None
-    assert view.check.values[view.times.index(view.check.time)] == 35.1
-
-
-def test_formula_is_displayed_at_its_deciding_tick():
-    far = pafot.above(pafot.Signal(peaks(t61=-35.1, t62=-30.0), hz=15), 0.0)
-    view = shown(pafot.always(pafot.eventually(far, within=(0, 0.04)), within=(0, 5)))
-    assert view.moment == view.check.time == pytest.approx(61 / 15, abs=0.001)
-    assert view.check.time in view.times
-
-
 def test_values_of_unknown_ticks_have_no_curve():
     assert shown(peaks(t61=35.1)[1::2], at_most=20).check.values == ()
 

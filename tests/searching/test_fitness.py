@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution.responsibility import Attribution
-from pytest_pafot.criticality.signals import Measure
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.fitness import FitnessError, Steered, before_impact, paper, resolve, risks, weighted
@@ -207,14 +206,7 @@ class TestMeasures:
         assert resolve("headway")(alone) == -1
         assert resolve("headway")(unknown) == resolve("headway")(crash(outcome=Outcome.INVALID)) == -math.inf
 
-    def test_custom_measure_is_usable_as_a_fitness(self):
-        lateness = Measure("lateness", "s", "high", "mine", lambda trace: trace.times)
-        assert resolve(lateness)(harmless()) == pytest.approx(harmless().duration / (1 + harmless().duration))
-
     def test_measure_without_a_worse_side_is_no_fitness(self):
-        lane = Measure("lane", "", "neither", "mine", lambda trace: trace.times)
-        with pytest.raises(FitnessError, match="expected worse='low', 'high' or 'both', received 'neither'"):
-            resolve(lane)(harmless())
         with pytest.raises(FitnessError, match=r"received 'ego\.lane'"):
             resolve("ego.lane")
 
