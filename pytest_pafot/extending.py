@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from pytest_pafot.model.instructions.instruction import WithStart
     from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
     from pytest_pafot.oracle.checks import require
-    from pytest_pafot.report.animation import drawn_episode
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
     from pytest_pafot.searching.algorithms.distinct import NicheSearch
     from pytest_pafot.searching.ask_tell import (
@@ -81,7 +80,6 @@ _NAMES = {
     "model.instructions.instruction": "WithStart",
     "model.trace": "ACCELERATION HEADING LANE SPEED STEERING X Y FloatArray Lane",
     "oracle.checks": "require",
-    "report.animation": "drawn_episode",
     "searching.algorithms.catalogue": "ALGORITHMS AlgorithmClass resolve_algorithm",
     "searching.algorithms.distinct": "NicheSearch",
     "searching.ask_tell": "GenerationState GenerationalSearch check_ask "
@@ -110,7 +108,7 @@ __all__ = [
     "Restarted", "Saved", "SearchSpace", "Session", "SetupFaultError", "Severity", "SteppedWorld", "Verdict",
     "WithStart", "WorkerPool", "WorldData", "X", "Y", "add_world_arguments", "ads_factory", "base_world", "caution",
     "check_ask", "check_evaluations", "check_function", "check_parameters", "check_time",
-    "checked_action", "chosen_world", "code_of", "drawn_episode", "drawn_space", "drive_episode", "driving",
+    "checked_action", "chosen_world", "code_of", "drawn_space", "drive_episode", "driving",
     "end_of_local_search", "files_below", "first_crossed", "identity", "judged_with_drivers", "mutate",
     "refusals", "register", "require", "resolve_algorithm", "rollout_of",
     "sample", "sample_manoeuvres", "varied",

@@ -41,7 +41,6 @@ HOMES = {
     "pytest": {"plugin"},
     "_pytest": set(),
     "pluggy": set(),
-    "PIL": {"report"},
     "pandas": {"comparison", "oracle"},
     "scipy": {"comparison"},
     "matplotlib": {"comparison", "sweeps"},
@@ -84,7 +83,6 @@ QUESTIONS = {
     "extras/testing/traces.py": 10,  # the same
     "model/instructions/crossing.py": 1,  # whether NPCs can cross at all
     "model/trace.py": 1,  # the one place that chooses the kind
-    "report/animation.py": 2,  # whether lanes have points, whatever the road
     "report/views.py": 1,  # two kinds of pictures, and the page has both
     "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
     "searching/space.py": 3,  # whether NPCs can cross at all

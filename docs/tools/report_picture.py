@@ -4,7 +4,7 @@ It runs searches of two example policies, opens their pages in a headless Chromi
 screenshots. The map is what ``python -m pytest_pafot map`` draws. ``report_picture.py map`` makes this picture alone,
 and so do ``constant-speed`` and ``fiss``; the searches and the map of fiss take minutes. It needs Chromium, and
 Pillow, matplotlib and fiss-planner in addition to the plugin:
-``python -m pip install ".[report,compare,fiss]" && python docs/tools/report_picture.py``.
+``python -m pip install ".[compare,fiss]" pillow && python docs/tools/report_picture.py``.
 """
 
 from __future__ import annotations

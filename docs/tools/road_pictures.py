@@ -4,11 +4,12 @@ roads.png has random scenarios with an ego that keeps its lane and its speed: th
 responsible, half a second before the impact. junctions.png has the ways of other traffic, with the zones in which they
 meet the ego's way. ``--junctions`` makes only this sheet, for the environments that are named after it, or for
 highway-env's. It needs Pillow in addition to the plugin:
-``python -m pip install ".[report]" && python docs/tools/road_pictures.py``.
+``python -m pip install . pillow && python docs/tools/road_pictures.py``.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +27,7 @@ from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.sighting import Sighting  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
-from pytest_pafot.report.animation import BAR, PAPER, WIDTH, frame  # noqa: E402
+from pytest_pafot.report.page_data import LaneView, RunView  # noqa: E402
 from pytest_pafot.report.views import finding_view  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402
@@ -45,6 +46,16 @@ BEFORE_IMPACT = 0.5
 """The time of the picture before the impact [s]."""
 EARLIEST = 3.0
 """Earlier impacts are not used, because they show little of a manoeuvre [s]."""
+
+WIDTH, BAR, SHOULDER = 720, 26, 12
+"""Width of the picture, and height of its line of text and of the strips beside a straight road [px]."""
+SCALE, HALF_HEIGHT = 8.0, 18.0
+"""Scale [px/m], and length of road that is shown on each side of the ego on a bent road [m]."""
+CROSSED_SCALE, CROSSED_HALF_HEIGHT = 5.0, 45.0
+"""The same if a vehicle crosses the ego's way. Otherwise it would be visible only 2 s before contact."""
+
+PAPER, ROAD, EDGE, DASH, INK, DANGER = "#fbfbfa", "#e6e8e9", "#8b939b", "#ffffff", "#171b20", "#b3261e"
+NPC_INKS = ("#b4480a", "#00695c", "#6a3fa0", "#8a6100", "#0b5cad", "#a3195b", "#3d6b1f", "#5b4a42")
 
 
 def found(world: World) -> Trace:
@@ -76,6 +87,55 @@ def picture(env_id: str) -> Image.Image:
     print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
     moment = trace.duration - BEFORE_IMPACT
     return frame(view, min(range(len(view.times)), key=lambda index: abs(view.times[index] - moment)))
+
+
+def frame(finding: RunView, index: int) -> Image.Image:
+    """Draw a frame of a finding's run from above, with the ego in its middle."""
+    ego, road = finding.vehicles[0], finding.road
+    scale, reach = (CROSSED_SCALE, CROSSED_HALF_HEIGHT) if finding.is_crossed else (SCALE, HALF_HEIGHT)
+    x, y = ego.along[index] or 0.0, ego.across[index] or 0.0
+    top, bottom = y - reach, y + reach
+    if road.lanes:
+        margin = road.lane_width / 2 + SHOULDER / scale
+        top, bottom = min(road.lanes) - margin, max(road.lanes) + margin
+    image = Image.new("RGB", (WIDTH, BAR + round((bottom - top) * scale)), PAPER)
+    pen = ImageDraw.Draw(image)
+
+    def at(along: float, across: float) -> tuple[float, float]:
+        return WIDTH / 2 + (along - x) * scale, BAR + (across - top) * scale
+
+    # Every lane is painted twice, the second time narrower: this leaves an edge of the road, and lanes that touch.
+    half = WIDTH / scale
+    straight = [LaneView(points=((x - half, lane), (x + half, lane)), width=road.lane_width) for lane in road.lanes]
+    for more, ink in ((0.5, EDGE), (-0.3 if road.shapes else 0.0, ROAD)):
+        for shape in straight or road.shapes:
+            pen.line([at(*point) for point in shape.points], ink, round((shape.width + more) * scale), joint="curve")
+    for lane in road.lanes[1:]:  # dashes, by which one sees that the ego moves
+        for start in range(math.floor((x - half) / 12) * 12, math.ceil(x + half), 12):
+            across = lane - road.lane_width / 2
+            pen.line([at(start, across), at(start + 3, across)], DASH, 2)
+    has_collided = finding.event.kind == "collision" and finding.times[index] >= finding.event.time - 1e-6
+    for number, vehicle in reversed(list(enumerate(finding.vehicles))):  # the ego last, on top
+        along, across_, heading = vehicle.along[index], vehicle.across[index], vehicle.heading[index] or 0.0
+        if along is None or across_ is None:
+            continue
+        cos, sin = math.cos(heading), math.sin(heading)
+        ink = NPC_INKS[(number - 1) % len(NPC_INKS)] if number else DANGER if has_collided else INK
+        for length, color in ((0.5, ink), (0.3, PAPER), (0.2, ink)):  # the light strip is the windscreen
+            corners = [(-0.5, -0.5), (length, -0.5), (length, 0.5), (-0.5, 0.5)]
+            turned = [(ahead * vehicle.length, right * vehicle.width) for ahead, right in corners]
+            places = [at(along + a * cos - r * sin, across_ + a * sin + r * cos) for a, r in turned]
+            pen.polygon(places, fill=color)
+        name = str(number - 1) if number else "E"
+        pen.text(at(along - 0.1 * cos, across_ - 0.1 * sin), name, PAPER, ImageFont.load_default(12), "mm")
+    # The words: the time, and the headline in the largest size that fits, without characters that the font lacks.
+    pen.rectangle((0, 0, WIDTH, BAR - 1), fill=PAPER)
+    printable = (char if char.isprintable() and ord(char) < 0x250 else "?" for char in finding.headline[:150])
+    words = f"{finding.times[index]:.1f} s  {''.join(printable)}"
+    fonts = [ImageFont.load_default(size) for size in (13, 12, 11, 10, 9, 8)]
+    font = next((font for font in fonts if font.getlength(words) <= WIDTH - 20), fonts[-1])
+    pen.text((10, BAR / 2), words, INK, font, "lm")
+    return image
 
 
 def row(names: Sequence[str]) -> Image.Image:

@@ -90,7 +90,7 @@ class Option(NamedTuple):
     @property
     def metavar(self) -> str:
         """The placeholder for the option's value in the help, such as ``SECONDS``."""
-        shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "PATH", "switch": ""}
+        shown = {"integer": "N", "day": "YYYY-MM-DD", "workers": "N", "page": "FILE.html", "switch": ""}
         return shown.get(self.kind, self.name.upper() if self.kind == "text" else self.kind.upper())
 
     def read(self, value: object) -> Any:
@@ -271,7 +271,7 @@ class Settings:
     )
     report: str | None = option(
         "page",
-        "Write the findings to FILE.html as one web page, or to the folder DIR/ with an animation of each.",
+        "Write the findings to FILE.html as one web page.",
         "Of more than 100, the worst 100 are whole, and others rows of a table.",
     )
     json: str | None = option(
@@ -409,10 +409,12 @@ def _read_commit(option: Option, value: object) -> str:
 
 
 def _read_page(option: Option, value: object) -> str:
+    from pytest_pafot.support.files import is_stream  # noqa: PLC0415  (only for sessions with a page)
+
     text = _read_text(option, value)
-    if is_page_file(text) or text.endswith(("/", "\\")) or not PurePath(text).suffix:
+    if text.lower().endswith((".html", ".htm")) or is_stream(Path(text)):
         return text
-    raise RequestError(f"expected the name of a page FILE.html, or of a folder DIR/, received {value!r}")
+    raise RequestError(f"expected the name of a page FILE.html, received {value!r}")
 
 
 def _read_file(option: Option, value: object) -> str:
@@ -427,13 +429,6 @@ def _read_table(option: Option, value: object) -> str:
     if PurePath(text).suffix.lower() not in (".csv", ".parquet"):
         raise RequestError(f"expected the name of a file FILE.csv or FILE.parquet, received {value!r}")
     return text
-
-
-def is_page_file(text: str) -> bool:
-    """Return whether a value of the option ``report`` names a file, or a stream; otherwise it names a folder."""
-    from pytest_pafot.support.files import is_stream  # noqa: PLC0415  (only for sessions with a page)
-
-    return text.lower().endswith((".html", ".htm")) or is_stream(Path(text))
 
 
 def _read_switch(option: Option, value: object) -> bool:

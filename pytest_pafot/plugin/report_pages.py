@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, is_page_file
+from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.messages import Message, received, unpacked
 from pytest_pafot.plugin.record import Record
@@ -61,9 +61,7 @@ class Pages:
         lines, is_interrupted = self._config.stash[SUMMARY_LINES], exit_code(session) == pytest.ExitCode.INTERRUPTED
         for path, draft in self._drafts.items():
             with lines.faults(f"{flag('report', draft.target)}: not written"):
-                written, problem = self._write(path, draft, is_interrupted=is_interrupted)
-                lines.reports.extend(filter(None, [written]))
-                lines.problems.extend(filter(None, [problem]))
+                self._write(path, draft, is_interrupted=is_interrupted)
         asked, is_listed = self._config.getoption(BY_NAME["report"].key), self._config.getoption("collectonly", False)
         if asked and not (self._drafts or self._record.compared or is_listed):
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
@@ -90,7 +88,7 @@ class Pages:
             if finding is not None:
                 draft.take(finding)
 
-    def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> tuple[str, str]:
+    def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> None:
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report.page import write_report  # noqa: PLC0415
 
@@ -115,14 +113,15 @@ class Pages:
             replays=[each for each in self._record.replays if self._targets.get(each.node_id) == path],
             requirements=self._requirements(draft),
         )
-        lines = ["", ""]
-        folder = path.parent if is_page_file(draft.target) else path
-
-        def write() -> None:
-            lines[:] = write_report(draft.target, path, report)
-
-        problem = not_written(self._config, draft.target, folder, write)
-        return ("", f"{flag('report', draft.target)}: not written: {problem}") if problem else (lines[0], lines[1])
+        lines = self._config.stash[SUMMARY_LINES]
+        problem = not_written(
+            self._config,
+            draft.target,
+            path.parent,
+            lambda: lines.reports.append(write_report(draft.target, path, report)),
+        )
+        if problem:
+            lines.problems.append(f"{flag('report', draft.target)}: not written: {problem}")
 
     def _requirements(self, draft: Draft) -> list[tuple[Traced, int]]:
         """Return each requirement with its number of failures: findings, and tests that failed without one."""

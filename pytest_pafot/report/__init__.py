@@ -1,1 +1,1 @@
-"""Texts, pages and pictures for people. This package renders values and decides nothing."""
+"""Texts and pages for people. This package renders values and decides nothing."""

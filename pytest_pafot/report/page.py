@@ -6,9 +6,7 @@ A page has a list of findings, an article on each, and each search. Without its 
 from __future__ import annotations
 
 import json
-import os
 import pickle
-import re
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,7 +14,6 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
 from importlib.resources import files
-from itertools import islice
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -24,12 +21,10 @@ from urllib.parse import quote
 
 from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.events import Ending, SearchSummary
-from pytest_pafot.campaign.options import is_page_file
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.report.animation import AnimationError, animate
 from pytest_pafot.report.page_data import (
     Chains,
     Errors,
@@ -502,8 +497,6 @@ def _asset(name: str) -> str:
 
 # The report page of a session: the data from all items are collected, sorted and written to files.
 
-PAGE = "index.html"
-
 WHOLE = 100
 """The largest number of findings that a page shows whole, the worst ones: each takes about 80 kB of the page."""
 
@@ -585,42 +578,14 @@ def _facts(searches: Iterable[SearchSummary], replays: Iterable[Sighting]) -> It
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def write_report(target: str, path: Path, report: Report) -> tuple[str, str]:
-    """Write a report to a path; return a line on what was written, and a line on problems.
-
-    The path is the absolute path of ``target``, the user's text. The second line is empty if there is no problem. After
-    an interrupt there are no pictures, because each picture takes seconds and a page does not.
+def write_report(target: str, path: Path, report: Report) -> str:
+    """Write a report to a path, the absolute path of ``target``, and return a line on what was written.
 
     Raises:
-        OSError: if a file cannot be written.
+        OSError: if the file cannot be written.
     """
-    is_file = is_page_file(target)
-    files = iter([("", render_page(report).encode())]) if is_file else report_files(report)
-    missing = ", after an interrupt" if report.is_interrupted and not is_file else ""
-    pictures = 0
-    try:
-        for name, content in islice(files, 1 if report.is_interrupted else None):
-            write_whole(path / name, content)
-            pictures += name.endswith(".png")
-    except AnimationError as error:
-        missing = f": {error}"
-    shown = target if is_file else os.path.join(target, PAGE)  # noqa: PTH118
-    more = f", {plural(pictures, 'moving picture')}" if pictures else ""
-    problem = f"{flag('report', target)}: the page was written, but not all pictures{missing}" if missing else ""
-    found = (*report.findings, *report.further)
-    return f"report: {shown} ({_numbers(found, report.errors)}{more})", problem
-
-
-def report_files(report: Report) -> Iterator[tuple[str, bytes]]:
-    """Yield the files of a report in a folder: the page, then an animation of each run that the page shows.
-
-    Raises:
-        AnimationError: if there is a run to draw and Pillow is missing; the page has been yielded by then.
-    """
-    yield PAGE, render_page(report).encode()
-    for key, finding in zip(finding_keys(report.findings), report.findings, strict=True):
-        if finding.times:
-            yield re.sub(r"[^A-Za-z0-9._-]", "_", key) + ".png", animate(finding)
+    write_whole(path, render_page(report).encode())
+    return f"report: {target} ({_numbers((*report.findings, *report.further), report.errors)})"
 
 
 def _as_row(finding: RunView) -> RunView:

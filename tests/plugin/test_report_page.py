@@ -3,7 +3,6 @@
 import html
 import json
 import re
-import sys
 from types import SimpleNamespace
 
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.terminal import shrunk_lines, speed_sentences
 from pytest_pafot.world.reference_drivers import REFERENCES
-from tests.plugin.conftest import FAILING
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
 
@@ -117,30 +115,10 @@ def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
 def test_unobserved_crash_is_listed_without_a_picture(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
     project.leave_crash("test_it.py::test_a")
-    project.run("--pafot-report=report/", generations=0)
-    _, (finding,), _ = read_page(project.path / "report" / "index.html")
+    project.run("--pafot-report=report.html", generations=0)
+    _, (finding,), _ = read_page(page)
     assert finding.id.startswith("crash-")
     assert finding.data["times"] == []
-    assert [path.name for path in (project.path / "report").iterdir()] == ["index.html"]
-
-
-def test_report_folder_contains_page_and_animated_pictures(failing):
-    failing.write(
-        FAILING.replace("SHORT", "genes=1, gene_seconds=1, npcs=1, ego_lane=1, ego_speed=22").replace("< 1", "< 0")
-    )
-    result = failing.run("--pafot-report=out/report/")
-    folder = failing.path / "out" / "report"
-    names = {path.name for path in folder.iterdir()}
-    assert names == {"index.html", f"{failing.only_id}.png"}
-    assert (folder / f"{failing.only_id}.png").read_bytes().startswith(b"\x89PNG")
-    result.stdout.fnmatch_lines(["report: out/report/index.html (1 finding, 1 moving picture)"])
-
-
-def test_page_without_pillow_reports_the_missing_package(failing, monkeypatch):
-    monkeypatch.setitem(sys.modules, "PIL", None)
-    result = failing.run("--pafot-report=report/")
-    assert (failing.path / "report" / "index.html").is_file()
-    result.stdout.re_match_lines([r"report: report/index.html \(1 finding\)", r".*problem: --pafot-report=report/: .*"])
 
 
 def test_unwritable_page_is_one_problem_and_changes_nothing(failing):
@@ -283,10 +261,11 @@ def test_report_page_can_be_named_in_every_source(project, monkeypatch):
     assert [path.name for path in project.path.glob("*.html")] == ["line.html"]
 
 
-def test_report_name_must_be_a_page_or_folder(failing):
-    result = failing.run("--pafot-report=report.pdf")
+@pytest.mark.parametrize("name", ["report.pdf", "report/", "report"])
+def test_report_name_must_be_a_page(failing, name):
+    result = failing.run(f"--pafot-report={name}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*--pafot-report: expected the name of a page FILE.html, or of a folder DIR/*"])
+    result.stderr.fnmatch_lines(["*--pafot-report: expected the name of a page FILE.html, received*"])
 
 
 def test_session_without_search_or_replay_writes_no_page(project, page):

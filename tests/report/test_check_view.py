@@ -10,7 +10,6 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure
 from pytest_pafot.oracle.checks import CheckFailed, Recording, recorded
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.animation import shown_frames
 from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, finding_article, finding_list, render_frame
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import finding_view
@@ -192,11 +191,3 @@ def test_embedded_frame_has_room_for_the_check_curve():
     view = shown(peaks(t61=35.1), at_most=20)
     assert f'height="{FRAME_HEIGHT + CURVE_HEIGHT}"' in render_frame(Report.of(view))
     assert f'height="{FRAME_HEIGHT}"' in render_frame(Report.of(replace(view, check=replace(view.check, values=()))))
-
-
-def test_an_animation_shows_the_moment():
-    for tick in ("t30", "t290"):
-        view = shown(peaks(**{tick: 35.1}), at_most=20)
-        frames = shown_frames(view)
-        assert view.times[frames[0]] <= view.moment < view.times[frames[-1]]
-        assert view.times[frames[-1]] - view.times[frames[0]] <= 8.0

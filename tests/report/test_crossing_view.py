@@ -10,7 +10,7 @@ import pytest_pafot as pafot
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report import animation, notebook
+from pytest_pafot.report import notebook
 from pytest_pafot.report.page import render_frame, render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import run_view
@@ -82,7 +82,6 @@ def test_zone_with_unknown_way_is_named_but_undrawn():
     trace = junction_trace((CROSSES, 0.0))
     view = run_view(replace(trace, zones=(replace(ZONES[CROSSES], line=()),)))
     assert (view.vehicles[1].zone.way, view.vehicles[1].zone.area) == ((), ())
-    assert animation.frame(view, 0)
 
 
 def test_world_gives_ways_that_its_npcs_drive():
@@ -113,13 +112,6 @@ def test_where_all_cross_there_is_no_grid():
     assert len(mixed().grid) == len(mixed().times)
     assert not any(cell.exists for cell in picture_at(crash(), 3.0).cells)
     assert picture_at(mixed(), 3.0).cells[1].exists
-
-
-def test_picture_is_large_enough_for_the_crossing_npc():
-    pytest.importorskip("PIL.Image")
-    plain, crossed = (animation.frame(view, 7) for view in (run_view(bend_trace()), mixed()))
-    assert plain.size == (720, 26 + 2 * 18 * 8)
-    assert crossed.size == (720, 26 + 2 * 45 * 5)
 
 
 def test_a_frame_in_notebooks_has_room_for_crossings():

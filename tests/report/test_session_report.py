@@ -3,43 +3,13 @@
 import re
 from dataclasses import replace
 
-import pytest
-
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.report.animation import AnimationError
-from pytest_pafot.report.page import WHOLE, Draft, render_page, report_files, write_report
+from pytest_pafot.report.page import WHOLE, Draft, render_page
 from pytest_pafot.report.page_data import Report
 from tests.findings.builders import sighting
 from tests.helpers.tables import table
 from tests.report.builders import as_seen, real_report
-
-
-def short(finding, **more):
-    """Return a single frame, which is quick to draw."""
-    pytest.importorskip("PIL.Image", reason="Pillow draws the animations")
-    return replace(finding, times=finding.times[:1], **more)
-
-
-def test_page_comes_first_then_picture_of_each_finding():
-    findings = tuple(map(short, real_report().findings))
-    report = replace(real_report(), findings=findings)
-    files = dict(report_files(report))
-    assert list(files) == ["index.html", *(f"{finding.id}.png" for finding in findings)]
-    assert files["index.html"].decode() == render_page(report)
-    assert files[f"{findings[0].id}.png"].startswith(b"\x89PNG")
-
-
-def test_a_finding_that_nobody_saw_has_no_picture():
-    report = Report(title="t", findings=(replace(real_report().findings[0], times=(), vehicles=()),))
-    assert [name for name, _ in report_files(report)] == ["index.html"]
-
-
-def test_findings_with_same_id_have_distinct_valid_files():
-    finding = short(real_report().findings[0], sighting=None, name="../a b")
-    names = [name for name, _ in report_files(Report(title="t", findings=(finding, finding)))]
-    assert names == ["index.html", ".._a_b.png", ".._a_b-2.png"]
-
 
 RANKED = [
     ("b1", "new", "ego", 9, 12.0),
@@ -90,17 +60,6 @@ def test_facts_include_replay_labels_and_versions():
 def test_the_title_counts_errors_first(count, errors, title):
     findings = [shown(f"a{number}") for number in range(count)]
     assert report_of(Draft(target="x"), findings, errors=errors).title == title
-
-
-def test_page_is_written_if_pictures_cannot_be_drawn(tmp_path, monkeypatch):
-    def fail(finding):
-        raise AnimationError("install Pillow")
-
-    monkeypatch.setattr("pytest_pafot.report.page.animate", fail)
-    written, problem = write_report("x/", tmp_path / "x", Report(title="t", findings=(shown(),)))
-    assert written == "report: x/index.html (1 finding)"
-    assert problem == "--pafot-report=x/: the page was written, but not all pictures: install Pillow"
-    assert [path.name for path in (tmp_path / "x").iterdir()] == ["index.html"]
 
 
 MANY = [shown(f"{'ab'[number % 2]}{number}", closing=float(number % 37)) for number in range(WHOLE + 7)]

@@ -247,12 +247,12 @@ class RatePlan:
         return episodic(chosen_world(self.world_name, self.config, self.policies.values()), "rate")
 
     def episode(self, name: str, seed: int) -> Any:
-        """Drive the episode with a seed again, with the policy of a name, and record it."""
+        """Drive the episode with a seed again, with the policy of a name."""
         from pytest_pafot.extending import drive_episode  # noqa: PLC0415  (imports highway-env)
 
         factory, is_planner = factory_of(name)
         is_planner |= self.world.planner_hz is not None
-        return drive_episode(self.world, factory, seed, is_planner=is_planner, is_recorded=True)
+        return drive_episode(self.world, factory, seed, is_planner=is_planner)
 
     @property
     def policies(self) -> dict[str, str]:

@@ -10,13 +10,12 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import Outcome
-from pytest_pafot.extending import Policy, add_world_arguments, drawn_episode
+from pytest_pafot.extending import Policy, add_world_arguments
 from pytest_pafot.extras.episodes.rate import (
     CHUNK,
     Rate,
@@ -29,7 +28,7 @@ from pytest_pafot.extras.episodes.rate import (
     shown,
 )
 from pytest_pafot.extras.resumable import AGAIN, printing_elsewhere, run_job, worker_count, written_into
-from pytest_pafot.support.errors import RequestError, command
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.proportions import CONFIDENCE, interval, percent
 from pytest_pafot.support.text import capitalised, markdown_table, plural, quiet_json, wrapped_to
@@ -49,11 +48,8 @@ HOW_TO_READ = """
 """
 
 
-def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures: Mapping[str, str]) -> str:
-    """Return the page of a rate as Markdown.
-
-    ``command`` is the command that made it, and ``pictures`` has the file name of the picture of each policy's crash.
-    """
+def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str]) -> str:
+    """Return the page of a rate as Markdown; ``command`` is the command that made it."""
     packages = ", ".join(f"{name} {version}" for name, version in installed_versions().items())
     config = "" if plan.config is None else f" with `{plan.config}`"
     rows = []
@@ -76,10 +72,7 @@ def page(plan: RatePlan, rates: Sequence[Rate], command: Sequence[str], pictures
         alone = ((pair.first, pair.first_only), (pair.second, pair.second_only))
         only = [f"Seeds of crashes only with {name}: {shown(seeds)}." for name, seeds in alone if seeds]
         parts.append(" ".join([sentence, *only]))
-    for rate in rates:
-        parts.append("\n".join([f"## {rate.ads}\n", *(f"- {note}" for note in rate.notes or ["no crash"])]))
-        if rate.ads in pictures:
-            parts.append(f"![The first crash]({pictures[rate.ads]})")
+    parts += ["\n".join([f"## {rate.ads}\n", *(f"- {note}" for note in rate.notes or ["no crash"])]) for rate in rates]
     return "\n\n".join(part.strip() for part in [*parts, HOW_TO_READ]) + "\n"
 
 
@@ -99,9 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=1000, metavar="N", help=of_episodes)
     of_seed = "seed of the first episode (default: %(default)s)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
-    of_episode = "drive only the episode with this seed, and draw its end"
-    parser.add_argument("--episode", type=int, metavar="SEED", help=of_episode)
-    of_out = "folder for rows, page and pictures (default: none; with --episode: here)"
+    of_out = "folder for rows and page (default: none)"
     parser.add_argument("--out", type=Path, metavar="DIR", help=of_out)
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
@@ -123,15 +114,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             same["against"] = tuple(arguments.against)
             plan = checked(RatePlan(world_name=arguments.world, config=arguments.config, **same))
             workers = worker_count(arguments.workers)
-            if arguments.episode is not None and arguments.episode < 0:
-                raise RequestError(f"--episode: expected a seed, at least 0, received {arguments.episode}")
             limit = _share_of(arguments.fail_above, plan.episodes)
-            if arguments.episode is not None and (arguments.json or limit is not None):
-                raise RequestError(
-                    "--episode: expected no --json and no --fail-above, which need a rate; leave them out"
-                )
-            if arguments.episode is not None:
-                return _replay(plan, arguments.episode, arguments.out or Path())
             folder = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
             job = plan.job
             workers = min(workers, len(job.tasks))
@@ -142,11 +125,10 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         if arguments.json:
             sys.stdout.write(f"{quiet_json(json.dumps(_data(plan, rates, limit, objection), indent=2))}\n")
         else:
-            sys.stdout.write(_text(plan, rates, arguments))
+            sys.stdout.write(_text(plan, rates))
         if arguments.out is not None:
-            pictures = _pictures(plan, rates, arguments.out)
             with written_into(arguments.out, AGAIN):
-                write_whole(arguments.out / "report.md", page(plan, rates, command, pictures))
+                write_whole(arguments.out / "report.md", page(plan, rates, command))
                 write_whole(arguments.out / "versions.txt", versions_text(["gymnasium"]))
             (sys.stderr if arguments.json else sys.stdout).write(f"{arguments.out / 'report.md'}\n")
         if objection:
@@ -231,22 +213,7 @@ def _data(plan: RatePlan, rates: Sequence[Rate], limit: float | None, objection:
     }
 
 
-def _pictures(plan: RatePlan, rates: Sequence[Rate], folder: Path) -> dict[str, str]:
-    """Draw the first crash of each policy and return the file names by policy; warn if a needed package is missing."""
-    try:
-        drawn = {
-            rate.ads: drawn_episode(plan.episode(rate.ads, rate.crashed[0]), _title(rate.ads, rate.crashed[0]))
-            for rate in rates
-            if rate.crashed
-        }
-    except RequestError as error:
-        sys.stderr.write(f"rate: the report has no picture: {error}\n")
-        return {}
-    seeds = {rate.ads: rate.crashed[0] for rate in rates if rate.crashed}
-    return {name: _written(picture, name, seeds[name], folder, AGAIN) for name, picture in drawn.items()}
-
-
-def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) -> str:
+def _text(plan: RatePlan, rates: Sequence[Rate]) -> str:
     lines: list[str] = []
     for rate in rates:
         hint = Policy(factory_of(rate.ads)[0]).loading_hint
@@ -262,37 +229,4 @@ def _text(plan: RatePlan, rates: Sequence[Rate], arguments: argparse.Namespace) 
         lines.append(f"the worst first: {', '.join(f'{rate.ads} {percent(rate.share)}' for rate in worst)}")
     width = shutil.get_terminal_size().columns
     lines = [part for line in lines for part in wrapped_to(line, width, phrases=True)]
-    crashed = next((rate for rate in rates if rate.crashed), None)
-    if crashed is not None:
-        config = [] if arguments.config is None else ["--config", arguments.config]
-        again = ["--ads", crashed.ads, "--world", plan.world_name, *config, "--episode", crashed.crashed[0]]
-        lines.append(f"see a crash: {command('pytest_pafot', 'rate', *again)}")
     return "\n".join(lines) + "\n"
-
-
-def _replay(plan: RatePlan, seed: int, folder: Path) -> int:
-    """Drive the episode with a seed again, with each policy, and draw its end into a folder."""
-    with written_into(folder):  # before anything is driven
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    for name in plan.policies.values():
-        episode = plan.episode(name, seed)
-        how = {Outcome.COLLISION: "crashed", Outcome.SAFE: "ended without a crash"}.get(episode.outcome, "failed")
-        error = "" if episode.error is None else f": {episode.error.text}"
-        sys.stdout.write(f"{name} in {plan.world_name}, seed {seed}: {how} after {episode.seconds:.1f} s{error}\n")
-        if episode.recording is not None:  # there is none if the ADS could not be made
-            picture = drawn_episode(episode, _title(name, seed))
-            sys.stdout.write(f"{folder / _written(picture, name, seed, folder)}\n")
-    return 0
-
-
-def _title(name: str, seed: int) -> str:
-    return f"{name}, seed {seed}"
-
-
-def _written(picture: bytes, name: str, seed: int, folder: Path, elsewhere: str = "or give another folder") -> str:
-    """Write the picture of an episode into the folder and return its file name."""
-    path = folder / f"{''.join(each if each.isalnum() or each in '-_' else '-' for each in name)}-{seed}.png"
-    with written_into(folder, elsewhere):
-        write_whole(path, picture)
-    return path.name

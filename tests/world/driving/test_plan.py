@@ -13,7 +13,6 @@ from pytest_pafot import Drive, Highway, LaneInstruction, Perception, Planned, P
 from pytest_pafot.campaign.harness import is_same_run
 from pytest_pafot.execution.runner import DecisionCache
 from pytest_pafot.model.trace import AdsError, Trace, X, Y
-from pytest_pafot.report.animation import animate
 from pytest_pafot.report.page import data_json
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import run_view
@@ -145,8 +144,6 @@ def test_places_far_from_the_road_are_recorded_and_drawn(env_id):
     assert np.isfinite(trace.plans).all()
     view = run_view(trace)
     assert data_json(Report.of(view))
-    pytest.importorskip("PIL")
-    assert animate(view).startswith(b"\x89PNG")
 
 
 def test_a_plan_is_stored_as_plain_numbers_and_cannot_change():
