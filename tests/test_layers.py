@@ -51,7 +51,6 @@ HOMES = {
     "sb3_contrib": {"policies"},
     "torch": {"policies"},
     "onnxruntime": {"policies"},
-    "pytest_html": {"plugin"},
     "scenariogeneration": {"export"},
     "foxglove": {"export"},
     "commonroad": {"export"},

@@ -1,4 +1,4 @@
-"""Searches without pytest: ``@pafot.search`` as one function, for notebooks, scripts and comparisons."""
+"""Searches without pytest: ``@pafot.search`` as one function, for scripts and comparisons."""
 
 from __future__ import annotations
 
@@ -46,7 +46,6 @@ from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, check_asserts
-from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -58,7 +57,7 @@ OF_TESTS = ("arg", "debug", "report", "save", "strict_drift", "strict_health")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exploration(Shown):
+class Exploration:
     """The result of :func:`explore`.
 
     Attributes:

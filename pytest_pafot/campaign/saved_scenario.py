@@ -14,7 +14,6 @@ from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
-from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import shown, visible
 from pytest_pafot.world import WorldError, WorldLike, codec
 from pytest_pafot.world.driving.ads import AdsFactory
@@ -34,7 +33,7 @@ def load(path: str | os.PathLike[str]) -> SavedScenario:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SavedScenario(Shown):
+class SavedScenario:
     """The content of the file of a saved scenario.
 
     Attributes:

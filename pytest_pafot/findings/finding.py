@@ -43,7 +43,6 @@ from pytest_pafot.model.trace import SPEED, Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, with_avoidance
 from pytest_pafot.support.errors import plain_number
-from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import visible
 from pytest_pafot.support.versions import RULES
 
@@ -334,7 +333,7 @@ IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Finding(Shown):
+class Finding:
     """A finding, the content of one file of the corpus.
 
     Attributes:

@@ -17,7 +17,6 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
-from pytest_pafot.support.shown import Shown
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -470,7 +469,7 @@ def road_of_run(states: FloatArray, lanes: Sequence[Lane], track: FloatArray | N
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trace(Shown):
+class Trace:
     """One run, tick by tick. Vehicle 0 is the ego, vehicle ``i + 1`` the NPC ``i`` of the scenario.
 
     Attributes:

@@ -46,7 +46,6 @@ from pytest_pafot.model.trace import (
 )
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import driven_by, install
-from pytest_pafot.support.shown import Shown
 from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
@@ -150,7 +149,7 @@ class Facts:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(Shown):
+class Run:
     """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
 
     Attributes:

@@ -20,11 +20,6 @@ from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.errors import rerun
 
 
-def is_on_page(config: pytest.Config, settings: Settings) -> bool:
-    """Return whether a page shows what an item finds: a page of ``--pafot-report``, or the report of pytest-html."""
-    return settings.report is not None or bool(config.getoption("htmlpath", None))
-
-
 def label_of(sighting: Sighting) -> str:
     """Return the label of a new finding on a page."""
     return f"{Label.NEW} ({sighting.remark})" if sighting.remark else Label.NEW
@@ -58,7 +53,7 @@ def send_sighting(
         command=rerun(["python", "-m", "pytest", shown], os.environ, *options, saved=saved),
     )
     data = {"sighting": messages.packed(sighting), **more}
-    if is_on_page(item.config, settings):
+    if settings.report is not None:
         data["target"] = settings.report
         if sighting.headline:
             from pytest_pafot.report.views import finding_view  # noqa: PLC0415

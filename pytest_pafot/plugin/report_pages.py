@@ -32,14 +32,13 @@ class Pages:
         self._config = config
         self._record = record
         self._drafts: dict[Path, Draft] = {}
-        self._rows: dict[str, RunView] = {}
         self._targets: dict[str, Path] = {}
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Store what items send for the page; add a picture to an item's row in the report of pytest-html."""
+        """Store what items send for the page."""
         message = received(report)
         if message is not None:
             if "target" in message.data:  # of a finding or a search whose item asks for a page
@@ -47,14 +46,6 @@ class Pages:
             return
         if report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
             self._failures[report.nodeid, report.when] = report.longreprtext
-        if report.when == "call" and report.nodeid in self._rows:
-            from pytest_html import extras  # noqa: PLC0415
-
-            from pytest_pafot.report.page import render_frame  # noqa: PLC0415
-            from pytest_pafot.report.page_data import Report  # noqa: PLC0415
-
-            row = extras.html(render_frame(Report.of(self._completed(self._rows.pop(report.nodeid)))))
-            report.extras = [*getattr(report, "extras", ()), row]  # type: ignore[attr-defined]
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the report pages, even if the session was interrupted."""
@@ -76,17 +67,13 @@ class Pages:
         finding = replace(unpacked(RunView, data["view"]), sighting=self._record.latest) if "view" in data else None
         if finding is not None:
             self._shown |= {finding.node_id, node_id}  # the search that found it fails because of it, too
-            if self._config.getoption("htmlpath", None):  # pytest-html writes a report
-                self._rows[finding.node_id] = finding
         if message.kind == "search" and self._record.searches[node_id].reason is Ending.ERROR:
             self._shown.discard(node_id)
-        target = data["target"]
-        if target is not None:
-            path = Path(os.path.normpath(self._config.invocation_params.dir / target))
-            self._targets[node_id] = path
-            draft = self._drafts.setdefault(path, Draft(target=target))
-            if finding is not None:
-                draft.take(finding)
+        path = Path(os.path.normpath(self._config.invocation_params.dir / data["target"]))
+        self._targets[node_id] = path
+        draft = self._drafts.setdefault(path, Draft(target=data["target"]))
+        if finding is not None:
+            draft.take(finding)
 
     def _write(self, path: Path, draft: Draft, *, is_interrupted: bool) -> None:
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415

@@ -52,7 +52,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
-from pytest_pafot.plugin.finding_message import is_on_page, send_sighting
+from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
@@ -340,7 +340,7 @@ class SearchMessages:
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
             finds = tuple(self._completed(each) for each in event.finds)
             summary = messages.packed(replace(event, finds=finds))
-            page = {"target": self.settings.report} if is_on_page(self.item.config, self.settings) else {}
+            page = {} if self.settings.report is None else {"target": self.settings.report}
             messages.send(self.item, "search", {"summary": summary, **page})
 
     def _completed(self, sighting: Sighting) -> Sighting:

@@ -397,18 +397,9 @@ DRAWN = (
 
 INTERRUPTED = '<p class="warning">The session was interrupted. This report has what ran before that.</p>'
 
-FRAME_HEIGHT = 1060
-"""Height of a report that is embedded in another page [px]."""
-WORDS_HEIGHT = 480
-"""Height of an embedded report that shows no run [px]."""
-CURVE_HEIGHT = 180
-"""Height that the curve of a failed check adds to an embedded report [px]."""
-CROSSED_HEIGHT = 460
-"""Height that a crossing vehicle adds to an embedded report, for the larger picture and a curve below it [px]."""
 
-
-def render_page(report: Report, *, embedded: bool = False) -> str:
-    """Render a report as one self-contained HTML page. ``embedded`` is True for a page inside another page.
+def render_page(report: Report) -> str:
+    """Render a report as one self-contained HTML page.
 
     Equal reports give equal text.
     """
@@ -416,8 +407,7 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # The hashes allow only this style and these scripts, and no connection to anywhere.
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
-    kind = "embedded" if embedded else "whole"
-    is_open = len(report.searches) == 1 and not embedded
+    is_open = len(report.searches) == 1
     # Failures without a finding, with the text that pytest shows for them.
     ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason is Ending.ERROR}
     errors = "".join(
@@ -436,7 +426,6 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         policy=f"{policy}; base-uri 'none'; form-action 'none'",
         style=style,
         script=script,
-        kind=kind if len(report.findings) == 1 else f"{kind} listed",
         interrupted=INTERRUPTED if report.is_interrupted else "",
         count=len(report.findings) if not report.further else f"{len(report.findings)} of {total}",
         errors=errors,
@@ -447,22 +436,6 @@ def render_page(report: Report, *, embedded: bool = False) -> str:
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
         searches=(section if searches else "") + _session_section(report),
         data=data_json(report),
-    )
-
-
-def render_frame(report: Report) -> str:
-    """Return an ``<iframe>`` that holds the report's page, for a row of pytest-html or the output of a notebook.
-
-    The frame may run its own scripts. Everything else is forbidden to it.
-    """
-    page = render_page(report, embedded=True)
-    has_curve = any(finding.check is not None and finding.check.values for finding in report.findings)
-    is_drawn = any(finding.times for finding in report.findings)
-    height = (FRAME_HEIGHT if is_drawn else WORDS_HEIGHT) + (CURVE_HEIGHT if has_curve else 0)
-    height += CROSSED_HEIGHT if any(finding.is_crossed for finding in report.findings) else 0
-    return (
-        f'<iframe class="pafot-finding" title="{text(report.title)}" sandbox="allow-scripts" '
-        f'loading="lazy" width="100%" height="{height}" style="border:0" srcdoc="{escape(page)}"></iframe>'
     )
 
 

@@ -1,26 +1,9 @@
-"""Values that display themselves in notebooks, with the view of the report page.
-
-This is the only module that uses a package above its own. The package that draws a run uses all others, so it is
-imported only when a notebook or a caller requests a view.
-"""
+"""Values whose ``repr`` is the expression that makes them."""
 
 from __future__ import annotations
 
 from dataclasses import MISSING, fields
-from importlib import import_module
 from typing import Any
-
-VIEWS = "pytest_pafot.report.notebook"
-
-
-class Shown:
-    """A value that a notebook displays as a picture and a table, if it is the last value of a notebook cell."""
-
-    __slots__ = ()
-
-    def _repr_html_(self) -> str:
-        html: str = import_module(VIEWS).html(self)
-        return html
 
 
 class Pasteable:

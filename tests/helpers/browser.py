@@ -139,20 +139,19 @@ class Page:
     def resize(self, width, height=900):
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
-    def evaluate(self, expression, context=None):
+    def evaluate(self, expression):
         """Return the value of an expression; await it if it is a promise."""
-        more = {} if context is None else {"contextId": context}
         answer = self.send(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True, userGesture=True, **more
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True, userGesture=True
         )
         if "exceptionDetails" in answer:
             raise BrowserError(f"{expression}: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def until(self, expression, seconds=10.0, context=None):
+    def until(self, expression, seconds=10.0):
         """Wait until an expression is true."""
         deadline = time.monotonic() + seconds
-        while not self.evaluate(expression, context):
+        while not self.evaluate(expression):
             if time.monotonic() > deadline:
                 raise TimeoutError(f"never true: {expression}")
             time.sleep(0.02)
@@ -176,14 +175,6 @@ class Page:
         text = {"text": key} if len(key) == 1 else {"text": "\r"} if key == "Enter" else {}
         self.send("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **common, **text)
         self.send("Input.dispatchKeyEvent", type="keyUp", **common)
-
-    def contexts(self):
-        """Return the ids of the script contexts of the page and its frames."""
-        return [
-            event["params"]["context"]["id"]
-            for event in self._mine()
-            if event["method"] == "Runtime.executionContextCreated"
-        ]
 
     @property
     def complaints(self):

@@ -1,4 +1,4 @@
-"""The option ``--pafot-report``, and the row in the report of pytest-html."""
+"""The option ``--pafot-report``."""
 
 import html
 import json
@@ -273,25 +273,6 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
     result = project.run("--pafot-report=report.html")
     assert not page.exists()
     result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: nothing was written*"])
-
-
-def rows_of(project, *options, **more):
-    """Return the frames in a report of pytest-html."""
-    project.run("--html=out.html", "--self-contained-html", *options, plugins=("html", "metadata"), **more)
-    text = html.unescape((project.path / "out.html").read_text(encoding="utf-8"))
-    return re.findall(r'<iframe class=\\"pafot-finding\\" title=\\"(.*?)\\"', text)
-
-
-def test_pytest_html_rows_show_findings_and_failing_replays(failing, page):
-    (title,) = rows_of(failing, "--pafot-report=report.html")
-    _, (finding,), _ = read_page(page)
-    assert html.unescape(title) == finding.data["headline"]
-    assert rows_of(failing, generations=0) == [title]
-
-
-@pytest.mark.processes
-def test_rows_of_pytest_html_come_from_workers_too(failing):
-    assert len(rows_of(failing, "-n", "1", apart=True)) == 1
 
 
 def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, shrinking):

@@ -10,8 +10,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure
 from pytest_pafot.oracle.checks import CheckFailed, Recording, recorded
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.page import CURVE_HEIGHT, FRAME_HEIGHT, finding_article, finding_list, render_frame
-from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.page import finding_article, finding_list
 from pytest_pafot.report.views import finding_view
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
@@ -185,9 +184,3 @@ def test_a_collision_of_the_run_is_told_besides():
     view = replace(shown(peaks(t61=35.1), at_most=20), responsibility="npc")
     assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
     assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)
-
-
-def test_embedded_frame_has_room_for_the_check_curve():
-    view = shown(peaks(t61=35.1), at_most=20)
-    assert f'height="{FRAME_HEIGHT + CURVE_HEIGHT}"' in render_frame(Report.of(view))
-    assert f'height="{FRAME_HEIGHT}"' in render_frame(Report.of(replace(view, check=replace(view.check, values=()))))

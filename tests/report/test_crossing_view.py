@@ -9,15 +9,13 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.report import notebook
-from pytest_pafot.report.page import render_frame, render_page
+from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
 from pytest_pafot.report.views import run_view
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.helpers.picture import picture_at
-from tests.report.builders import HOSTILE, bend_trace, finding_of
+from tests.report.builders import HOSTILE
 
 
 @cache
@@ -112,20 +110,6 @@ def test_where_all_cross_there_is_no_grid():
     assert len(mixed().grid) == len(mixed().times)
     assert not any(cell.exists for cell in picture_at(crash(), 3.0).cells)
     assert picture_at(mixed(), 3.0).cells[1].exists
-
-
-def test_a_frame_in_notebooks_has_room_for_crossings():
-    run = Run(real())
-    height = int(notebook.html(run).partition('height="')[2].partition('"')[0])
-    assert height > int(render_frame(Report.of(run_view(bend_trace()))).partition('height="')[2].partition('"')[0])
-
-
-def test_unseen_finding_is_described_by_its_expectation():
-    finding = finding_of(junction_trace((CROSSES, 10.0), (MERGES, -60.0), hits=0, seconds=4.8))
-    assert finding.trace is None
-    (view,) = notebook.report_of(finding).findings
-    assert view.headline == "collision after 4.8 s: NPC 0 crossing from the left against the ego's front, ego at fault"
-    assert [row.words for row in view.instructions] == ["0.5 s after the ego leaves"] * 2
 
 
 def test_hostile_names_of_zones_are_escaped():

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import html
 import json
 import re
 from dataclasses import asdict, replace
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, render_frame, render_page
+from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, render_page
 from pytest_pafot.report.page_data import Report, RunView
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import HOSTILE, as_seen, cut_in_trace, real_report, scenario, values_of, view_of
@@ -147,35 +146,11 @@ def test_minute_with_two_npcs_takes_below_65_kilobytes():
     assert two - one < 65_000
 
 
-def test_frame_holds_one_finding_and_only_runs_scripts():
-    finding = view_of(cut_in_trace())
-    ((tag, attrs),) = Reader(render_frame(Report.of(finding))).tags
-    assert tag == "iframe"
-    assert attrs["sandbox"] == "allow-scripts"
-    inner = Reader(attrs["srcdoc"])
-    assert ("html", {"lang": "en", "class": "embedded"}) in inner.tags
-    assert finding.headline in " ".join(inner.words)
-    assert attrs["title"] == finding.headline
-
-
-def test_a_frame_of_hostile_text_is_one_element():
-    finding = replace(view_of(cut_in_trace()), headline='"></iframe><script>hacked</script>')
-    assert [tag for tag, _ in Reader(render_frame(Report.of(finding))).tags] == ["iframe"]
-
-
 def test_positions_are_rounded_so_that_pages_stay_small():
     rng = np.random.default_rng(3)
     states = vehicle(np.cumsum(rng.uniform(1, 2, 90)), 4.0, speed=20.0)
     view = view_of(trace_of(states, states + 0.123456))
     assert all(len(str(value)) <= 8 for value in view.vehicles[1].along)
-
-
-def test_the_frame_survives_being_read_as_an_attribute():
-    finding = view_of(cut_in_trace())
-    frame = render_frame(Report.of(finding))
-    srcdoc = frame.split('srcdoc="')[1].rsplit('">', 1)[0]
-    assert '"' not in srcdoc
-    assert html.unescape(srcdoc).startswith("<!doctype html>")
 
 
 def test_every_kind_of_view_renders_whatever_it_holds():

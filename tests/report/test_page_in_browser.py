@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.report.page import render_frame, render_page
+from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import CheckView, Report
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import picture_at
@@ -771,22 +771,5 @@ def test_a_finding_without_frames_can_be_passed_through(browser, tmp_path):
     assert page.evaluate(CURRENT) == 1
     assert page.evaluate(TIME) > 0
     page.press("k")
-    assert page.complaints == []
-    page.close()
-
-
-def test_embedded_frame_draws_its_finding_and_listens(browser, tmp_path):
-    finding = real_report().findings[0]
-    path = tmp_path / "outer.html"
-    path.write_text(
-        f"<!doctype html><meta charset=utf-8><title>t</title>{render_frame(Report.of(finding))}", encoding="utf-8"
-    )
-    page = browser.open(path.as_uri())
-    page.until("document.querySelector('iframe') !== null")
-    inner = page.contexts()[-1]
-    page.until("document.querySelector('.player svg') !== null", context=inner)
-    assert page.evaluate("document.querySelectorAll('[data-vehicle]').length", inner) == 3
-    page.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Home', bubbles: true}))", inner)
-    assert page.evaluate(TIME, inner) == 0
     assert page.complaints == []
     page.close()
