@@ -13,7 +13,6 @@ import pytest_pafot as pafot
 from pytest_pafot import door
 from pytest_pafot.__main__ import main
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
-from pytest_pafot.world import AdsFactoryError
 from tests.plugin.conftest import found, project  # noqa: F401
 from tests.searching.conftest import make_evaluation  # noqa: F401
 
@@ -127,15 +126,6 @@ def test_program_in_any_language_is_a_policy(tmp_path):
     trace = ROAD.rollout(CUT_IN, ads)
     assert trace.error is None
     assert {acceleration for acceleration, _ in trace.actions} == {-1.0}
-
-
-def test_file_that_is_no_model_is_refused(tmp_path):
-    pytest.importorskip("onnxruntime")
-    (tmp_path / "policy.onnx").write_bytes(b"no network")
-    with pytest.raises(
-        AdsFactoryError, match=r"expected an ONNX file that onnxruntime can run, received .*policy\.onnx"
-    ):
-        ROAD.rollout(CUT_IN, pafot.policies.onnx(tmp_path / "policy.onnx"))
 
 
 class Wrong:

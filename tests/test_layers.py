@@ -50,7 +50,6 @@ HOMES = {
     "stable_baselines3": {"policies"},
     "sb3_contrib": {"policies"},
     "torch": {"policies"},
-    "onnxruntime": {"policies"},
     "scenariogeneration": {"export"},
     "foxglove": {"export"},
     "commonroad": {"export"},

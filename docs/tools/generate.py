@@ -249,7 +249,6 @@ def sections() -> dict[str, str]:
         "crossing-vehicle": _fields_table(CrossingVehicle),
         "zone": _fields_table(Zone),
         "perception": _fields_table(Perception),
-        "torch": _table(["Argument", "Meaning"], _arguments(policies.torch)),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
         "training": _table(["Argument", "Meaning"], _arguments(training_env)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),

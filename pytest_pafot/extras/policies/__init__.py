@@ -1,28 +1,27 @@
-"""Policies from files, frameworks and programs, each as an ADS factory in one line.
+"""Policies from files and programs, each as an ADS factory in one line.
 
-A factory is a frozen value that can be pickled. A factory of a file or framework loads its policy once, when a search
+A factory is a frozen value that can be pickled. A factory of a file loads its policy once, when a search
 begins or a run needs it, on the CPU and with one thread. The library that it needs is imported only then. Its
-``weights_digest`` is a hash of the loaded files or values, which findings store. Before the first run in a
+``weights_digest`` is a hash of the loaded files, which findings store. Before the first run in a
 :class:`pytest_pafot.World` it compares the world's observations and actions with those of the policy. A factory of a
 program starts it in each process and compares nothing.
 
-Models of Stable-Baselines3, statistics of VecNormalize and torch modules that were saved whole are pickles: loading
-them runs the code that they contain. They are your own files, named in your own test; no corpus file can name a pickle.
+Models of Stable-Baselines3 and statistics of VecNormalize are pickles: loading them runs the code that they contain.
+They are your own files, named in your own test; no corpus file can name a pickle.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot.extras.policies.baselines import Sb3Policy
-    from pytest_pafot.extras.policies.networks import OnnxPolicy, TorchPolicy
     from pytest_pafot.extras.policies.programs import ProgramLoader
 
-__all__ = ["onnx", "process", "sb3", "torch"]
+__all__ = ["process", "sb3"]
 
 StrPath = str | os.PathLike[str]
 
@@ -59,43 +58,6 @@ def sb3(
         algorithm=algorithm,
         deterministic=deterministic,
     )
-
-
-def torch(module_or_file: Any, *, to_action: Callable[[Any], Any] | None = None) -> TorchPolicy:
-    """Make an ADS factory from a torch module or from a file with one. Needs torch.
-
-    The module is called with observations as a tensor of shape [runs, ...] in the type of its parameters, without
-    gradients and in evaluation mode. If the module returns several outputs, only the first is used. In
-    :class:`pytest_pafot.Highway` the module receives the observation's ``array``, of shape [vehicles, 7].
-
-    Args:
-        module_or_file: a ``torch.nn.Module``, or a file from ``torch.jit.save`` or ``torch.save``.
-        to_action: converts the output for one observation, an array, to an action. By default the action is the index
-            of the largest value, and only then the ADS decides for many runs at once.
-    """
-    from pytest_pafot.extras.policies.loading import argmax  # noqa: PLC0415  (imported only if used)
-    from pytest_pafot.extras.policies.networks import TorchPolicy  # noqa: PLC0415
-
-    is_file = isinstance(module_or_file, (str, os.PathLike))
-    module = Path(module_or_file).absolute() if is_file else module_or_file
-    return TorchPolicy(module=module, to_action=to_action or argmax)
-
-
-def onnx(file: StrPath, *, to_action: Callable[[Any], Any] | None = None) -> OnnxPolicy:
-    """Make an ADS factory from a network in an ONNX file. Needs ``pytest-pafot[onnx]``.
-
-    The network's first input receives observations of shape [runs, ...], flattened if the file requires that. Only its
-    first output is used. In :class:`pytest_pafot.Highway` the network receives the observation's ``array``, of shape
-    [vehicles, 7].
-
-    Args:
-        file: the ONNX file.
-        to_action: converts the output for one observation to an action, as for :func:`torch`.
-    """
-    from pytest_pafot.extras.policies.loading import argmax  # noqa: PLC0415  (imported only if used)
-    from pytest_pafot.extras.policies.networks import OnnxPolicy  # noqa: PLC0415
-
-    return OnnxPolicy(file=Path(file).absolute(), to_action=to_action or argmax)
 
 
 def process(command: Sequence[str], *, keep: bool = True, timeout: float | None = None) -> ProgramLoader:

@@ -77,7 +77,7 @@ class Sb3Policy(PolicyLoader):
 
     def load(self) -> BaselineModel:
         """Load the model on the CPU."""
-        library("torch", "sb3").set_num_threads(1)
+        library("torch").set_num_threads(1)
         zipped = _parameters(self.file)
         given = {name: value for name, value in OF_TRAINING.items() if name in zipped}
         model = self._class(zipped).load(self.file, device="cpu", custom_objects=given)
@@ -97,8 +97,8 @@ class Sb3Policy(PolicyLoader):
             raise refused("a zip whose algorithm can be recognised", str(self.file), 'give algorithm="PPO", or a class')
         if not isinstance(name, str):
             return name
-        own = getattr(library("stable_baselines3", "sb3"), name, None)
-        found = own or getattr(library("sb3_contrib", "sb3"), name, None)
+        own = getattr(library("stable_baselines3"), name, None)
+        found = own or getattr(library("sb3_contrib"), name, None)
         if found is None:
             raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "give its class")
         return found

@@ -1,4 +1,4 @@
-"""The common part of all loaders: a policy is loaded once per process, and a hash of its files or values names it."""
+"""The common part of all loaders: a policy is loaded once per process, and a hash of its files names it."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def digest_of(files: Iterable[Path]) -> str:
     return f"sha256:{hashed.hexdigest()}"
 
 
-def library(name: str, extra: str) -> Any:
+def library(name: str) -> Any:
     """Import a library that the user may not have installed.
 
     Raises:
@@ -88,13 +88,7 @@ def library(name: str, extra: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        fix = install(extra) if extra else f"pip install {name}"
-        raise refused(f"{name} for this policy", "a Python without it", fix) from None
-
-
-def argmax(values: Any) -> int:
-    """Return the index of the largest value, the first of equal values: this is the action of most networks."""
-    return int(values.argmax())
+        raise refused(f"{name} for this policy", "a Python without it", install("sb3")) from None
 
 
 def refused(expected: str, received: str, fix: str) -> AdsFactoryError:
