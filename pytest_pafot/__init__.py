@@ -39,7 +39,6 @@ if TYPE_CHECKING:
         NpcLimits,
         Observation,
         Perception,
-        Planned,
         Simulator,
         SimulatorWorld,
         VehicleState,
@@ -64,7 +63,7 @@ _NAMES = {
     "oracle.checks": "CheckFailed check reject target",
     "oracle.run": "Run",
     "plugin.marks": "catalogue search",
-    "world": "Drive Highway NpcLimits Observation Perception Planned Simulator SimulatorWorld VehicleState "
+    "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState "
     "World WorldError WorldLike",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
@@ -75,7 +74,7 @@ _MODULES = ("properties", "strategies")
 __all__ = [
     "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
     "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "NpcLimits",
-    "Observation", "Outcome", "Perception", "Planned", "PositionInstruction", "Recorded", "Run", "SavedScenario",
+    "Observation", "Outcome", "Perception", "PositionInstruction", "Recorded", "Run", "SavedScenario",
     "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Step", "Sweep", "Trace", "Track", "Traffic",
     "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "catalogue", "check", "explore", "load",
     "policies", "properties", "reject", "search", "strategies", "sumo", "sweep", "target", "training_env",

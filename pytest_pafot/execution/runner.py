@@ -320,7 +320,7 @@ class DecisionCache:
         are cached after which there is a copy from this run or an earlier one. It is None if no copy is needed.
         """
         actions, scenario = trace.actions, trace.scenario
-        if not actions or trace.plans or len(actions) > self._room:  # a run with cached decisions would have no plans
+        if not actions or len(actions) > self._room:
             return
         gene_ticks, ticks = round(scenario.gene_seconds * trace.physics_hz), trace.decision_ticks
         asked, driven = plain_chains(scenario), plain_chains(trace.executed)

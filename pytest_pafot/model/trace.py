@@ -22,9 +22,6 @@ FloatArray = npt.NDArray[np.float64]
 
 Side = Literal["front", "rear", "left", "right"]
 
-Plan = tuple[tuple[float, float, float], ...]
-"""The places at which an ADS intends to be: the time since its decision [s], x [m], y [m]."""
-
 X, Y, HEADING, SPEED, ACCELERATION, STEERING, LANE = range(7)
 """Columns of :attr:`Trace.states`."""
 
@@ -494,9 +491,6 @@ class Trace:
             decides at every tick.
         decided: the ticks at which the ADS was asked, if it was not asked ``ads_hz`` times a second, for example
             because a wrapper repeats actions; otherwise empty. :attr:`decision_ticks` has them in either case.
-        plans: the plan that the ADS returned with each action, None for an action without one; x and y are in the
-            coordinates of ``states``. Empty if the ADS returned no plan. Decisions that were given to the run, in place
-            of calls of the ADS, have no plan.
         arrivals: for each NPC and each gene that was started, the tick at which the NPC reached the target, or None.
         off_road_tick: first tick with the ego's centre off the road, or None.
         max_decision_seconds: longest decision of the ADS in wall-clock time [s]; not reproducible.
@@ -532,7 +526,6 @@ class Trace:
     collision: Collision | None = None
     error: AdsError | None = None
     actions: tuple[Any, ...] = ()
-    plans: tuple[Plan | None, ...] = ()
     decided: tuple[int, ...] = ()
     arrivals: tuple[tuple[int | None, ...], ...] = ()
     off_road_tick: int | None = None

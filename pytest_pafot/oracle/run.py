@@ -41,8 +41,6 @@ from pytest_pafot.model.trace import (
     FloatArray,
     Outcome,
     Trace,
-    X,
-    Y,
 )
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import driven_by, install
@@ -294,51 +292,6 @@ class Run:
         and crossing traffic missed each other.
         """
         return tuple(filter(None, passages(self.trace)))
-
-    @cached_property
-    def plans(self) -> Mapping[int, FloatArray]:
-        """The plans that the ADS returned (``pafot.Planned``), by the tick of the decision.
-
-        Each is a float64 array of shape [places, 3] with the columns t, the time since the decision [s], x and y, which
-        are in the coordinates of ``trace.states`` [m].
-        """
-        decided = zip(self.trace.decision_ticks, self.trace.plans, strict=False)
-        return {tick: np.array(plan) for tick, plan in decided if plan is not None}
-
-    def off_plan(self, after: float) -> float:
-        """Return how far the ego was at most from where its plan of ``after`` seconds before put it [m].
-
-        Higher is worse. The planned place at a time is on the straight line between the two places of the plan around
-        it; before the first place, on the line from the ego's place at the decision. A plan is left out if it ends
-        earlier than ``after`` seconds, or if the run does. The result is 0 if the run is too short for all of them, and
-        for a reference driver, which has no plan.
-
-        Args:
-            after: time since each decision [s], above 0.
-
-        Raises:
-            ValueError: if ``after`` is not above 0, or if the ADS returned no plan that reaches that far.
-        """
-        if not after > 0.0:
-            raise ValueError(f"after: expected a time above 0 s, received {after!r:.100}")
-        trace = self.trace
-        reach = max((float(plan[-1, 0]) for plan in self.plans.values()), default=0.0)
-        if reach < after and self.driver is None:
-            raise ValueError(
-                f"run.off_plan: expected an ADS whose plans reach {after:g} s, received "
-                f"{f'plans of at most {reach:g} s' if self.plans else 'no plan'}; let it return "
-                "pafot.Planned(action, plan=[(t, x, y), ...])"
-            )
-        times, (x, y), off = trace.times, trace.ego[:, [X, Y]].T, 0.0
-        for tick, plan in self.plans.items():
-            then = times[tick] + after
-            if plan[-1, 0] < after or then > trace.duration + 1e-9:
-                continue
-            from_here = plan if plan[0, 0] == 0.0 else np.vstack(([0.0, x[tick], y[tick]], plan))
-            planned = (np.interp(after, from_here[:, 0], from_here[:, column]) for column in (1, 2))
-            driven = (np.interp(then, times, values) for values in (x, y))
-            off = max(off, math.dist(tuple(planned), tuple(driven)))
-        return off
 
     def signal(self, function: Callable[[Trace], npt.ArrayLike], npc: int | None = None) -> FloatArray:
         """Return a function of the trace as a signal; ``npc`` is the index of the NPC for a function of each.

@@ -391,7 +391,7 @@ SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
 DRAWN = (
-    "headline", "times", "vehicles", "road", "grid", "instructions", "decisions", "plans", "event", "check",
+    "headline", "times", "vehicles", "road", "grid", "instructions", "decisions", "event", "check",
 )  # fmt: skip
 """What the scripts read of a finding. The page has everything else as text."""
 

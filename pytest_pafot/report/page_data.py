@@ -128,19 +128,6 @@ class VehicleView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlanView:
-    """The plan of the ego's ADS from a decision until its next one.
-
-    Attributes:
-        time: time of the decision.
-        line: the ego's place at the decision and the planned places, along and across; empty if it returned no plan.
-    """
-
-    time: float
-    line: tuple[tuple[float, float], ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class InstructionView:
     """One instruction to one NPC: for a cell, for a lane, or for crossing the ego's way.
 
@@ -256,7 +243,6 @@ class RunView:
         traffic: how the NPCs drive; empty for the paper's traffic.
         grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
             cross, because these use no cells.
-        plans: the plan of each decision, in order; empty if the ADS returned no plan.
         name: what identifies a run that shows no finding.
         sighting: the finding, as the session saw it; None for a run alone. It has its own message.
     """
@@ -279,7 +265,6 @@ class RunView:
     check: CheckView | None = None
     traffic: str = ""
     grid: tuple[tuple[Pose | None, ...], ...] = ()
-    plans: tuple[PlanView, ...] = ()
     name: str = ""
     deadline: str = ""
     happened: tuple[Paragraph, ...] = ()
@@ -320,10 +305,6 @@ class RunView:
     def is_crossed(self) -> bool:
         """True if an NPC crosses."""
         return any(vehicle.zone is not None for vehicle in self.vehicles)
-
-    def planned(self, time: float) -> tuple[tuple[float, float], ...]:
-        """Return the line of the plan that the ADS follows at a time [s]; empty if there is none."""
-        return next((plan.line for plan in reversed(self.plans) if plan.time <= time + 1e-6), ())
 
     @property
     def duration(self) -> float:

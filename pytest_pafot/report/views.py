@@ -40,7 +40,6 @@ from pytest_pafot.report.page_data import (
     Numbers,
     Paragraph,
     Place,
-    PlanView,
     Pose,
     RoadView,
     RunView,
@@ -467,27 +466,8 @@ def _with_run(view: RunView, trace: Trace, clearance: float, check: Check | None
             cell=None if run.event_cell is None else int(run.event_cell),
         ),
         check=None if check is None else check_view(check, trace, ticks),
-        plans=_plans(run),
         grid=() if not road.shapes or all(trace.zones or [None]) else grid_poses(trace, ticks, road),
     )
-
-
-PLAN_POINTS = 8
-"""The largest number of places of a plan that a page has: plans would take more of it than the vehicles."""
-
-
-def _plans(run: Run) -> tuple[PlanView, ...]:
-    """Return the plan of each decision; the last place of a plan is always among those that are shown."""
-    trace, views = run.trace, []
-    for tick in trace.decision_ticks if run.plans else ():
-        line = np.empty((0, 2))
-        if tick in run.plans:
-            places = run.plans[tick][run.plans[tick][:, 0] > 0.0, 1:]
-            shown = np.linspace(0, len(places), min(len(places), PLAN_POINTS) + 1).round().astype(int)
-            line = np.vstack((trace.ego[tick, [X, Y]], places))[shown]
-        line = np.stack(trace.road.drawn(*line.T), axis=-1)
-        views.append(PlanView(time=round(tick / trace.physics_hz, 3), line=_points(line)))
-    return tuple(views)
 
 
 def frame_ticks(trace: Trace) -> list[int]:

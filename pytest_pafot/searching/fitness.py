@@ -210,7 +210,6 @@ def before_impact(trace: Trace) -> Trace:
         outcome=Outcome.OFF_ROAD if off_road else Outcome.SAFE,
         collision=None,
         actions=trace.actions[: bisect_left(trace.decision_ticks, last)],
-        plans=trace.plans[: bisect_left(trace.decision_ticks, last)],
         decided=trace.decided[: bisect_left(trace.decided, last)],
         arrivals=tuple(
             tuple(

@@ -23,13 +23,13 @@ from pytest_pafot.world.driving.perception import Perception
 from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
-from pytest_pafot.world.kernel.action import Drive, Planned
+from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [
     "AdsFactoryError", "Control", "CrossingVehicle", "Drive", "Highway", "NpcLimits", "Observation", "Perception",
-    "Planned", "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError", "WorldLike",
+    "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError", "WorldLike",
     "from_dict",
 ]  # fmt: skip

@@ -14,7 +14,6 @@ from pytest_pafot import (
     LaneInstruction,
     NpcLimits,
     Outcome,
-    Planned,
     PositionInstruction,
     Scenario,
     World,
@@ -829,21 +828,6 @@ def test_world_that_lasts_longer_needs_a_run_without_event():
         RuntimeWarning, match="no run without an event among 0 runs, so nothing about lasting was checked"
     ):
         _check_lasting(Lasting(), [], None)
-
-
-def test_planning_ads_is_checked_with_as_many_egos_as_one_without_plans():
-    counts = []
-    for answer in ((0.0, 0.0), Planned((0.0, 0.0), [(1.0, 20.0, 4.0)])):
-        driven = []
-
-        class Counting(Own):
-            def changed(self, trace, driven=driven):
-                driven.append(trace)
-                return trace
-
-        check_world(Counting(), runs=1, ads=lambda answer=answer: lambda seen: answer, **SHORT)
-        counts.append(len(driven))
-    assert counts[0] == counts[1]
 
 
 # --- roads that bend

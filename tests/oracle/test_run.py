@@ -1,7 +1,5 @@
-import itertools
 import re
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -226,78 +224,3 @@ def test_equal_instructions_in_a_row_are_one_row_and_one_instruction():
         assert [re.split(r"  +", line.strip())[0] for line in table] == expected
         assert "1 front-left 20.0 m/s reached at 5.0 s" in table[0] or len(npcs) == 2
     assert instructions(Scenario(npcs=chains[:1], gene_seconds=2.0)) == 1
-
-
-def with_plans(rng, rows=40, every=3):
-    """Return a run with random states and plans, some decisions without one, and plans of different lengths."""
-    states, plans = random_states(rng, rows, 2), []
-    for _ in range(0, rows - 1, every):
-        times = np.cumsum(rng.uniform(0.05, 0.6, rng.integers(1, 8))) - (0.05 if rng.random() < 0.3 else 0.0)
-        places = [(max(0.0, time), *rng.uniform(-40, 40, 2)) for time in times.tolist()]
-        plans.append(tuple(places) if rng.random() < 0.8 else None)
-    return Run(trace_of(states[:, 0], states[:, 1], plans=tuple(plans), actions=((0.0, 0.0),) * len(plans)))
-
-
-def off_plan_by_hand(run, after):
-    """Return the distance by rules of three, place by place and in ticks instead of seconds."""
-    worst, trace = Fraction(0), run.trace
-    path = [(Fraction(tick), *map(Fraction, (x, y))) for tick, (x, y) in enumerate(trace.ego[:, :2].tolist())]
-    for number, plan in enumerate(trace.plans):
-        start = number * 3
-        places = [(Fraction(start) + Fraction(t) * 15, Fraction(x), Fraction(y)) for t, x, y in plan or ()]
-        if places and places[0][0] != start:
-            places.insert(0, path[start])
-        meant, was = (at(line, Fraction(start) + Fraction(after) * 15) for line in (places, path))
-        if meant and was:
-            worst = max(worst, (meant[0] - was[0]) ** 2 + (meant[1] - was[1]) ** 2)
-    return float(worst) ** 0.5
-
-
-def at(line, when):
-    for (a, *one), (b, *other) in itertools.pairwise(line):
-        if a <= when <= b:
-            return tuple(p + (q - p) * (when - a) / (b - a) for p, q in zip(one, other, strict=True))
-    return None
-
-
-@given(seed=st.integers(0, 2**32), after=st.floats(0.01, 2.0))
-def test_off_plan_is_the_distance_to_the_planned_place(seed, after):
-    run = with_plans(np.random.default_rng(seed))
-    reach = max((plan[-1, 0] for plan in run.plans.values()), default=0.0)
-    if reach < after:
-        with pytest.raises(ValueError, match=r"run.off_plan: expected an ADS whose plans reach .* s, received "):
-            run.off_plan(after)
-    else:
-        assert run.off_plan(after) == pytest.approx(off_plan_by_hand(run, after), abs=1e-6)
-
-
-def test_an_ego_that_follows_its_plan_is_never_off_it():
-    plan = lambda tick: tuple((time, 4.0 / 3 * tick + 20.0 * time, 4.0) for time in (0.5, 1.0, 2.0))  # noqa: E731
-    trace = closing(plans=tuple(plan(tick) for tick in range(0, 30, 3)), actions=((0.0, 0.0),) * 10)
-    assert Run(trace).off_plan(after=1.0) == pytest.approx(0.0, abs=1e-9)
-    assert Run(trace).off_plan(after=0.25) == pytest.approx(0.0, abs=1e-9), "between the decision and the first place"
-    braked = trace.states.copy()
-    braked[20:, 0, 0] -= 3.0
-    assert Run(replace(trace, states=braked)).off_plan(after=1.0) == pytest.approx(3.0)
-
-
-def test_without_plans_nothing_is_measured():
-    """A test that asks for a plan must not pass because there is none."""
-    trace = closing(actions=((0.0, 0.0),) * 10)
-    with pytest.raises(ValueError, match=r"reach 1 s, received no plan; let it return pafot.Planned\(action, plan="):
-        Run(trace).off_plan(after=1.0)
-    short = replace(trace, plans=(((0.5, 10.0, 4.0),),) * 10)
-    with pytest.raises(ValueError, match=r"reach 1 s, received plans of at most 0.5 s"):
-        Run(short).off_plan(after=1.0)
-    assert Run(short).off_plan(after=0.5) > 0.0
-    assert Run(closing(plans=(((9.0, 10.0, 4.0),),))).off_plan(after=5.0) == 0.0, "the run ends before"
-    for after in (0.0, -1.0, np.nan):
-        with pytest.raises(ValueError, match="after: expected a time above 0 s, received"):
-            Run(short).off_plan(after)
-
-
-def test_a_reference_driver_is_never_off_a_plan():
-    """It has none, and the assertion of the test must not keep it from avoiding the failure."""
-    run = Run(closing(), world=Drivers(calm=closing(actions=((0.0, 0.0),) * 10)))
-    assert [(other.driver, other.off_plan(after=1.0)) for _, other in run.by_reference_drivers()] == [("calm", 0.0)]
-    assert run.driver is None

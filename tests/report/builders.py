@@ -78,18 +78,6 @@ def cut_in_trace():
 
 
 @cache
-def planned_trace():
-    """Return the run of :func:`cut_in_trace` with a plan to keep the speed, except in each fifth decision."""
-
-    def drive(seen):
-        ego, times = seen.ego, [0.1 * (step + 1) for step in range(40)]
-        plan = [(time, ego.x + time * ego.speed, ego.y) for time in times]
-        return (0.0, 0.0) if round(seen.time * 5) % 5 == 4 else pafot.Planned((0.0, 0.0), plan)
-
-    return pafot.Highway().rollout(CUT_IN, lambda: drive)
-
-
-@cache
 def rear_trace():
     """Return a run in which an NPC drives into the ego from behind; a second NPC falls far behind."""
     return pafot.Highway().rollout(scenario([(6, 26.8)] * 3, [(7, 2.0)] * 3, ego_speed=15.0), constant_speed)

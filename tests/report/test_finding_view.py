@@ -1,6 +1,5 @@
 """A finding's view of its run."""
 
-import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +13,7 @@ from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.trace import ACCELERATION, Outcome, X, Y
+from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.views import frame_ticks, run_view
 from tests.helpers.tables import table
@@ -22,11 +21,9 @@ from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
 from tests.report.builders import (
     CUT_IN,
     TEST,
-    bend_trace,
     cut_in_trace,
     finding_of,
     is_close,
-    planned_trace,
     rear_trace,
     scenario,
     view_of,
@@ -268,23 +265,3 @@ def test_a_view_says_what_failed(failure, shown):
     expect = replace(finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message)
     view = view_of(cut_in_trace(), replace(finding, expect=expect))
     assert view.assertion == shown
-
-
-@table("is_bent", [False, True])
-def test_view_has_the_plan_of_each_decision_where_the_page_draws_it(is_bent):
-    trace = planned_trace()
-    if is_bent:
-        plan = tuple((time, *trace.ego[0, [X, Y]] + time) for time in (0.0, 1.0))
-        trace = replace(bend_trace(), plans=(plan, None), decided=(0, 30))
-    view = view_of(trace)
-    assert [plan.time for plan in view.plans] == [round(tick / 15, 3) for tick in trace.decision_ticks]
-    for plan, tick, made in zip(view.plans, trace.decision_ticks, trace.plans, strict=True):
-        assert view.planned(plan.time) == view.planned(plan.time + 0.05) == plan.line
-        if made is None:
-            assert plan.line == ()
-            continue
-        assert math.dist(plan.line[0], trace.ego[tick, [X, Y]]) < 0.01
-        assert math.dist(plan.line[-1], made[-1][1:]) < 0.01
-        assert len(plan.line) == min(9, 1 + sum(place[0] > 0 for place in made))
-    assert view_of(cut_in_trace()).plans == ()
-    assert view_of(cut_in_trace()).planned(1.0) == ()

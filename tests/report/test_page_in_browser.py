@@ -16,7 +16,6 @@ from tests.report.builders import (
     HOSTILE,
     as_seen,
     bend_report,
-    planned_trace,
     real_report,
     view_of,
 )
@@ -73,25 +72,6 @@ def page(opened):
 def test_legend_explains_trails_even_with_imperfect_perception(page):
     legend = page.evaluate("document.querySelector('article.current .legend').textContent")
     assert "Dotted trails: the last 4 s relative to the ego." in legend
-
-
-def test_plan_at_the_time_shown_is_drawn_ahead_of_the_ego(browser, tmp_path):
-    path = tmp_path / "planned.html"
-    path.write_text(render_page(Report.of(view_of(planned_trace()))), encoding="utf-8")
-    page = browser.open(path.as_uri())
-    legend = page.evaluate("document.querySelector('article.current .legend').textContent")
-    assert "Thin line ahead of the ego: its plan at that time." in legend
-    line = "document.querySelector('article.current .stage svg .plan').getAttribute('d')"
-    page.press("Home")
-    points = [[*map(float, point.split())] for point in page.evaluate(line)[1:].split("L")]
-    assert len(points) == 9
-    assert points == sorted(points)
-    page.press("ArrowRight", shift=True)
-    page.press("ArrowLeft")
-    assert page.evaluate(TIME) == pytest.approx(0.9)  # the decision at 0.8 s had no plan
-    assert not page.evaluate(line)
-    assert page.complaints == []
-    page.close()
 
 
 def test_a_step_of_a_manoeuvre_that_never_began_is_no_instruction_at_the_end(browser, tmp_path):

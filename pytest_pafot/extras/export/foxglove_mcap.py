@@ -21,8 +21,8 @@ from foxglove.messages import (
     Vector3,
 )
 
-from pytest_pafot import Run, Trace
-from pytest_pafot.extending import Finding, FloatArray
+from pytest_pafot import Trace
+from pytest_pafot.extending import Finding
 from pytest_pafot.extras.export.exporter import edges, name_of, states_of
 
 NANOSECONDS = 1_000_000_000
@@ -49,22 +49,19 @@ SCHEMA = {
 def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
     """Return an MCAP file whose clock starts at 0.
 
-    The topics ``/road`` and ``/vehicles`` are for a 3D panel, and ``/states`` is for plots. If the ADS returned plans,
-    the topic ``/plan`` is for a 3D panel, too: a line from the ego through the planned places, at each decision.
+    The topics ``/road`` and ``/vehicles`` are for a 3D panel, and ``/states`` is for plots.
     """
     content, context = io.BytesIO(), Context()
     with open_mcap(content, context=context):
         road, vehicles = (SceneUpdateChannel(topic, context=context) for topic in ("/road", "/vehicles"))
-        numbers, plans = Channel("/states", schema=SCHEMA, context=context), Run(trace).plans
-        if plans:
-            planned = SceneUpdateChannel("/plan", context=context)
+        numbers = Channel("/states", schema=SCHEMA, context=context)
         lines = []
         for line in (each for lane in trace.lanes for each in edges(lane)):
             points = [Point3(x=x, y=y, z=0) for x, y in line.tolist()]
             lines.append(LinePrimitive(points=points, thickness=0.15, color=EDGE))
         entity = SceneEntity(frame_id="world", id="road", timestamp=Timestamp(sec=0), lines=lines)
         road.log(SceneUpdate(entities=[entity]), log_time=0)
-        for tick, (time, states) in enumerate(zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)):
+        for time, states in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True):
             at = round(time * NANOSECONDS)
             boxes = [_box(number, trace, state, at) for number, state in enumerate(states)]
             vehicles.log(SceneUpdate(entities=boxes), log_time=at)
@@ -73,8 +70,6 @@ def export(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
                 for number, state in enumerate(states)
             ]
             numbers.log({"time": time, "vehicles": told}, log_time=at)
-            if plans and tick in trace.decision_ticks:
-                planned.log(SceneUpdate(entities=[_plan(plans.get(tick), states[0], at)]), log_time=at)
     return {f"{finding.id}.mcap": content.getvalue()}
 
 
@@ -92,11 +87,3 @@ def _box(number: int, trace: Trace, state: list[float], at: int) -> SceneEntity:
     )
     stamp = Timestamp(sec=at // NANOSECONDS, nsec=at % NANOSECONDS)
     return SceneEntity(frame_id="world", id=name_of(number), timestamp=stamp, cubes=[cube])
-
-
-def _plan(plan: FloatArray | None, ego: list[float], at: int) -> SceneEntity:
-    """Return the line from the ego through the places of its plan at a time [ns], empty without a plan."""
-    places = [] if plan is None else [ego[:2], *(plan[:, 1:] * (1, -1)).tolist()]
-    line = LinePrimitive(points=[Point3(x=x, y=y, z=0) for x, y in places], thickness=0.1, color=EGO)
-    stamp = Timestamp(sec=at // NANOSECONDS, nsec=at % NANOSECONDS)
-    return SceneEntity(frame_id="world", id="plan", timestamp=stamp, lines=[line] if places else [])

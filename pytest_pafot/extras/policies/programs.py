@@ -17,7 +17,7 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pytest_pafot import Drive, Observation, Planned
+from pytest_pafot import Drive, Observation
 from pytest_pafot.extras.policies.loading import digest_of, refused
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.support.text import shown
@@ -148,8 +148,6 @@ def line_of(observation: Any, *, reset: bool) -> bytes:
 def action_of(line: bytes) -> Any:
     """Return the action in a program's answer: a pair in SI units, a ``Drive``, or an environment's own action.
 
-    It is a :class:`Planned` if the answer has a plan.
-
     Raises:
         BadAction: if the line is none of these.
     """
@@ -160,14 +158,12 @@ def action_of(line: bytes) -> Any:
     if isinstance(answer, dict) and "reset" in answer:
         again = shown(line.decode("utf-8", "replace"))
         raise BadAction(f"expected a decision, as an object without the key reset, received an observation: {again}")
-    plan = answer.get("plan") if isinstance(answer, dict) else None
-    planned = (lambda action: action) if plan is None else functools.partial(Planned, plan=plan)
     if isinstance(answer, dict) and "action" in answer:
-        return planned(answer["action"])
+        return answer["action"]
     if isinstance(answer, dict) and "lane" in answer:
-        return planned(Drive(**{field.name: answer[field.name] for field in fields(Drive) if field.name in answer}))
+        return Drive(**{field.name: answer[field.name] for field in fields(Drive) if field.name in answer})
     if isinstance(answer, dict) and answer.keys() >= {"acceleration", "steering"}:
-        return planned((answer["acceleration"], answer["steering"]))
+        return answer["acceleration"], answer["steering"]
     raise BadAction(
         "expected a line of JSON with the keys acceleration and steering, or lane and speed, or lane and acceleration, "
         f"or, in a pafot.World, action, received {shown(line.decode('utf-8', 'replace'))}"

@@ -23,7 +23,6 @@ from pytest_pafot import (
     Cell,
     LaneInstruction,
     Outcome,
-    Planned,
     PositionInstruction,
     Run,
     Scenario,
@@ -102,7 +101,7 @@ class _Calls:
             if seen and all(hasattr(seen[0], name) for name in OBSERVED):
                 noted.poses.append((seen[0].ego.x, seen[0].ego.y, seen[0].ego.speed))
             answer = one(*seen)
-            noted.actions.append(answer.action if isinstance(answer, Planned) else answer)
+            noted.actions.append(answer)
             return answer
 
         return decide

@@ -110,7 +110,6 @@ class Player {
       (this.finding.grid.length || !this.scene.isWorld ? "Numbered boxes: the cells around the ego; 2 is ahead of it, 6 behind. " : "") +
       (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
       (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's; the text at an NPC says when it is to be there. " : "") +
-      (this.finding.plans.length ? "Thin line ahead of the ego: its plan at that time. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();

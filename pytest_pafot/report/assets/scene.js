@@ -177,7 +177,6 @@ class Scene {
     this.trails = this.finding.vehicles.map((vehicle, index) => svg("path", {
       class: `trail ${index ? stroke(index) : "ego-trail"}`, "stroke-dasharray": index ? "1 5" : null, "stroke-linecap": "round",
     }));
-    this.plan = svg("path", { class: "plan" }, svg("title", {}, "the plan of the ego"));
     this.lines = this.finding.vehicles.slice(1).map((vehicle, npc) => [
       svg("path", { class: `target-line ${stroke(npc + 1)}` }), svg("rect", { class: `target ${stroke(npc + 1)}`, rx: 4 }),
     ]);
@@ -195,7 +194,7 @@ class Scene {
       svg("text", { class: "impact-label" }, this.impactText()),
     ]);
     this.root.append(
-      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, this.plan, ...this.lines.flat(), ...this.names,
+      defs, ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, ...this.lines.flat(), ...this.names,
       ...this.bodies.map((body) => body.group), this.ruler(), ...this.pointers, this.impact,
     );
   }
@@ -290,7 +289,6 @@ class Scene {
     states.forEach((state, index) => { if (index && state) this.drawPointer(state, index); });
     this.hideCovered();
     this.drawTrails(time, frame, ego);
-    this.drawPlan(time);
     this.drawImpact(states, time);
     return states;
   }
@@ -460,11 +458,6 @@ class Scene {
       });
       trail.setAttribute("d", linePath(points));
     });
-  }
-
-  drawPlan(time) {
-    const plan = this.finding.plans.findLast((each) => each.time <= time + 1e-6);
-    this.plan.setAttribute("d", linePath(plan ? plan.line.map(([along, across]) => [this.x(along), this.y(across)]) : []));
   }
 
   drawImpact(states, time) {

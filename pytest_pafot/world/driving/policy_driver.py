@@ -86,7 +86,7 @@ class PolicyDriver(ObjectDriver):
 
     def _applied(self, action: Any) -> Any:
         """Check an action, apply it, and return the checked action."""
-        checked = checked_action(self.without_plan(action), self.env.action_space)
+        checked = checked_action(action, self.env.action_space)
         self.env.action_type.act(checked)
         return checked
 

@@ -19,7 +19,6 @@ from pytest_pafot.world.driving.conditions import Conditions, Evaluated
 from pytest_pafot.world.driving.perception import deciding
 from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure, lane_nearest, with_others
 from pytest_pafot.world.guard.failure import Around
-from pytest_pafot.world.kernel.action import plain_action
 from pytest_pafot.world.kernel.observation import Observation
 
 Check = Callable[[Any], Any]
@@ -103,7 +102,7 @@ class Shadow(Around):
         try:
             with recording:
                 ads = self._ads if question is None or question.ads is None else copy.deepcopy(question.ads)
-                answer = self._check(plain_action(ads(observation)))
+                answer = self._check(ads(observation))
         except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
             answer = None
         aside.answers.append(answer)

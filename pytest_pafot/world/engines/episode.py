@@ -23,7 +23,6 @@ from pytest_pafot.world.driving.vehicles import compiled_network, straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import EnvironmentGuard
-from pytest_pafot.world.kernel.action import plain_action
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import PlannerDriver
@@ -228,7 +227,7 @@ class Start:
         if self.view is not None:
             with nullcontext() if self.eyes is None else self.eyes.shown():
                 self.view.show(tick)
-        return checked_action(plain_action(self.guarded(self.ads, seen)), self.outer.action_space)
+        return checked_action(self.guarded(self.ads, seen), self.outer.action_space)
 
     def record(self) -> array[float]:
         """Return an empty array for the states of all vehicles at all ticks."""

@@ -142,7 +142,7 @@ class StockPolicy(GuardedDriver):
         if self._view is not None:
             with nullcontext() if self._sight is None else self._sight.shown():
                 self._view.show(tick)
-        self._action = checked_action(self.without_plan(self._ads(self._seen)), self.outer.action_space)
+        self._action = checked_action(self._ads(self._seen), self.outer.action_space)
         return self._action
 
     def take_step(self, around: EnvironmentGuard) -> None:

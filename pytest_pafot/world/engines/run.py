@@ -19,16 +19,13 @@ from pytest_pafot.model.trace import (
     Collision,
     FloatArray,
     Outcome,
-    Plan,
-    RoadOfRun,
     Trace,
-    road_of_run,
 )
 from pytest_pafot.world.engines.npc_drivers import OwnMover, movers_of
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
-from pytest_pafot.world.kernel.loop import EgoDriver, GivenDriver, Loop
+from pytest_pafot.world.kernel.loop import EgoDriver, Loop
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.run_config import Rules, starts_of
 
@@ -144,7 +141,6 @@ class VehiclesOfRun:
             physics_hz=self.rules.physics_hz,
             ads_hz=self.rules.ads_hz,
             actions=tuple(driver.actions),
-            plans=self._plans(driver, road_of_run(states, self.rules.road.lanes, track)) if driver.plans else (),
             arrivals=self.director.arrivals,
             off_road_tick=off_road_tick,
             max_decision_seconds=driver.slowest,
@@ -158,16 +154,6 @@ class VehiclesOfRun:
             ego_vehicle=self.rules.ego,
             ended=self.ended,
         )
-
-    def _plans(self, driver: EgoDriver, on_road: RoadOfRun) -> tuple[Plan | None, ...]:
-        """Return the plan of each action in the world's coordinates; a planner has made it in those it observes."""
-        road, plans = self.rules.road, dict(driver.plans)
-        if isinstance(driver, GivenDriver) and not road.starts_at_origin:
-            ego = on_road.track[:: driver.every, 0]
-            for number, plan in plans.items():
-                plans[number] = tuple((t, *road.seen_at(x, y, ego[number])) for t, x, y in plan)
-        made = tuple(plans.get(number) for number in range(len(driver.actions)))
-        return made if any(made) else ()
 
     def _collision(self, states: FloatArray, track: FloatArray | None) -> Collision:
         now = self._boxes(states[-1])

@@ -1,4 +1,4 @@
-"""The actions of planners: their checks, their plans, the limits of a car, and the control for a :class:`Drive`."""
+"""The actions of planners: their checks, the limits of a car, and the control for a :class:`Drive`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,9 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from pytest_pafot.model.trace import Plan
 from pytest_pafot.support.errors import BadAction, plain_number
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.driver import clamped
@@ -56,56 +51,6 @@ class Drive:
     acceleration: float | None = None
     lateral_acceleration: float = LATERAL_ACCELERATION
     lateral_jerk: float = LATERAL_JERK
-
-
-MOST_PLACES = 200
-"""The largest number of places in a plan: 20 s at 10 Hz."""
-FARTHEST = 1e6
-"""The largest number in a plan [s, m]; pictures cannot show places much farther away."""
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """An action together with the plan that it begins: where the ADS intends the ego's centre to be from then on.
-
-    An ADS may return it wherever it may return the action alone. The plan does not change how the ego drives. It is
-    recorded for ``run.off_plan`` and drawn.
-
-    Attributes:
-        action: as it would be returned alone.
-        plan: 1 to 200 places ``(t, x, y)``, or an array of shape [places, 3]: rising times t from the decision on, 0 or
-            more [s], x and y as ``ego.x`` and ``ego.y`` in a planner's observation [m], or as ``env.vehicle.position``
-            in an environment. No number may exceed a million.
-
-    Raises:
-        BadAction: if the plan is anything else.
-    """
-
-    action: Any
-    plan: Plan | Sequence[Sequence[float]]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "plan", _checked_plan(self.plan))
-
-
-def plain_action(answer: Any) -> Any:
-    """Return the action in the answer of an ADS, without the plan if there is one."""
-    return answer.action if isinstance(answer, Planned) else answer
-
-
-def _checked_plan(given: Any) -> Plan:
-    problem = f"1 to {MOST_PLACES} places (t [s], x [m], y [m]), numbers of at most a million"
-    places: Any = np.empty(0)
-    with suppress(TypeError, ValueError):  # such as rows of different lengths
-        places = np.asarray(given)
-    if places.shape[1:] == (3,) and 1 <= len(places) <= MOST_PLACES and places.dtype.kind in "iuf":
-        places = places.astype(float)
-        is_near = bool((np.abs(places) <= FARTHEST).all())
-        if is_near and places[0, 0] >= 0.0 and (np.diff(places[:, 0]) > 0.0).all():
-            return tuple(map(tuple, places.tolist()))
-        if is_near:
-            problem = "places (t [s], x [m], y [m]) whose times rise, from 0 on, which is the time of the decision"
-    raise BadAction(f"expected a plan of {problem}, received {shown(given)}; without a plan, return the action alone")
 
 
 def checked_si_action(action: Any, lanes: int) -> tuple[float, float] | Drive:

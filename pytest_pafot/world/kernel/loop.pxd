@@ -15,11 +15,9 @@ cdef class EgoDriver:
     cdef readonly Body ego
     cdef readonly int every
     cdef readonly list actions
-    cdef readonly dict plans
     cdef public double slowest
 
     cpdef decide(self, int tick)
-    cpdef without_plan(self, answer)
     cpdef actuate(self)
     cpdef step(self, double dt)
 

@@ -13,14 +13,13 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from pytest_pafot.model.trace import AdsError, Plan
+from pytest_pafot.model.trace import AdsError
 from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import (
     Drive,
-    Planned,
     acceleration_to_speed,
     checked_si_action,
     possible_acceleration,
@@ -44,8 +43,6 @@ class EgoDriver:
 
     Attributes:
         actions: all decisions so far.
-        plans: the plans of decisions by their numbers, in the coordinates of the ADS. A decision that failed has no
-            action and may have a plan.
         slowest: the longest decision [s].
     """
 
@@ -53,7 +50,6 @@ class EgoDriver:
         self.ego = ego
         self.every = every
         self.actions: list[Any] = []
-        self.plans: dict[int, Plan] = {}
         self.slowest = 0.0
 
     def decide(self, tick: int) -> AdsError | None:
@@ -62,13 +58,6 @@ class EgoDriver:
         It is called every ``every`` ticks. A driver without an ADS does nothing here.
         """
         return None
-
-    def without_plan(self, answer: Any) -> Any:
-        """Return the action in the answer of the ADS to the next decision, and note its plan if there is one."""
-        if type(answer) is Planned:  # isinstance would take half a per cent of a run
-            self.plans[len(self.actions)] = cast("Plan", answer.plan)
-            return answer.action
-        return answer
 
     def actuate(self) -> None:
         """Set the ego's controls for the coming tick."""
@@ -156,7 +145,7 @@ class GivenDriver(EgoDriver):
         Raises:
             BadAction: if the action is not valid.
         """
-        checked, sensor = checked_si_action(self.without_plan(action), self._lanes), self._sensor
+        checked, sensor = checked_si_action(action, self._lanes), self._sensor
         self._speed = -1.0
         if type(checked) is tuple:  # faster than isinstance
             acceleration, steering = checked  # faster than two indices

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import ALONG, STRETCH, FloatArray, Lane, Outcome
+from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.seeing import misjudged
 from pytest_pafot.world.kernel.bends import Bends
@@ -281,20 +281,6 @@ class NetworkRoad(Road):
             place = x0 - math.sin(heading) * across, y0 + math.cos(heading) * across
             rows.append((*place, turned, speed * bends.stretch(along, across)))
         return np.array(rows)
-
-    def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
-        """Return world x and y of a place in the coordinates that a planner observes [m].
-
-        It observes distances from itself as they are driven, and lanes of equal width; this is the inverse of
-        :class:`RoadSensor`. Where a bend begins or ends, observed distances jump by a tenth of their length or less,
-        and the place is as uncertain. ``ego`` is the ego's row of ``Trace.track`` at the time.
-        """
-        bends, own, stretch, along = self.bends, float(ego[ALONG]), float(ego[STRETCH]), x
-        for _ in range(8):  # the stretch and the lanes depend on the place along the road, and hardly change with it
-            _, across = self._across(along, y)
-            along = own + 2.0 * (x - own) / (stretch + bends.stretch(along, across))
-        x0, y0, heading = self.reference(along)
-        return x0 - math.sin(heading) * across, y0 + math.cos(heading) * across
 
     def _across(self, along: float, y: float) -> tuple[int, float]:
         """Return the lane of a nominal place across the road, and the distance of this place from the line [m]."""

@@ -15,7 +15,7 @@ from pytest_pafot.model.crossings import Crossings, Zone
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.model.trace import Lane
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director, Start
@@ -102,13 +102,6 @@ class Road(ABC):
     @abstractmethod
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         """Return the pose of a vehicle on the centre of a lane, at a place along the road [m]."""
-
-    @abstractmethod
-    def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
-        """Return world x and y of a place in the coordinates that a planner observes [m].
-
-        ``ego`` is the ego's row of ``Trace.track`` at the time.
-        """
 
     @abstractmethod
     def has_lane(self, lane: int, along: float) -> bool:

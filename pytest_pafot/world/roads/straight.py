@@ -9,7 +9,7 @@ from typing import Any
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import FloatArray, Lane
+from pytest_pafot.model.trace import Lane
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.seeing import ImperfectSensor
 from pytest_pafot.world.kernel.bodies import Body
@@ -98,10 +98,6 @@ class StraightRoad(Road):
         """Return the pose of a point on the centre of a lane."""
         x0, y0 = self._origin
         return x0 + longitudinal, y0 + self.centre(lane), 0.0
-
-    def seen_at(self, x: float, y: float, ego: FloatArray) -> tuple[float, float]:
-        """Return world x and y of a place in the coordinates that a planner observes [m]."""
-        return x + self._origin[0], y + self._origin[1]
 
     def cells(self, ego_lane: int) -> frozenset[Cell]:
         """Return the cells whose lane exists around an ego in the given lane."""

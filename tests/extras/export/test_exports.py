@@ -266,23 +266,6 @@ def test_foxglove_file_has_same_numbers_and_times(exported, tmp_path):
         assert np.float64(1.5 / 2).tobytes() in message.data  # boxes of 1.5 m stand on the road
 
 
-def test_foxglove_file_has_the_plan_of_each_decision(exported, tmp_path):
-    pytest.importorskip("foxglove")
-    reader = pytest.importorskip("mcap.reader")
-    finding, trace = exported
-    trace = replace(trace, plans=(None, ((0.5, 123.25, 4.5), (1.0, 130.75, 4.0))))
-    (path,) = written((finding, trace), "mcap", tmp_path)
-    with path.open("rb") as stream:
-        messages = [m for _, channel, m in reader.make_reader(stream).iter_messages() if channel.topic == "/plan"]
-    ticks = list(trace.decision_ticks)
-    assert [m.log_time for m in messages] == [
-        round(tick / trace.physics_hz * 1e9) for tick in ticks if tick <= trace.ticks
-    ]
-    for value in (*trace.ego[ticks[1], [X, Y]] * (1, -1), 123.25, -4.5, 130.75, -4.0):
-        assert np.float64(value).tobytes() in messages[1].data
-    assert not any(np.float64(123.25).tobytes() in messages[number].data for number in (0, 2))
-
-
 def test_commonroad_reads_the_same_vehicles_and_lanes(exported, tmp_path, largest):
     reader = pytest.importorskip("commonroad.common.file_reader")
     from commonroad.common.writer.file_writer_xml import XMLFileWriter

@@ -116,19 +116,6 @@ def test_a_program_may_answer_with_a_lane(tmp_path):
     assert trace.actions[0] == pafot.Drive(lane=2, speed=20.0, lateral_jerk=2.0)
 
 
-@table("answer", ["acceleration=0.5, steering=0.0", "lane=2, speed=20.0", "action=[0.5, 0.0]"])
-def test_a_program_may_send_its_plan(answer, tmp_path):
-    planning = program(tmp_path, f"answer({answer}, plan=[[0.5, seen['ego']['x'] + 10, 4], [1, 40, 4.5]])")
-    trace, plain = (
-        ROAD.rollout(CUT_IN, planning),
-        ROAD.rollout(CUT_IN, program(tmp_path, f"answer({answer}, plan=None)")),
-    )
-    assert trace.error is None
-    assert (trace.actions, trace.states.tobytes()) == (plain.actions, plain.states.tobytes())
-    assert trace.plans[0] == ((0.5, trace.ego[0, 0] + 10.0, 4.0), (1.0, 40.0, 4.5))
-    assert (len(trace.plans), plain.plans) == (len(trace.actions), ())
-
-
 def test_persistent_program_is_notified_of_next_scenario(tmp_path, capfd):
     body = """
         if seen["reset"]: print("pid", os.getpid(), "reset at", number, file=sys.stderr)
@@ -166,7 +153,6 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
             r"a decision, as an object without .*, received an observation",
         ),
         ("answer(lane=9, speed=1)", "BadAction", r"a lane from 0"),
-        ("answer(lane=1, speed=1, plan='left')", "BadAction", r"expected a plan of 1 to 200 places"),
         ("print('{}\\n{}', flush=True)", "BadAction", r"one line for each observation, received another.*stderr"),
         ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
     ],
