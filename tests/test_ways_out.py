@@ -136,7 +136,7 @@ def test_every_package_and_page_that_messages_name_exists():
     named = [name for _, name in calls("install") if name is not None] + list(exporter.EXTRAS.values())
     assert named
     assert set(named) <= extras.keys()
-    assert install("table") == "pip install 'pytest-pafot[table]'"
+    assert install("dask") == "pip install 'pytest-pafot[dask]'"
     pages = [name for _, name in calls("page") if name is not None]
     assert pages
     assert [name for name in pages if not (ROOT / page(name)).is_file()] == []

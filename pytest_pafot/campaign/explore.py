@@ -64,7 +64,7 @@ class Exploration:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search: runs, coverage, warnings, notes.
         seen: the events as the search reported them, one for several runs if another process has counted these.
-        runs: a row for each scenario that was tried, with the columns of ``--pafot-table``, ready for
+        runs: a row for each scenario that was tried, with the columns of ``run_table.COLUMNS``, ready for
             ``pandas.DataFrame(...)``.
     """
 
@@ -175,8 +175,7 @@ def explore(
     findings = tuple(
         replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
     )
-    rows = tuple(table.taken())
-    return Exploration(findings=findings, summary=result.summary, seen=tuple(events), runs=rows)
+    return Exploration(findings=findings, summary=result.summary, seen=tuple(events), runs=tuple(table.rows))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -276,7 +275,7 @@ class AlgorithmRun:
                     for event in events:
                         see(event)
         tick(1.0)
-        return table.taken()
+        return table.rows
 
 
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")

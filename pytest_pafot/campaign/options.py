@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
 
 Kind = Literal[
-    "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file", "table"
+    "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file"
 ]  # fmt: skip
 
 SEED_LIMIT = 2**63
@@ -281,13 +281,6 @@ class Settings:
         everywhere=False,
         is_argument=False,
     )
-    table: str | None = option(
-        "table",
-        "Write a row for each scenario that the searches tried to FILE.csv or FILE.parquet.",
-        "[Its columns](results.md#the-table-of-runs).",
-        everywhere=False,
-        is_argument=False,
-    )
     today: str | None = option(
         "day",
         "Compare the last days of accepted failures with this day instead of today.",
@@ -424,13 +417,6 @@ def _read_file(option: Option, value: object) -> str:
     return text
 
 
-def _read_table(option: Option, value: object) -> str:
-    text = _read_text(option, value)
-    if PurePath(text).suffix.lower() not in (".csv", ".parquet"):
-        raise RequestError(f"expected the name of a file FILE.csv or FILE.parquet, received {value!r}")
-    return text
-
-
 def _read_switch(option: Option, value: object) -> bool:
     if isinstance(value, bool):
         return value
@@ -452,5 +438,4 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "day": _read_day,
     "commit": _read_commit,
     "file": _read_file,
-    "table": _read_table,
 }

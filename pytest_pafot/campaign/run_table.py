@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import Any
 
 from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
@@ -14,7 +13,7 @@ from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import EVALUATIONS, Evaluation
+from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Evaluated, RunsEvaluated
 
 COLUMNS: Mapping[str, str] = {
@@ -70,7 +69,7 @@ class RunTable:
     number: int = 0
     rows: list[Row] = field(default_factory=list)
     more: Callable[[Run], Row] = lambda run: {}  # returns the values of a run for columns that only one table has
-    # the columns of the last runs, as many as a search reuses, by the scenario as driven
+    # the columns of the runs, by the scenario as driven
     _judged: dict[Scenario, Row] = field(default_factory=dict)
 
     def see(self, event: SearchEvent) -> None:
@@ -79,7 +78,6 @@ class RunTable:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
             case Judged():
-                self._judged.pop(event.executed, None)  # so that the order is that of the last runs
                 known, run = event.columns, event.run
                 self._judged[event.executed] = (
                     dict(known or {}) if run is None else columns_of(run, event.verdict) | self.more(run)
@@ -91,13 +89,6 @@ class RunTable:
             case RunsEvaluated():
                 for row in event.rows:
                     self._add(row)
-
-    def taken(self) -> list[Row]:
-        """Return the rows that are new since the last call, and remove them. Call it between two generations."""
-        rows, self.rows = self.rows, []
-        for scenario in list(islice(self._judged, max(0, len(self._judged) - EVALUATIONS))):
-            del self._judged[scenario]
-        return rows
 
     def _add(self, row: Row) -> None:
         self.number += 1

@@ -161,10 +161,6 @@ def _report(config: pytest.Config) -> None:
         features |= {"reporting": Reporter(config, record), "pages": Pages(config, record), "guard": Guard()}
         if session_records.is_asked_for(config, os.environ):
             features["records"] = session_records.Records(config, record)
-        if config.getoption(BY_NAME["table"].key) and not config.getoption("collectonly", False):
-            from pytest_pafot.plugin.run_tables import Tables  # noqa: PLC0415
-
-            features["tables"] = Tables(config)
         features["record"] = record  # last, so that its hooks are called first
     _register(config, features)
 

@@ -19,7 +19,6 @@ import pytest
 
 from pytest_pafot.campaign.events import (
     Ending,
-    Listener,
     Progress,
     SearchEvent,
     SearchStarted,
@@ -57,7 +56,6 @@ from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
-from pytest_pafot.plugin.run_tables import table_messages_of
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
@@ -245,10 +243,10 @@ def run_search(item: pytest.Function, request: Request) -> None:
     replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
-    messages_of_search = SearchMessages(item, settings, table_messages_of(item))
+    messages_of_search = SearchMessages(item, settings)
     # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
     is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
-    with prepared(chosen, has_table=messages_of_search.table is not None) as parts:
+    with prepared(chosen) as parts:
         session = SearchSession(
             watch=parts.watch(
                 item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
@@ -310,18 +308,15 @@ def shown(exception: BaseException) -> BaseException:
 
 @dataclass(frozen=True, slots=True)
 class SearchMessages:
-    """The sender of the events of a search as messages; also to the table, if requested."""
+    """The sender of the events of a search as messages."""
 
     item: pytest.Function
     settings: Settings
-    table: Listener | None
     sent: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
     new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
 
     def send(self, event: SearchEvent) -> None:
-        """Send a message for each event that the terminal, the page or the table reports."""
-        if self.table is not None:
-            self.table(event)
+        """Send a message for each event that the terminal or the page reports."""
         if isinstance(event, SearchStarted):
             seeds = {"seed": event.seed, "base_seed": self.settings.seed}
             set_properties(self.item.user_properties, **seeds)

@@ -4,7 +4,7 @@
 
 Run it before and after a change that must not change what users see. The commit is checked out in a temporary folder.
 Each session runs with it and then with this tree, at the same path. Compared are the files of the corpus,
-``--pafot-json``, ``--pafot-table``, and what pytest prints and returns. Left out are :data:`MASKS`, and the JSON of a
+``--pafot-json``, and what pytest prints and returns. Left out are :data:`MASKS`, and the JSON of a
 call that is killed: until its end, a session writes it when there is time. Prints a line for each session: ``same``, or
 the first lines that differ. Ends with 1 if any does.
 """
@@ -223,7 +223,7 @@ def written(session: Session, tree: Path, folder: Path) -> dict[str, str]:
         more = {"SLOW": str(session.slow)}
         if session.end and number == 1:
             more |= {"END": str(int(session.end)), "AT": str(session.at)}
-        outputs = f"--pafot-json={number}.json --pafot-table={number}.csv"
+        outputs = f"--pafot-json={number}.json"
         command = f"{ALWAYS} {session.always} {outputs} {call} test_it.py::test_{session.test}"
         done = subprocess.run(
             [sys.executable, "-m", "pytest", *command.split()],
@@ -237,7 +237,7 @@ def written(session: Session, tree: Path, folder: Path) -> dict[str, str]:
         if done.returncode == -signal.SIGKILL:
             (folder / f"{number}.json").unlink()
         found[f"terminal {number}"] = f"{masked(done.stdout, tree)}\nexit code {done.returncode}\n"
-    compared = [*folder.glob("*.json"), *folder.glob("*.csv"), *folder.glob("pafot_corpus/**/*")]
+    compared = [*folder.glob("*.json"), *folder.glob("pafot_corpus/**/*")]
     found |= {str(each.relative_to(folder)): each.read_text() for each in compared if each.is_file()}
     shutil.rmtree(folder)
     return found
@@ -258,7 +258,7 @@ def difference(before: Mapping[str, str], after: Mapping[str, str]) -> str:
         lines = zip_longest(*(text.splitlines(True) for text in texts), fillvalue="")
         for number, (old, new) in enumerate(lines, start=1):
             if old != new:
-                # A line of the table has thousands of characters.
+                # A line may have thousands of characters.
                 same = next(place for place, (a, b) in enumerate(zip_longest(old, new)) if a != b)
                 at = max(same - 60, 0)
                 return f"{name}, line {number}\n    - {old[at : at + 160]!r}\n    + {new[at : at + 160]!r}"

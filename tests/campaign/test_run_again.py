@@ -26,7 +26,7 @@ def never_collides(run):
 
 
 def scenario_of(row):
-    """Make the scenario of a row, as the reference of the table says."""
+    """Make the scenario of a row."""
     traffic = pafot.Traffic(row["traffic"], **json.loads(row["traffic_parts"]))
     start = [row["scenario_seed"], row["ego_lane"], row["ego_speed"], row["gene_seconds"]]
     return pafot.Scenario.from_canonical([json.loads(row["genes"]), *start, traffic, json.loads(row["vehicles"])])
@@ -96,3 +96,16 @@ def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
         assert {key: row[key] for key in again} == again
         if row["verdict"] != "":
             assert (row["least_gap"], row["hardest_braking"]) == (run.min_distance, run.hardest_brake)
+
+
+def test_a_run_whose_scenario_was_repaired_has_its_verdict_too():
+    def holds(run):
+        assert not run.collision
+
+    found = pafot.explore(
+        lambda: lambda observation: (0.0, 0.0), holds=holds, blame="ego", runs=24, seed=1, shrink_rollouts=0
+    )
+    simulated = [row for row in found.runs if not row["reused"]]
+    assert len(simulated) == 24
+    assert [row["scenario"] for row in simulated if row["verdict"] is None] == []
+    assert all((row["verdict"] == "failed") == row["failing"] == bool(row["fault"]) for row in simulated)

@@ -131,11 +131,10 @@ def test_slow(run):
 def test_limit_ends_a_run_of_slow_decisions_between_two(project):
     project.write(SLOW)  # a run takes up to a minute
     begun = time.monotonic()
-    result = project.run("--pafot-max-time=1", "--pafot-table=runs.csv", generations=3)
+    result = project.run("--pafot-max-time=1", generations=3)
     assert time.monotonic() - begun < 15
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["  0 runs in *", "*ended: --pafot-max-time", "*no scenario was simulated*"])
-    assert (project.path / "runs.csv").read_text().count("\n") == 1
     assert not project.files
 
 
