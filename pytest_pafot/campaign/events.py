@@ -139,7 +139,6 @@ class SearchSummary:
         random_failing, random_otherwise, random_checks, random_runs: random scenarios at the beginning: failing in a
             collision by the ego's fault, otherwise, of the latter by a check, and all that are valid and not
             rejected. 0 if the search broke off before they were done.
-        given: number of saved scenarios that it began with; if not 0, the four counts before are of these.
         drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
         against: the reference; empty without one.
         paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
@@ -188,7 +187,6 @@ class SearchSummary:
     random_otherwise: int = 0
     random_checks: int = 0
     random_runs: int = 0
-    given: int = 0
     drawn: str = ""
     coverage: str = ""
     against: str = ""

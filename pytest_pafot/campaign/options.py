@@ -189,15 +189,6 @@ class Settings:
         "Folder of the states of searches, in which each search continues where it stopped.",
         "[Each session adds its budget](../guide/machines.md#a-long-search-in-several-sessions).",
     )
-    begin_with: str | None = option(
-        "text",
-        "Folder of saved scenarios that each search drives first, or `others` for those in which policies of others "
-        "failed.",
-        "Also of folders below. They count as runs, and those closest to a failure are varied. The ego starts as near "
-        "to the file's start as the search allows; speed limit and traffic are the search's; what does not fit the "
-        "world is left out. Only with `distinct` and `map-elites`. [`others`](../explanation/others.md#the-corpus) "
-        "comes with the package.",
-    )
     stop_after: int | None = option(
         "integer",
         "Number of distinct new findings after which each search ends.",

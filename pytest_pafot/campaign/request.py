@@ -103,7 +103,6 @@ class SearchArguments(TypedDict, total=False):
     pairs: int
     max_time: float
     resume: str
-    begin_with: str
     stop_after: int
     shrink_rollouts: int
     neighbours: int
@@ -460,7 +459,6 @@ def _space_around(request: Request, world: BaseWorld) -> SearchSpace:
             ego_length=world.given.ego.length,
             traffic=scenario.traffic,
             lanes=road.lane_count,
-            first=(scenario,),
             around=scenario,
         )
     except (ValueError, WorldError) as error:

@@ -17,7 +17,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.campaign.beginnings import begun_with
 from pytest_pafot.campaign.bench import Bench, left_out_text
 from pytest_pafot.campaign.blocks import Blocks
 from pytest_pafot.campaign.events import (
@@ -203,11 +202,9 @@ def prepared(
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
     """
-    begun, request, seed = "", harness.request, search_seed(harness.request.settings.seed, harness.node_id)
+    request, seed = harness.request, search_seed(harness.request.settings.seed, harness.node_id)
     if space is None and request.settings.is_search:
         space = build_space(request, harness.world)
-        if request.settings.begin_with is not None:
-            space, begun = begun_with(request.settings.begin_with, space, harness.world, request, harness.folder)
     is_for_ego = is_steered and request.blame != "any"
     try:
         fitness = Steered(resolve(request.fitness), is_for_ego=is_for_ego)
@@ -245,7 +242,7 @@ def prepared(
         if reference is not None:
             stack.push(reference.__exit__)
         state = State()
-        state.clock, state.space, state.begun = time.monotonic, space, begun
+        state.clock, state.space = time.monotonic, space
         state.began = state.clock()
         stack.callback(state.close)
         yield Prepared(
@@ -700,7 +697,6 @@ class SearchSession:
             random_runs=0 if is_cut_short else random.runs,
             random_otherwise=0 if is_cut_short else random.otherwise,
             random_checks=0 if is_cut_short else random.checks,
-            given=0 if state.space is None else min(len(state.space.first), state.runs),
             drawn="" if self.state.space is None else self.state.space.described,
             coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",
             outcomes=dict(state.outcomes),

@@ -69,7 +69,7 @@ class EarlierFind:
 
 @dataclass(slots=True)
 class RandomRuns:
-    """The first runs of a search, whose scenarios are random or given.
+    """The first runs of a search, whose scenarios are random.
 
     Attributes:
         evaluated: the number of evaluated scenarios.
@@ -150,7 +150,6 @@ class State:
     space: SearchSpace | None = field(init=False, default=None)  # None for replays only
     plan: Plan[Any] | None = field(init=False, default=None)  # None before the first run
     file: StateFile | None = field(init=False, default=None)  # None if the search is in one session
-    begun: str = field(init=False, default="")  # a note on the saved scenarios with which the search begins
     clock: Callable[[], float] = field(init=False, default=time.monotonic)  # returns the seconds since some moment
     began: float = field(init=False, default=0.0)  # the time at which this session began [s]
     shown: Mapping[Signature, str] = field(init=False, default_factory=dict)  # ids of saved scenarios by their failure
@@ -413,7 +412,7 @@ class State:
             *([f"resumed after {plural(self.done_before[0], 'run')} of earlier sessions"] if self.done_before else []),
             *([postponed] if self.postponed else []),
             *([left] if unsaved else []),
-            *filter(None, [problem, anew, self.begun]),
+            *filter(None, [problem, anew]),
         ]
 
 

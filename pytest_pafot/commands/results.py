@@ -107,7 +107,7 @@ class Session:
 
 def _are_entries(entries: object) -> bool:
     """Return whether the entries of results have the types that are read of them, and numbers that can be counts."""
-    counts = ("runs", "random_failing", "random_otherwise", "random_runs", "given")
+    counts = ("runs", "random_failing", "random_otherwise", "random_runs")
     types: dict[str, tuple[type, ...]] = {
         **dict.fromkeys(("node_id", "test", "id", "status", "result", "message"), (str,)),
         **dict.fromkeys(("title", "owner", "responsible"), (str,)),

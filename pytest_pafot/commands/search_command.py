@@ -104,8 +104,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = "count only failures that a reference passes, a second policy: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
-    of_begin = "saved scenarios to drive first: a folder, or others for those in which policies of others failed"
-    parser.add_argument("--begin-with", flag("begin_with"), metavar="FOLDER", help=of_begin)
     of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
     of_report = "the web page of the findings (default: %(default)s)"
@@ -117,7 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
     # Messages of the session name options of pytest. All that do something in a search are options here, too.
     for option in OPTIONS:
-        if option.name not in (*OWN, "begin_with", "corpus", "allow_orphans"):
+        if option.name not in (*OWN, "corpus", "allow_orphans"):
             given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
             parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
     of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: see "
@@ -137,9 +135,6 @@ class _ForPytest(argparse.Action):
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
     here = Path.cwd()
-    begin = arguments.begin_with
-    if begin not in (None, "others") and not (begin and Path(begin).exists()):
-        raise RequestError(f"--begin-with: expected others, a saved scenario or a folder with some, received {begin!r}")
     files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
     if arguments.write_test:
         return _write_test(here, files, arguments.ads)
@@ -283,7 +278,6 @@ def _test(arguments: argparse.Namespace) -> str:
     drivers = _drivers(arguments.driver, arguments.world)
     only_names = [name for name, value in drivers.items() if value in ("", name)]
     given += [f"drivers={json.dumps(only_names if len(only_names) == len(drivers) else drivers)}"] if drivers else []
-    given += [] if arguments.begin_with is None else [f"begin_with={arguments.begin_with!r}"]
     name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
     if arguments.blame != "ego":
         name = "never_in_a_collision"

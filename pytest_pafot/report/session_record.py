@@ -394,7 +394,7 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     against = ", ".join(code(name) for name in dict.fromkeys(search.against for search in ran) if name)
     if against:
         yield f"A run counts as a failure only if {against} passes it."
-    drawn = [search for search in ran if search.random_runs and not search.given]
+    drawn = [search for search in ran if search.random_runs]
     failing, others = (sum(getattr(each, name) for each in drawn) for name in ("random_failing", "random_otherwise"))
     if failing or others:
         checks, counted = (sum(getattr(each, name) for each in drawn) for name in ("random_checks", "random_runs"))

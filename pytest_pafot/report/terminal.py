@@ -295,13 +295,10 @@ def search_lines(
     lists = [origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
-        # Nobody drew the saved scenarios at random, so their share is no estimate of anything.
-        what, share = (
-            ("saved scenarios at first", "") if search.given else ("random scenarios", interval_text(failing, counted))
-        )
         others = f"; {other_failures(search)}" if search.random_otherwise else ""
-        share = f", {share}" if failing and share else share.removeprefix("0 %")
-        lists.append(f"{what}: {failing} of {counted} failed by the ego's fault{share}{others}")
+        share = interval_text(failing, counted)
+        share = f", {share}" if failing else share.removeprefix("0 %")
+        lists.append(f"random scenarios: {failing} of {counted} failed by the ego's fault{share}{others}")
     lists += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     head = [traced.described] if traced else []
     lines = [
@@ -495,12 +492,12 @@ class ParameterShare:
 def parameter_shares(searches: Iterable[SearchSummary]) -> dict[str, list[ParameterShare]]:
     """Return for each parametrised test that failed how often it did with which parameters, the worst ones first.
 
-    Searches without random scenarios, or that begin with saved ones, are left out: their shares are no estimates.
+    Searches without random scenarios are left out.
     """
     tests: dict[str, list[ParameterShare]] = {}
     for each in searches:
         found = PARAMETERS.search(each.node_id)
-        if found and each.random_runs and not each.given and found[2].endswith(SEARCH):
+        if found and each.random_runs and found[2].endswith(SEARCH):
             measured = [seen.severity for seen in each.finds if seen.severity is not None]
             impacts = [severity.value or 0.0 for severity in measured if severity.kind == "collision"]
             share = ParameterShare(

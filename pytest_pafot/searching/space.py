@@ -113,7 +113,6 @@ class SearchSpace:
         drivers: the names of the drivers of free NPCs; half of the NPCs are then free. If empty, none is.
         kinds: the kinds of instructions of packages of others, of which a quarter of the NPCs have one; usually none.
         row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
-        first: scenarios that a search drives before those that it samples.
         around: the scenario of recorded NPCs that all scenarios of a search are changes of; None for none.
         ego_length: the ego's length [m], for changes of a recording.
     """
@@ -141,7 +140,6 @@ class SearchSpace:
     drivers: tuple[str, ...] = ()
     kinds: tuple[type[Instruction], ...] = ()
     row: tuple[float, float] = (0.0, 0.0)
-    first: tuple[Scenario, ...] = ()
     around: Scenario | None = None
     ego_length: float = CAR.length
 
@@ -183,9 +181,7 @@ class SearchSpace:
     @property
     def plain(self) -> dict[str, Any]:
         """The fields as plain data: without ``crossings``; some others only if they are not usual."""
-        data = asdict(replace(self, crossings=None, first=(), around=None))
-        if self.first:
-            data["begin_with"] = [scenario.id for scenario in self.first]
+        data = asdict(replace(self, crossings=None, around=None))
         data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
         data["kinds"] = tuple(kind.name for kind in self.kinds)
         if self.around is not None:
@@ -202,7 +198,6 @@ class SearchSpace:
             "drivers": (),
             "kinds": (),
             "row": (0.0, 0.0),
-            "first": (),
             "around": None,
             "ego_length": CAR.length,
         }

@@ -51,7 +51,6 @@ def search(runs=10, test=TEST, **more):
         "runs": runs,
         "random_runs": 5,
         "random_failing": 1,
-        "given": 0,
         **more,
     }
 
@@ -172,14 +171,6 @@ def test_failure_is_open_since_the_day_on_which_the_course_calls_it_new(course, 
     (requirement,) = table_of(*nights).requirements
     assert requirement.failures("open")[0].since == f"2026-11-{since} abc"
     assert [day.session.day for day in requirement.days if day.new][-1] == f"2026-11-{since}"
-
-
-def test_random_failures_are_those_of_the_last_search_without_given_scenarios():
-    course = [night(20), night(21, searches=[search(random_runs=20, random_failing=0), search(given=3)])]
-    (requirement,) = table_of(*course).requirements
-    last = requirement.searched
-    assert (requirement.runs, last.random_failing, last.random_runs) == (30, 0, 20)
-    assert "0 of 20, 0 % (95 %: at most 16.8 %) failed then" in "\n".join(text_lines(table_of(*course), course=False))
 
 
 def test_random_failures_are_collisions_and_failed_checks():

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import pytest_pafot
-from pytest_pafot import Highway, Manoeuvre, Run, Scenario, ScenarioError, Step, World, explore
+from pytest_pafot import Highway, Manoeuvre, Run, Scenario, ScenarioError, Step, World
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space
 from pytest_pafot.corpus.reader import parsed
@@ -326,20 +326,6 @@ def test_default_search_draws_a_quarter_of_a_registered_kind():
         Highway().check_fits(mutate(scenario, space, rng))
     for given in ({"algorithm": "pafot"}, {"instructions": "lanes"}, {"world": World("roundabout-v0")}):
         assert space_of(**given).kinds == ()
-
-
-def test_search_begins_with_a_saved_scenario_of_a_registered_kind(tmp_path):
-    register(Weave, drives="itself")
-    (tmp_path / PATH).write_text(text_of(plain_finding(scenario=Scenario(npcs=((weaving(beside=-1),),)))))
-    seen = []
-
-    def holds(run):
-        seen.append(run.trace.scenario.npcs[0][0])
-
-    explore(lambda: lambda _: (0.0, 0.0), holds=holds, runs=8, seed=0, instructions="manoeuvres", begin_with=tmp_path)
-    assert seen[0] == weaving(beside=-1)
-    space, rng = SearchSpace(npcs=1), np.random.default_rng(0)
-    assert {type(mutate(Scenario(npcs=((seen[0],),)), space, rng).npcs[0][0]) for _ in range(10)} == {Weave}
 
 
 def test_start_is_apart_from_those_of_all_kinds():

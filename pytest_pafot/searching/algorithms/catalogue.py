@@ -40,7 +40,6 @@ class AlgorithmClass:
     # the fitness that it maximises unless a different one is requested: a name or a function
     fitness: str | Fitness = "default"
     instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
-    begins_with_given: bool = False  # whether it begins with the scenarios in ``space.first``
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     draws_vehicles: bool = False  # whether NPCs are all vehicles that fit the world, if the mark does not name some
     batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once

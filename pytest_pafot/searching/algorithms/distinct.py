@@ -13,7 +13,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import Any, ClassVar
 
 from numpy.random import Generator
@@ -32,14 +31,12 @@ from pytest_pafot.searching.space import sample
 
 @dataclass(frozen=True, slots=True)
 class NicheSearch(GenerationalSearch[GenerationStateT]):
-    """A base class of searches that begin with given and random scenarios and then breed children of the best runs.
+    """A base class of searches that begin with random scenarios and then breed children of the best runs.
 
     Attributes:
         random_runs: number of random scenarios before the first children.
         crossover_rate: probability that two parents swap two NPCs.
     """
-
-    begins_with_given: ClassVar[bool] = True
 
     random_runs: int = field(default=20, kw_only=True)
     crossover_rate: float = field(default=0.5, kw_only=True)
@@ -49,23 +46,18 @@ class NicheSearch(GenerationalSearch[GenerationStateT]):
 
     @property
     def counted_at_first(self) -> float:
-        """The number of given scenarios at the beginning of a search; if there are none, that of random ones."""
-        return len(self.space.first) or max(self.population, self.random_runs)
+        """The number of random scenarios at the beginning of a search."""
+        return max(self.population, self.random_runs)
 
     def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Propose the space's first scenarios, then ``random_runs`` random ones, and more while there is no parent.
+        """Propose ``random_runs`` random scenarios, and more while there is no parent.
 
         All others are children.
         """
         parents = self.parents(state)
-        given = self.space.first[state.proposed : state.proposed + self.population]
-        to_come = len(self.space.first) + self.random_runs - state.proposed if parents else self.population
-        return state, chain(
-            given,
-            (
-                sample(self.space, rng) if index < to_come else self.child(parents, rng)
-                for index in range(len(given), self.population)
-            ),
+        to_come = self.random_runs - state.proposed if parents else self.population
+        return state, (
+            sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
         )
 
     @abstractmethod
@@ -102,7 +94,7 @@ class DistinctState(GenerationState):
 class DistinctSearch(NicheSearch[DistinctState]):
     """A search that varies the worst run of each niche, which is a kind of run, and drops runs with a known failure.
 
-    1. The first scenarios are those that the space gives, if any, and random ones, like the paper's first generation.
+    1. The first scenarios are random, like the paper's first generation.
     2. After them a third of the scenarios are random, and the others are children of the worst run of every niche. The
        niche of a run with an impact is the cell and closing speed of the impact. Without an impact, it is how the ego
        reacted (:func:`~pytest_pafot.searching.evaluation.demand_of`). So no kind of run displaces the others. For an

@@ -6,7 +6,6 @@ import pytest
 
 from pytest_pafot.door import ALGORITHMS
 from tests.plugin.test_algorithms import TEST, check_kinds
-from tests.plugin.test_begin_with import searched, theirs  # noqa: F401  (theirs is a fixture)
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +50,3 @@ def test_missing_library_error_gives_the_install_command(project, monkeypatch):
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*pip install 'pytest-pafot?search?'*"])
-
-
-def test_map_elites_begins_with_them_too(project, theirs):
-    pytest.importorskip("ribs")
-    assert searched(project, f"--pafot-begin-with={theirs}", "--pafot-algorithm=map-elites")[1]["given"] == 2
