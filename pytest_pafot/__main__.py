@@ -209,7 +209,7 @@ def _run(given: list[str]) -> int:
             )
             return BAD_USE
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
-    own = given.index("--") if given[:1] in (["search"], ["requirements"]) and "--" in given else len(given)
+    own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
     arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
     if unknown:  # The parser itself would print the usage of all commands.
         which = commands.choices[arguments_given.command]

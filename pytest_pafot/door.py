@@ -57,13 +57,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         "avoids it, and where nobody does.",
         is_gate=True,
     ),
-    "requirements": Command(
-        f"{EXTRAS}.requirements",
-        "tell which requirements are tested, what is open, since when, and whose it is",
-        "Let pytest collect the tests, without running them, and print for each requirement that a mark names its "
-        "tests, what fails, what is accepted, fixed or drifted, and how far it was searched. What sessions saw of it "
-        "is read from their results, the files of --pafot-json.",
-    ),
 })  # fmt: skip
 """The commands of the extras by name."""
 

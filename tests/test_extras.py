@@ -151,16 +151,6 @@ def test_check_world_accepts_a_right_world_and_names_what_is_wrong():
 
 
 @pytest.mark.processes
-def test_requirements_lists_what_is_tested_and_open(told, here):
-    (here / "test_it.py").write_text(
-        "import pytest_pafot as pafot\n"
-        "@pafot.search(ads=lambda: None, requirement='R-1')\ndef test_it(run):\n    pass\n"
-    )
-    code, text = told("requirements")
-    assert (code, "R-1" in text) == (0, True), text
-
-
-@pytest.mark.processes
 def test_executor_of_any_kind_makes_the_runs_of_a_search(project):  # noqa: F811
     project.write(
         "from concurrent.futures import ThreadPoolExecutor\n\n"

@@ -24,7 +24,7 @@ CORE = (
 )  # fmt: skip
 EXTRAS = (
     "resumable", "algorithms", "executors", "policies", "testing", "comparison", "episodes", "training",
-    "export", "sweeps", "requirements", "sumo",
+    "export", "sweeps", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
 """The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""

@@ -104,9 +104,6 @@ MARKER_TEXTS: Mapping[str, str] = {
     "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
     '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
     "around": "The recording that all scenarios vary, or a scenario of it.",
-    "requirement": "[What the test checks](../guide/requirements.md): an id or a list.",
-    "title": "What the requirement asks for.",
-    "owner": "Who answers for the test.",
     "decision_limit": "Slowest decision that is no finding [s], by the wall clock.",
     "acts": "Of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
     "gene_seconds": "Duration of one gene [s].",
@@ -128,9 +125,6 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "around": "none",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
-    "requirement": "none",
-    "title": "the docstring",
-    "owner": "none",
 }
 """Defaults that no dataclass contains."""
 

@@ -145,7 +145,6 @@ class SearchSummary:
             in how many only one failed. Null if there was nothing to decide.
         no_worse: headlines by id of new findings that do not count, because the reference fails as often.
         warnings, notes: on its health, and other remarks.
-        requirements, title, owner: of its test: ids, what they ask for, who answers.
     """
 
     node_id: str
@@ -194,9 +193,6 @@ class SearchSummary:
     no_worse: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    requirements: tuple[str, ...] = ()  # these three are known only to the controller
-    title: str = ""
-    owner: str = ""
     # for the page alone: numbers of runs by outcome, and by who was responsible
     outcomes: Mapping[str, int] = field(default_factory=dict)
     responsibilities: Mapping[str, int] = field(default_factory=dict)

@@ -117,9 +117,6 @@ class SearchArguments(TypedDict, total=False):
     debug: bool
     strict_drift: bool
     strict_health: bool
-    requirement: str | Sequence[str]
-    title: str
-    owner: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -52,7 +52,6 @@ COLUMNS: Mapping[str, str] = {
     "least_time_to_contact": "with an NPC [s]",
     "hardest_braking": "of the ego [m/s^2]",
     "margins": "JSON: the worst of each check, negative if it failed",
-    "requirements": "of the test: ids, with commas between them",
 }
 """The columns of the table in their order, with their meaning. A cell without a value is empty."""
 
@@ -64,7 +63,6 @@ class RunTable:
     """A collector of rows from the events of a search."""
 
     test: str = ""
-    requirements: str | None = None
     seed: int = 0
     number: int = 0
     rows: list[Row] = field(default_factory=list)
@@ -92,7 +90,7 @@ class RunTable:
 
     def _add(self, row: Row) -> None:
         self.number += 1
-        of_search = {"test": self.test, "requirements": self.requirements, "seed": self.seed}
+        of_search = {"test": self.test, "seed": self.seed}
         self.rows.append(row | of_search | {"run": self.number})
 
 

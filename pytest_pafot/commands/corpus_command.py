@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing.add_argument("--where", action="append", type=condition, default=[], metavar="COLUMN=TEXT", help=of_where)
     of_states = f"results of a session, from {flag('json')}; the last file that has a scenario tells its state"
     listing.add_argument("--results", help=of_states, **results)
-    of_no_tests = "read only the files, without the requirements and owners of tests"
+    of_no_tests = "read only the files, without asking whether their tests are gone"
     listing.add_argument("--no-tests", action="store_true", help=of_no_tests)
     of_today = "the day with which last days of accepted failures are compared (default: today)"
     listing.add_argument("--today", type=day_argument, metavar="YYYY-MM-DD", help=of_today)
@@ -184,11 +184,11 @@ def _inventory(collecting: Future[Inventory]) -> Inventory:
         found = collecting.result()  # An interrupt comes here, and not in the thread that collects.
     except RequestError as error:
         found = Inventory(root=Path(), problem=str(error))
-    lines = found.problem.splitlines() or ([] if found.tests else ["no test found here"])
+    lines = found.problem.splitlines()
     errors = [line for line in lines if line.startswith("ERROR")]
     if lines:
         why = (errors or lines)[-1]
-        sys.stderr.write(f"corpus: some requirements and owners are not known: {visible(why)}; --no-tests is quicker\n")
+        sys.stderr.write(f"corpus: some tests are not known: {visible(why)}; --no-tests is quicker\n")
     return found
 
 

@@ -21,14 +21,13 @@ from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import ascii_text, wrapped_to
-from pytest_pafot.support.traced import Traced
 
-COLUMNS = ("id", "test", "what", "severity", "breadth", "who", "requirement", "owner", "state", "since")
+COLUMNS = ("id", "test", "what", "severity", "breadth", "who", "state", "since")
 
 GAP = "  "
 """The space between two columns of text."""
 
-BELOW = ("what", "test", "since", "requirement", "owner", "who", "breadth", "state", "severity")
+BELOW = ("what", "test", "since", "who", "breadth", "state", "severity")
 """The columns that move to a line of their own below a row that is too wide. Those at the end stay if they fit."""
 
 
@@ -39,14 +38,12 @@ class Row:
     Attributes:
         saved: the file with its finding, or with the reason why it cannot be read.
         severity: how bad the failure is; None if nothing measures it, or if an older file does not store it.
-        traced: what the marks of its test say.
         state: what has become of it, in words.
         since: the commit that added the file; None if that is not known.
     """
 
     saved: Saved
     severity: Severity | None
-    traced: Traced
     state: str
     since: Since | None
 
@@ -62,8 +59,6 @@ class Row:
             "severity": "" if self.severity is None else str(self.severity),
             "breadth": "" if broad is None else broad.word,
             "who": "" if finding is None else finding.expect.responsibility,
-            "requirement": self.traced.ids,
-            "owner": self.traced.owner,
             "state": self.state,
             "since": "" if self.since is None else " ".join(self.since),
         }
@@ -81,8 +76,6 @@ class Row:
         """The row as plain data, for programs."""
         return data_of(self.saved) | {
             "severity": None if self.severity is None else asdict(self.severity),
-            "requirements": list(self.traced.requirements),
-            "owner": self.traced.owner,
             "state": self.state,
             "since": None if self.since is None else dict(zip(("commit", "day"), self.since, strict=True)),
         }
@@ -129,12 +122,11 @@ def rows_of(
 
     Args:
         files: the files as read.
-        inventory: the tests, and which of them replays which file.
+        inventory: the saved scenarios whose test is gone.
         added: the commit that added each file, see :func:`~pytest_pafot.commands.history.added_in`.
         labels: the labels of replays, see :func:`labels_in`.
         today: the day with which the last days of accepted failures are compared.
     """
-    tests = {place_of(inventory.root / file): inventory.tests.get(test) for file, test in inventory.files.items()}
     orphans = {place_of(inventory.root / file) for file in inventory.orphans}
     rows = []
     for saved in files:
@@ -144,7 +136,6 @@ def rows_of(
             Row(
                 saved=saved,
                 severity=None if finding is None else Severity.in_file(finding.expect),
-                traced=tests.get(place) or Traced(),
                 state=state,
                 since=added.get(place),
             )
@@ -208,10 +199,10 @@ def checked_column(name: str) -> str:
 
 
 def condition(text: str) -> tuple[str, str]:
-    """Return the column and the text of a condition such as ``owner=Ann``."""
+    """Return the column and the text of a condition such as ``who=ego``."""
     column, separator, wanted = text.partition("=")
     if not separator:
-        raise RequestError(f"expected COLUMN=TEXT, such as owner=Ann, received {text!a:.50}")
+        raise RequestError(f"expected COLUMN=TEXT, such as who=ego, received {text!a:.50}")
     return checked_column(column), wanted
 
 

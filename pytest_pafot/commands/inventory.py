@@ -1,4 +1,4 @@
-"""The inventory of tests, of the requirements that they check and of the files that they replay; pytest collects it."""
+"""The inventory of saved scenarios whose test is gone; pytest collects it."""
 
 from __future__ import annotations
 
@@ -12,27 +12,22 @@ from pathlib import Path
 from typing import Self
 
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.text import visible, visible_lines
-from pytest_pafot.support.traced import Traced
+from pytest_pafot.support.text import visible_lines
 
 SHOWN = 20  # the largest number of lines of pytest's output that an error repeats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inventory:
-    """The tests that pytest collects in the current folder.
+    """What pytest collects in the current folder.
 
     Attributes:
         root: the rootdir, to which all paths are relative.
-        tests: by node id, without the parts of pytest-pafot; of the tests that a mark of this plugin names.
-        files: the saved scenarios that a test replays, by path, each with the node id of its test.
         orphans: the saved scenarios whose test is gone, by path, each with what was expected.
-        problem: why some tests are not known; empty if all were collected.
+        problem: why some files are not known; empty if all were collected.
     """
 
     root: Path
-    tests: Mapping[str, Traced] = field(default_factory=dict)
-    files: Mapping[str, str] = field(default_factory=dict)
     orphans: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
 
@@ -59,16 +54,8 @@ class Inventory:
                     f"expected pytest to collect the tests here, received exit code {ended.returncode} and{said}"
                 )
             data = json.loads(told.read_text(encoding="ascii"))
-        # In the order of their names, since a plugin may shuffle the tests of each session anew.
-        marked = dict(sorted(data["tests"].items()))
-        wrong = [f"{test}: {visible(error)}" for test, error in sorted(data["wrong"].items())]
         return cls(
             root=Path(data["root"]),
-            tests={
-                test: Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"])
-                for test, each in marked.items()
-            },
-            files=data["files"],
             orphans=data["orphans"],
-            problem="\n".join([*wrong, *([visible_lines(output)] if data["failed"] else [])]),
+            problem=visible_lines(output) if data["failed"] else "",
         )

@@ -48,8 +48,7 @@ def pytest_addhooks(pluginmanager: pytest.PytestPluginManager) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marks, and a separate plugin for each feature that the options turn on."""
     for line in (
-        f"{ANY_MARK}(requirement, title, owner): every test that belongs to pytest-pafot, to select all of them, or to "
-        "say which requirement a test checks",
+        f"{ANY_MARK}: every test that belongs to pytest-pafot, to select all of them",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
         f"{CATALOGUE_MARK}(*names, **values): drive named scenarios; write @pafot.catalogue(...)",
         f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
@@ -116,10 +115,6 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
     if any(item.get_closest_marker(CATALOGUE_MARK) for item in session.items):
         _drive_catalogue(config)  # hooks may add the mark after the collection
-    if marked:
-        from pytest_pafot.plugin.tracing import set_properties_of  # noqa: PLC0415
-
-        set_properties_of(marked)
     driven = config.stash[DRIVEN]
     driven.update(item.nodeid for item in session.items if is_driven(item))
     is_marked = bool(marked or driven)

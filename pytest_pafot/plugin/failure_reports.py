@@ -25,9 +25,7 @@ from pytest_pafot.plugin.marks import is_driven
 from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
-from pytest_pafot.support.traced import Traced
 
 SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
@@ -110,14 +108,12 @@ class Failures:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-        """Shorten the report of a search, a replay or a named scenario that fails; name the requirement it breaks."""
+        """Shorten the report of a search, a replay or a named scenario that fails."""
         marked = is_driven(item)
         if call.excinfo is None or not marked:
             report = yield
             if marked:
                 _shorten_output(report)
-            if report.failed and traced(item).requirements:
-                summarise(report, "")
             return report
         option, is_brief = item.config.option, is_compact(item.config)
         style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off
@@ -184,17 +180,11 @@ def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
 
 
 def summarise(report: pytest.TestReport, text: str) -> None:
-    """Set a report's line in the short summary to a text; if it is empty, to the first line of the failure message.
-
-    The line begins with the ids of the requirements that the test checks.
-    """
+    """Set a report's line in the short summary to a text; if it is empty, to the first line of the failure message."""
     crash = getattr(report.longrepr, "reprcrash", None)
-    ids = Traced.of_properties(report.user_properties).ids
-    if isinstance(report.longrepr, str) and report.failed and ids:  # an accepted failure that passes now
-        report.longrepr = f"{ids}: {report.longrepr}"
     if crash is not None:
         first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
-        crash.message = visible(": ".join(filter(None, [ids, text or first])))
+        crash.message = visible(text or first)
 
 
 def _make_visible(report: pytest.TestReport) -> None:

@@ -16,7 +16,6 @@ from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.tracing import traced
 from pytest_pafot.support.errors import rerun
 
 
@@ -63,7 +62,6 @@ def send_sighting(
             view = replace(
                 finding_view(sighting, note=note, check=check),
                 label=label_of(sighting) if sighting.label is Label.NEW else f"{sighting.label}{accepted}",
-                traced=traced(item).described if traced(item).requirements else "",
                 command=rerun(["pytest", shown], os.environ, *options, saved=saved),
             )
             data["view"] = messages.packed(view)

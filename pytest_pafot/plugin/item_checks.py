@@ -29,7 +29,6 @@ from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.plugin.tracing import read
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.text import meant, visible, wrapped_to
 
@@ -45,10 +44,6 @@ class Checks:
         """Fail a marked item that cannot run as it is written; skip a search that is to run no generations."""
         # No __tracebackhide__: pytest 9 adds a line about hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
-        try:
-            read(item)
-        except ValueError as error:
-            raise pytest.fail.Exception(str(error), pytrace=False) from None
         if arguments is None and item.get_closest_marker(CATALOGUE_MARK) is not None:
             try:
                 _check_function(item)

@@ -23,7 +23,6 @@ WORLD_FIXTURE = "pafot_world"
 EXECUTOR_FIXTURE = "pafot_executor"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
-TRACING = ("requirement", "title", "owner")  # arguments of any mark, which say what a test is for
 POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
@@ -55,7 +54,7 @@ def catalogue(*names: Any, **values: Any) -> Any:
         names: the names of entries, such as ``r157/cut-in``, or of groups, such as ``r157``; by default all. A
             ``pafot.Recording`` in the place of a name stands for the scenarios around its vehicles.
         values: other values for parameters of the entries, such as ``ego_speed=60 / 3.6``; and as for ``@pafot.search``
-            ``ads``, the factory or the name of its fixture, ``world``, and ``requirement``, ``title`` and ``owner``.
+            ``ads``, the factory or the name of its fixture, and ``world``.
     """
     if len(names) == 1 and not values and callable(names[0]) and not hasattr(type(names[0]), "entries"):  # no recording
         return catalogue()(names[0])
@@ -65,9 +64,8 @@ def catalogue(*names: Any, **values: Any) -> Any:
         ads = values.get("ads", DEFAULT_ADS)
         fixtures = [WORLD_FIXTURE, *([ads] if isinstance(ads, str) and ":" not in ads else [])]
         function = pytest.mark.usefixtures(*fixtures)(function)
-        entries, tracing = _parted(values)
-        function = getattr(pytest.mark, CATALOGUE_MARK).with_args(*names, **entries)(function)
-        return getattr(pytest.mark, ANY_MARK)(**tracing)(function)
+        function = getattr(pytest.mark, CATALOGUE_MARK).with_args(*names, **values)(function)
+        return getattr(pytest.mark, ANY_MARK)(function)
 
     return decorated
 
@@ -108,15 +106,8 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
     fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *names]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)
-    of_search, tracing = _parted(arguments)
-    target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **of_search)(target)
-    return getattr(pytest.mark, ANY_MARK)(**tracing)(target)
-
-
-def _parted(arguments: Mapping[str, object]) -> tuple[dict[str, object], dict[str, object]]:
-    """Part the arguments of a decorator into its own and those on requirements, which are arguments of any mark."""
-    own = {name: value for name, value in arguments.items() if name not in TRACING}
-    return own, {name: value for name, value in arguments.items() if name in TRACING}
+    target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)
+    return getattr(pytest.mark, ANY_MARK)(target)
 
 
 def is_driven(item: pytest.Item) -> bool:

@@ -15,7 +15,6 @@ from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.messages import AS_SAVED, Message
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.support.errors import rerun
-from pytest_pafot.support.traced import Traced
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.events import SearchSummary
@@ -40,7 +39,6 @@ class Record:
         self.neighbour_seconds = 0.0  # the time that neighbours of replayed scenarios took [s]
         self.results: dict[str, list[str]] = {}  # of the phases
         self.reasons: dict[str, str] = {}  # the line of the short summary, or the first line of the text
-        self.traced: dict[str, Traced] = {}  # the requirements of items whose marks name any
         self.incomparable: dict[str, None] = {}  # items whose policy could not be compared with its reference
         self.compared: list[str] = []
         self.warnings: list[str] = []
@@ -102,15 +100,12 @@ class Record:
 
     def _take_phase(self, report: pytest.TestReport) -> None:
         """Take the result of a phase. A saved scenario that failed without a message could not be read or run."""
-        node_id, traced = report.nodeid, Traced.of_properties(report.user_properties)
+        node_id = report.nodeid
         when: str = report.when
         if when == "???":  # pytest-xdist: the worker died, so the item has no result and says nothing of itself
             self.reasons.setdefault(node_id, str(report.longrepr))
-            self.traced.setdefault(node_id, traced)
             return
-        if traced:
-            self.traced[node_id] = traced
-        elif SEARCH_MARK not in report.keywords:
+        if SEARCH_MARK not in report.keywords:
             return
         if when == "call" or not report.passed:  # A setup that passed is not yet a result.
             self.results.setdefault(node_id, []).append(_result(report))
@@ -119,7 +114,7 @@ class Record:
         crash = getattr(report.longrepr, "reprcrash", None)
         text = report.longreprtext if crash is None else str(crash.message)
         self.reasons.setdefault(node_id, next((line.strip() for line in text.splitlines() if line.strip()), ""))
-        if node_id in self.sightings or SEARCH_MARK not in report.keywords:
+        if node_id in self.sightings:
             return
         if SAVED_MARK in report.keywords:
             saved = json.loads(getattr(report, AS_SAVED))

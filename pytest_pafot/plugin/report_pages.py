@@ -18,7 +18,6 @@ from pytest_pafot.plugin.messages import Message, received, unpacked
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
-from pytest_pafot.support.traced import Traced, counted
 
 if TYPE_CHECKING:
     from pytest_pafot.report.page import Draft
@@ -98,7 +97,6 @@ class Pages:
                 if self._targets.get(each.node_id) == path and each.reason is not Ending.REPLAYS
             ],
             replays=[each for each in self._record.replays if self._targets.get(each.node_id) == path],
-            requirements=self._requirements(draft),
         )
         lines = self._config.stash[SUMMARY_LINES]
         problem = not_written(
@@ -109,13 +107,6 @@ class Pages:
         )
         if problem:
             lines.problems.append(f"{flag('report', draft.target)}: not written: {problem}")
-
-    def _requirements(self, draft: Draft) -> list[tuple[Traced, int]]:
-        """Return each requirement with its number of failures: findings, and tests that failed without one."""
-        return counted(
-            (named, node_id in self._record.reasons and (node_id in draft.findings or node_id not in self._shown))
-            for node_id, named in sorted(self._record.traced.items())
-        )
 
     def _completed(self, finding: RunView) -> RunView:
         """Return a finding with its number of runs and its label, which are known only at the end of its search."""

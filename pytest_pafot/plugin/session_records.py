@@ -12,7 +12,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,7 +121,6 @@ class Records:
     def _made(self, code: int | None) -> SessionRecord:
         """Make the record of the session so far; ``code`` is its exit code, None before its end."""
         from pytest_pafot.report.session_record import (  # noqa: PLC0415
-            ItemRecord,
             SessionRecord,
             finding_entry,
             same_everywhere,
@@ -131,11 +130,8 @@ class Records:
 
         record, same = self._record, partial(same_everywhere, root=str(self._config.rootpath))
 
-        def item(node_id: str) -> dict[str, Any]:
-            """Return what is known of an item: the result, and the requirements that its test checks."""
-            traced = record.traced.get(node_id)
-            named = {} if traced is None else {**asdict(traced), "requirements": list(traced.requirements)}
-            return {"result": worst(record.results.get(node_id, ())), **named}
+        def result(node_id: str) -> str:
+            return worst(record.results.get(node_id, ()))
 
         def message(node_id: str) -> str:
             return same(record.reasons.get(node_id, ""))
@@ -152,7 +148,7 @@ class Records:
                 # Only a search that has ended has counted the runs that fail like its findings.
                 runs = 1 + record.new[node_id].repeats if node_id in record.new else 0
                 known = {"headline": same(seen.headline), "detail": same(seen.detail), "runs": runs}
-            findings.append(finding_entry(seen, **known, **item(node_id)))
+            findings.append(finding_entry(seen, **known, result=result(node_id)))
         # A search that runs now has an empty record, which is what a session that is killed leaves of it.
         searches = {**record.unbegun, **record.searches, **record.running}
         return SessionRecord(
@@ -161,14 +157,10 @@ class Records:
             day=self._config.getoption(BY_NAME["today"].key),
             versions=installed_versions(),
             searches=[
-                replace(search, message=message(node_id), **item(node_id))
+                replace(search, message=message(node_id), result=result(node_id))
                 for node_id, search in sorted(searches.items())
             ],
             findings=findings,
-            tests=[
-                ItemRecord(node_id=each, message=message(each), **item(each))
-                for each in sorted(record.traced.keys() - searches.keys() - sightings.keys())
-            ],
             compared=list(dict.fromkeys(record.compared)),
             orphans=self._orphans() if code is not None else [],
             warnings=sorted([*record.warnings, *self._lines.warnings]),

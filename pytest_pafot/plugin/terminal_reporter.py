@@ -214,7 +214,6 @@ class Reporter:
             notes=[*record.notes],
             again=rerun(["pytest", "FILE"], os.environ, saved="ID"),
             incomparable=[*record.incomparable],
-            traced=record.traced,
         )
         width = self._config.stash[SHARED].width
         return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)

@@ -37,7 +37,6 @@ from pytest_pafot.support.errors import flag
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.markup import content_hash, json_in_script
 from pytest_pafot.support.text import plural, visible_lines
-from pytest_pafot.support.traced import Traced
 from pytest_pafot.support.versions import installed_versions
 
 # The HTML that the report page has without its scripts: a list of findings, an article on each, and each search.
@@ -112,13 +111,13 @@ def finding_list(findings: Sequence[RunView]) -> str:
     tests: dict[str, dict[str, list[str]]] = {}
     labels: dict[str, set[str]] = {}  # of each test; a label that all its findings have is said in its heading
     for finding in findings:
-        labels.setdefault(finding.group[0], set()).add(finding.label.partition(" (")[0])
+        labels.setdefault(finding.test[0], set()).add(finding.label.partition(" (")[0])
     for index, (key, finding) in enumerate(zip(finding_keys(findings), findings, strict=True)):
         meta = ", ".join(_tags(finding))
         # The text that the filter searches.
         searched = [finding.node_id, finding.headline, finding.assertion, meta, finding.path]
-        words = " ".join([*searched, *([finding.traced] if finding.traced else [])]).lower()
-        heading, parameters = finding.group
+        words = " ".join(searched).lower()
+        heading, parameters = finding.test
         kind, badge = _kind(finding), "" if len(labels[heading]) == 1 else finding.label.partition(" (")[0]
         name, dash, number = finding.id.rpartition("-") if "-" in finding.id else (finding.id, "", "")
         tests.setdefault(heading, {}).setdefault(parameters, []).append(
@@ -137,13 +136,13 @@ def finding_list(findings: Sequence[RunView]) -> str:
         + (plural(counts[name], WHO[name]) if name in ("check", "error") else f"{counts[name]} {WHO.get(name, name)}")
         for name in names
     )
-    is_one = len(tests) == 1 and not findings[0].traced and list(tests[findings[0].group[0]]) == [""]
+    is_one = len(tests) == 1 and list(tests[findings[0].test[0]]) == [""]
     said = {test: min(each) for test, each in labels.items() if len(each) == 1}
     if len(said) == len(tests) and len(set(said.values())) == 1 and (same := min(said.values())):
         said, summary = {}, f"{summary}; {'all ' if len(findings) > 1 else ''}{same}"
     above = f'<p class="summary">{text(summary)}</p>{_filter(findings) if len(findings) > 1 else ""}'
     if is_one:
-        return f'{above}<div class="rows"><ol>{"".join(tests[findings[0].group[0]][""])}</ol></div>'
+        return f'{above}<div class="rows"><ol>{"".join(tests[findings[0].test[0]][""])}</ol></div>'
     listed = f'{above}<div class="rows">'
     for place, (title, policies) in enumerate(tests.items()):
         count = ", ".join(filter(None, [str(sum(map(len, policies.values()))), text(said.get(title, ""))]))
@@ -189,21 +188,6 @@ def further_section(findings: Sequence[RunView], whole: int) -> str:
     return (
         f'<section class="campaigns" id="further" aria-label="Further findings"><h2>{count}</h2>'
         f'<p class="note">{note}</p><div class="scroll">{listed}</div></section>'
-    )
-
-
-def requirement_section(requirements: Sequence[tuple[Traced, int]]) -> str:
-    """Return an HTML table of the requirements and of what is open of them; an empty text if there are none."""
-    if not requirements:
-        return ""
-    rows = (
-        row(text(named.ids), text(named.title), text(named.owner), text(plural(count, "failure") if count else "none"))
-        for named, count in requirements
-    )
-    listed = table(columns("requirement", "title", "owner", "open in this session"), rows)
-    return (
-        '<section class="campaigns" id="requirements" aria-label="Requirements"><h2>Requirements</h2>'
-        f'<div class="scroll">{listed}</div></section>'
     )
 
 
@@ -265,7 +249,6 @@ def finding_article(finding: RunView, index: int) -> str:
         besides,
         copyable(finding.command) if finding.command else "",
         f'<ul class="tags">{"".join(map(_tag, tags))}</ul>',
-        f'<p class="test">{text(finding.traced)}</p>' if finding.traced else "",
         "</header>",
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         _happened_section(finding.happened) if finding.happened else "",
@@ -429,9 +412,7 @@ def render_page(report: Report) -> str:
         interrupted=INTERRUPTED if report.is_interrupted else "",
         count=len(report.findings) if not report.further else f"{len(report.findings)} of {total}",
         errors=errors,
-        further=further_section(report.further, len(report.findings))
-        + requirement_section(report.requirements)
-        + parameter_section(report.searches),
+        further=further_section(report.further, len(report.findings)) + parameter_section(report.searches),
         list=(finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>') + link,
         articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
         searches=(section if searches else "") + _session_section(report),
@@ -501,7 +482,6 @@ class Draft:
         is_interrupted: bool,
         searches: Sequence[SearchSummary] = (),
         replays: Iterable[Sighting] = (),
-        requirements: Iterable[tuple[Traced, int]] = (),
     ) -> Report:
         """Return the finished report, in an order that does not depend on which item ran first.
 
@@ -511,16 +491,15 @@ class Draft:
         ranked = sorted(findings, key=_rank)
         whole = [self._completed(finding) for finding in ranked[:WHOLE]]
         # The worst test first, of each test the worst parameters, and of these the worst finding.
-        groups = list(dict.fromkeys(finding.group for finding in whole))
+        groups = list(dict.fromkeys(finding.test for finding in whole))
         tests = list(dict.fromkeys(test for test, _ in groups))
         return Report(
             title=f"{project}: {_numbers(ranked, errors)}",
             facts=tuple(_facts(searches, replays)),
             command=command,
-            findings=tuple(sorted(whole, key=lambda each: (tests.index(each.group[0]), groups.index(each.group)))),
+            findings=tuple(sorted(whole, key=lambda each: (tests.index(each.test[0]), groups.index(each.test)))),
             further=tuple(map(_as_row, ranked[WHOLE:])),
             searches=tuple(sorted(searches, key=lambda search: search.node_id)),
-            requirements=tuple(requirements),
             errors=errors,
             is_interrupted=is_interrupted,
         )

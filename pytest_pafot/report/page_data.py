@@ -15,7 +15,6 @@ from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.finding import IN_MEMORY
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.support.traced import Traced
 
 Numbers = tuple[float | None, ...]
 Pose = tuple[float, float, float]
@@ -234,7 +233,6 @@ class RunView:
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
         runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
         label: ``new``, ``still failing``, ``flaky`` and so on.
-        traced: the requirements that its test checks, with their title and owner, on one line.
         vehicles: the ego, then the NPCs.
         times: times of the frames; empty if no run was recorded.
         instructions: instructions to all NPCs, ordered by NPC and gene.
@@ -258,7 +256,6 @@ class RunView:
     command: str
     runs: int = 1
     label: str = ""
-    traced: str = ""
     sentences: tuple[str, ...] = ()
     besides: str = ""
     assertion: str = ""
@@ -296,12 +293,6 @@ class RunView:
         return function, parameters.removesuffix("]")
 
     @property
-    def group(self) -> tuple[str, str]:
-        """The headings under which the page lists it: requirements and name of its test, and the test's parameters."""
-        function, parameters = self.test
-        return ": ".join(filter(None, [self.traced, function])), parameters
-
-    @property
     def is_crossed(self) -> bool:
         """True if an NPC crosses."""
         return any(vehicle.zone is not None for vehicle in self.vehicles)
@@ -326,7 +317,6 @@ class Report:
         command: command that started the session.
         findings, searches: in the order in which they are listed.
         further: findings that the page shows only as rows of a table, the worst first, without their runs and texts.
-        requirements: the requirements that the session tested, each with its number of failures.
         is_interrupted: whether the session was interrupted.
     """
 
@@ -336,7 +326,6 @@ class Report:
     findings: tuple[RunView, ...] = ()
     searches: tuple[SearchSummary, ...] = ()
     further: tuple[RunView, ...] = ()
-    requirements: tuple[tuple[Traced, int], ...] = ()
     errors: Errors = ()
     is_interrupted: bool = False
 

@@ -27,7 +27,6 @@ from pytest_pafot.findings.sighting import Sighting, passing
 from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import capitalised, plural, quiet_json
-from pytest_pafot.support.traced import Traced, counted
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
@@ -193,9 +192,6 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "`reason`, `until` and `flaky` of an accepted failure, or null.",
         None, lambda seen: _acceptance_of(seen.finding),
     ),
-    "requirements": Key("as for a search.", []),
-    "title": Key("as for a search.", ""),
-    "owner": Key("as for a search.", ""),
 })  # fmt: skip
 """The keys of an entry on a saved scenario that was replayed, or on a new finding."""
 
@@ -207,25 +203,6 @@ def finding_entry(sighting: Sighting | None, **more: Any) -> dict[str, Any]:
     """
     values = (copy(key.nothing) if sighting is None or key.of is None else key.of(sighting) for key in FINDING.values())
     return dict(zip(FINDING, values, strict=True)) | more
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ItemRecord:
-    """A test that names a requirement or an owner, and is neither a search nor the replay of a saved scenario.
-
-    An item whose process of pytest-xdist died is one as well, whatever it is, with an empty result.
-
-    Attributes:
-        node_id, result, message: of its item, as for a search.
-        requirements, title, owner: as for a search.
-    """
-
-    node_id: str
-    result: str = ""
-    message: str = ""
-    requirements: list[str] = field(default_factory=list)
-    title: str = ""
-    owner: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,8 +231,7 @@ class SessionRecord:
         exit: pytest's exit code; null while the session runs, or if it was killed.
         commit, day: values of `--pafot-commit` and `--pafot-today`, or null.
         versions: of the packages on which a run depends.
-        searches, findings, tests: in the order of node ids; `findings` are new or replayed, `tests` others that name a
-            requirement or an owner.
+        searches, findings: in the order of node ids; `findings` are new or replayed.
         compared: lines on what was compared with a reference, or why nothing was.
         orphans: folders of saved scenarios without a test.
         warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
@@ -267,7 +243,6 @@ class SessionRecord:
     versions: Mapping[str, str] = field(default_factory=dict)
     searches: list[SearchSummary] = field(default_factory=list)
     findings: list[dict[str, Any]] = field(default_factory=list)
-    tests: list[ItemRecord] = field(default_factory=list)
     compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -276,28 +251,8 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        parts = (self.searches, self.findings, self.tests, self.compared, self.orphans, self.problems)
+        parts = (self.searches, self.findings, self.compared, self.orphans, self.problems)
         return not any(parts)
-
-    @property
-    def failing(self) -> list[tuple[Traced, int]]:
-        """The requirements that the session tested, each with how many failures of it are not accepted.
-
-        A failure is a finding, or a test that fails without one.
-        """
-        by_finding = {each.node_id for each in self.searches if each.finds or each.unsaved}
-        tested = [*map(_traced, self.searches), *map(_traced, self.tests), *self.findings]
-        return counted(
-            (
-                Traced(requirements=tuple(each["requirements"]), title=each["title"], owner=each["owner"]),
-                each["result"] in FAILED and each["node_id"] not in by_finding,
-            )
-            for each in tested
-        )
-
-
-def _traced(item: SearchSummary | ItemRecord) -> dict[str, Any]:
-    return {name: getattr(item, name) for name in ("node_id", "result", "requirements", "title", "owner")}
 
 
 def to_text(record: SessionRecord) -> str:
@@ -365,12 +320,6 @@ def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
     for test, shares in parameter_shares(record.searches).items():
         worst_ones = [f"{code(share.parameters)} {share.result}" for share in shares if share.failing]
         yield from _listed(f"Parameters of {code(test)} that fail most", worst_ones, MAX_TOLD)
-    requirements = [
-        f"{code(named.ids)}{f' {plain(named.title)}' if named.title else ''}"
-        f"{f' ({plain(named.owner)})' if named.owner else ''}: {plural(count, 'failure') if count else 'no failure'}"
-        for named, count in sorted(record.failing, key=lambda each: (-each[1], each[0].ids))
-    ]
-    yield from _listed("Requirements", requirements)
     failed = [each for each in record.searches if each.result in FAILED]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
@@ -430,7 +379,6 @@ def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
         flaky = " as flaky" if xfail.get("flaky") else ""
         until = f" until {xfail['until']}" if xfail["until"] else ""
         parts.append(f"accepted{flaky}{until}: {plain(xfail['reason'] or '')}")
-    parts += [f"breaks {', '.join(map(code, entry['requirements']))}"] if entry["requirements"] else []
     yield f"- {': '.join(filter(None, [code(entry['test'] or entry['node_id']), '; '.join(filter(None, parts))]))}"
     moment = None if entry["moment"] is None else Moment(**entry["moment"])
     told = entry["sentences"] or ([] if moment is None else [str(moment)])

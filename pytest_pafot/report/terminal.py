@@ -11,7 +11,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from pytest_pafot.campaign.events import Ending, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
@@ -23,7 +23,6 @@ from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import command, flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
-from pytest_pafot.support.traced import Traced
 
 WIDTH = 80
 MINUTE, HOUR = 60, 3600
@@ -74,7 +73,6 @@ class SessionSummary:
         warnings: warnings about saved scenarios that are no longer accepted.
         again: the command that runs a single saved scenario.
         incomparable: node ids of tests whose policy could not be compared with its reference.
-        traced: requirements by the node ids of items, of those whose marks name any.
     """
 
     searches: Sequence[SearchSummary] = ()
@@ -90,7 +88,6 @@ class SessionSummary:
     notes: Sequence[str] = ()
     again: str = ""
     incomparable: Sequence[str] = ()
-    traced: Mapping[str, Traced] = field(default_factory=dict)
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -276,9 +273,7 @@ def failure_message(search: SearchSummary) -> str:
     return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky, *_unsaved_lines(search)])
 
 
-def search_lines(
-    search: SearchSummary, *, verbose: bool = False, width: int = WIDTH, traced: Traced | None = None
-) -> list[str]:
+def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
     """Summarise a search in a few lines; more if there is something to report."""
     # A search that made all that was asked for needs no counts here: the line of its runs and its end say them.
     asked = ((search.generations, search.asked, "generation"), (search.runs, search.budget, "run"))
@@ -300,9 +295,7 @@ def search_lines(
         share = f", {share}" if failing else share.removeprefix("0 %")
         lists.append(f"random scenarios: {failing} of {counted} failed by the ego's fault{share}{others}")
     lists += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
-    head = [traced.described] if traced else []
     lines = [
-        *(line for text in head for line in _wrapped(text, width)),
         *_wrapped(_figures(search), width, phrases=True),
         *(line for text in texts for line in _wrapped(text, width)),
         *(line for text in lists for line in _wrapped(text, width, phrases=True)),
@@ -440,7 +433,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
             *Severity.worst_first(each.responsible, each.severity, each.breadth),
             -each.repeats,
             each.node_id,
-            _measured(each, session.traced.get(each.node_id)),
+            _measured(each),
         )
         for each in (*(sighting for search in session.searches for sighting in search.finds), *failing)
     )
@@ -451,14 +444,13 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(sighting: Sighting, traced: Traced | None) -> str:
-    """Return a line with a failure's label and id, how bad it is, who is responsible, and what it breaks."""
-    breaks = f", breaks {traced.ids}" if traced is not None and traced.ids else ""
+def _measured(sighting: Sighting) -> str:
+    """Return a line with a failure's label and id, how bad it is, and who is responsible."""
     name = f"{sighting.label}: {sighting.id}{_parameters(sighting.finding.test)}"
     if sighting.severity is None:
-        return f"{name} has no measure{breaks}"
+        return f"{name} has no measure"
     who = f", {sighting.responsible} at fault" if sighting.severity.is_fault(sighting.responsible) else ""
-    return f"{name} {sighting.severity}{who}{breaks}"
+    return f"{name} {sighting.severity}{who}"
 
 
 def _parameters(test: str) -> str:
@@ -606,7 +598,7 @@ def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) ->
             lines.append(f"{search.node_id}: {_figures(search)}, ended: {search.reason}")
         else:
             new = replace(search, drawn="") if search.drawn in drawn and not verbose else search
-            lines += search_lines(new, verbose=verbose, width=width, traced=session.traced.get(search.node_id))
+            lines += search_lines(new, verbose=verbose, width=width)
             drawn.add(search.drawn)
     if not quiet:
         return lines

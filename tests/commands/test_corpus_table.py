@@ -199,16 +199,16 @@ def test_rows_are_filtered_by_texts_in_cells(here, capsys):
     assert ids(listed(capsys, "--where", "severity=")) == ["ab", "bb"]
     assert ids(listed(capsys, "--where=severity=", "--where=who=EGO")) == ["ab"]
     assert ids(listed(capsys, "--where=breadth=narrow")) == ["aa"]
-    assert _printed(capsys, "--where=owner=Ann") == "no saved scenarios\n"
+    assert _printed(capsys, "--where=since=May") == "no saved scenarios\n"
 
 
 @pytest.mark.parametrize(
     ("argument", "told"),
     [
-        ("--where=ownr=Ann", "received 'ownr'; did you mean owner?"),
+        ("--where=sinc=May", "received 'sinc'; did you mean since?"),
         ("--where==red", "received ''"),
         ("--where=colour=red", "received 'colour'"),
-        ("--where=owner", "expected COLUMN=TEXT, such as owner=Ann, received 'owner'"),
+        ("--where=who", "expected COLUMN=TEXT, such as who=ego, received 'who'"),
         ("--today=soon", "expected a day such as 2027-01-31, received 'soon'"),
     ],
 )
@@ -220,28 +220,24 @@ def test_a_wrong_column_or_condition_is_told_with_the_right_ones(here, capsys, a
     assert f"expected one of {', '.join(COLUMNS)}" in said or "=" in told or "day" in told
 
 
-OWNED = """
-import pytest
+OPEN = """
 import pytest_pafot as pafot
 
-@pafot.search(ads=lambda: lambda observation: (0.0, 0.0), requirement=["REQ-1", "REQ-2"], owner={owner!r})
+@pafot.search(ads=lambda: lambda observation: (0.0, 0.0))
 def test_x(run):
     assert not run.collision
 """
-FORMULA = '=HYPERLINK("http://x.org")|`@Bob` [a](b)'
 
 
 @pytest.mark.processes
-def test_requirement_and_owner_are_those_of_the_test(here, capsys):
-    (here / "test_it.py").write_text(OWNED.format(owner=FORMULA))
+def test_files_of_tests_that_are_gone_are_orphaned(here, capsys):
+    (here / "test_it.py").write_text(OPEN)
     save(here, finding("a"))
     save(here, finding("b"), test="test_gone")
     (row, gone) = listed(capsys, tests=True)
-    assert (row["requirement"], row["owner"], row["state"]) == ("REQ-1, REQ-2", FORMULA, "open")
-    assert (gone["requirement"], gone["owner"], gone["state"]) == ("", "", "orphaned")
+    assert (row["state"], gone["state"]) == ("open", "orphaned")
     assert main(["corpus", "list", "--json", "--where=id=a"]) == 0
     (data,) = json.loads(capsys.readouterr().out)
-    assert (data["requirements"], data["owner"], data["state"]) == (["REQ-1", "REQ-2"], FORMULA, "open")
     assert (data["severity"], data["neighbours"], data["since"], data["xfail_flaky"]) == (None, None, None, False)
 
 
@@ -249,19 +245,17 @@ def test_requirement_and_owner_are_those_of_the_test(here, capsys):
 @pytest.mark.parametrize(
     ("module", "why"),
     [
-        (None, "no test found here"),
         ("def broken(:\n", "ERROR test_it.py"),
         ("import nothing_\x1b[31m\n", "ERROR test_it.py"),
     ],
 )
 def test_a_list_goes_on_without_tests(here, capsys, module, why):
     save(here, finding("a"))
-    if module is not None:
-        (here / "test_it.py").write_text(module)
+    (here / "test_it.py").write_text(module)
     assert main(["corpus", "list"]) == 0
     told = capsys.readouterr()
     assert told.out.splitlines()[1].split()[0] == "a"
-    assert told.err.startswith(f"corpus: some requirements and owners are not known: {why}")
+    assert told.err.startswith(f"corpus: some tests are not known: {why}")
     assert told.err.endswith("; --no-tests is quicker\n")
     assert told.err.count("\n") == 1
     assert "\x1b" not in told.err
@@ -369,9 +363,9 @@ def rows_for(*cells):
 
 
 LONG = ("leader-unanswered-b7c133", "test_it[a]", "collision after 6.3 s: NPC 0 in cell 2 (front)",
-        "hits at 7.5 m/s", "broad", "ego", "REQ-1", "Ann", "still failing, accepted until 2027-01-31",
+        "hits at 7.5 m/s", "broad", "ego", "still failing, accepted until 2027-01-31",
         "1a2b3c4 2026-10-01")  # fmt: skip
-SHORT = ("a", "test_x", "gap 1 < 2 m", "", "", "none", "", "", "open", "")
+SHORT = ("a", "test_x", "gap 1 < 2 m", "", "", "none", "open", "")
 
 
 def test_a_wide_text_has_a_line_for_each_row():

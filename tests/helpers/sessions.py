@@ -33,7 +33,7 @@ from pytest_pafot import __main__
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.commands import search_command
 from pytest_pafot.execution.pool import START_METHOD
-from pytest_pafot.report.session_record import FINDING, VERSION, ItemRecord, SessionRecord
+from pytest_pafot.report.session_record import FINDING, VERSION, SessionRecord
 from pytest_pafot.world import Highway
 
 INTERRUPTIBLE = (
@@ -60,8 +60,7 @@ def read_record(text):
     searches = [SearchSummary(**each) for each in plain.pop("searches")]
     findings = [Entry(each) for each in plain.pop("findings")]
     assert all(each.keys() == FINDING.keys() for each in findings)
-    tests = [ItemRecord(**each) for each in plain.pop("tests")]
-    return SessionRecord(searches=searches, findings=findings, tests=tests, **plain)
+    return SessionRecord(searches=searches, findings=findings, **plain)
 
 
 def section(result, name):

@@ -6,7 +6,6 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
-from pytest_pafot.plugin.marks import TRACING
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.session import misspelt
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
@@ -190,7 +189,6 @@ def test_search_arguments_match_the_table_of_options():
         "decision_limit",
         *ROAD_ARGUMENTS,
         *SPACE_ARGUMENTS,
-        *TRACING,
     }
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options

@@ -69,7 +69,6 @@ def test_every_record_is_read_as_it_was_written(record):
             finds=[find.id for find in search.finds],
             warnings=list(search.warnings),
             notes=list(search.notes),
-            requirements=list(search.requirements),
             seconds=0.0,
             process_notes=(),
         )

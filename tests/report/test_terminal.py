@@ -129,7 +129,6 @@ def test_parameters_of_a_test_that_fail_most_are_first():
         tried("fair", 0),
         tried("good", 1, 19, finds=finds),
         tried("x::[y]", 2, 20, otherwise=9),
-        tried("saved", 3, 3, given=3),
         tried("cut", 0, 0),
         replace(tried("a", 5), node_id="t.py::test_alone[a-search]"),
         replace(tried("a", 5), node_id="t.py::test_it[search]"),
