@@ -62,9 +62,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
 
 ALGORITHMS: Mapping[str, str] = MappingProxyType({
     "av-fuzzer": f"{EXTRAS}.algorithms.av_fuzzer:AvFuzzerSearch",
-    "nsga2": f"{EXTRAS}.algorithms.nsga2:Nsga2Search",
-    "map-elites": f"{EXTRAS}.algorithms.map_elites:MapElitesSearch",
-    "cma-es": f"{EXTRAS}.algorithms.cma_es:CmaEsSearch",
 })  # fmt: skip
 """The search algorithms that only comparisons need, by name."""
 

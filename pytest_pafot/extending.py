@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
     from pytest_pafot.oracle.checks import require
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
-    from pytest_pafot.searching.algorithms.distinct import NicheSearch
     from pytest_pafot.searching.ask_tell import (
         GenerationalSearch,
         GenerationState,
@@ -81,7 +80,6 @@ _NAMES = {
     "model.trace": "ACCELERATION HEADING LANE SPEED STEERING X Y FloatArray Lane",
     "oracle.checks": "require",
     "searching.algorithms.catalogue": "ALGORITHMS AlgorithmClass resolve_algorithm",
-    "searching.algorithms.distinct": "NicheSearch",
     "searching.ask_tell": "GenerationState GenerationalSearch check_ask "
     "check_evaluations check_parameters end_of_local_search",
     "searching.evaluation": "Evaluation",
@@ -104,7 +102,7 @@ __all__ = [
     "ACCELERATION", "ALGORITHMS", "HEADING", "LANE", "SPEED", "STEERING", "SUFFIX", "AdsFactory", "AlgorithmClass",
     "AlgorithmEvent", "AlgorithmRun", "Encounters", "Evaluation", "ExecutionError", "Finding",
     "FloatArray", "GenerationFinished", "GenerationState", "GenerationalSearch", "Inventory", "Job", "Lane",
-    "LocalSearchStarted", "NewBest", "NicheSearch", "Policy", "ProcessLostError", "RequestError",
+    "LocalSearchStarted", "NewBest", "Policy", "ProcessLostError", "RequestError",
     "Restarted", "Saved", "SearchSpace", "Session", "SetupFaultError", "Severity", "SteppedWorld", "Verdict",
     "WithStart", "WorkerPool", "WorldData", "X", "Y", "add_world_arguments", "ads_factory", "base_world", "caution",
     "check_ask", "check_evaluations", "check_function", "check_parameters", "check_time",

@@ -169,13 +169,6 @@ def test_algorithm_asks_and_is_told(make_evaluation):  # noqa: F811
     assert events
 
 
-@pytest.mark.parametrize("name", ["nsga2", "map-elites", "cma-es"])
-def test_algorithm_without_its_library_is_refused(name, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.searching.algorithms.catalogue.find_spec", lambda library: None)
-    with pytest.raises(ValueError, match=r"pip install 'pytest-pafot\[search\]'"):
-        resolve_algorithm(name).make(SearchSpace(npcs=2))
-
-
 @pytest.mark.processes
 def test_compare_writes_a_report_on_two_algorithms(told, here, monkeypatch):
     monkeypatch.setattr("pytest_pafot.extras.comparison.figures.draw_all", lambda measured, folder: {})

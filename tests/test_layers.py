@@ -44,9 +44,6 @@ HOMES = {
     "pandas": {"comparison", "oracle"},
     "scipy": {"comparison"},
     "matplotlib": {"comparison", "sweeps"},
-    "pymoo": {"algorithms"},
-    "ribs": {"algorithms"},
-    "cmaes": {"algorithms"},
     "stable_baselines3": {"policies"},
     "sb3_contrib": {"policies"},
     "torch": {"policies"},
@@ -76,7 +73,6 @@ QUESTIONS = {
     "campaign/request.py": 2,  # whether NPCs can cross at all
     "criticality/asked.py": 1,  # a lateral speed is measured only across straight lanes
     "criticality/zones.py": 1,  # places on two ways are of use only together
-    "extras/algorithms/map_elites.py": 1,  # the archive has places for zones only if there are any
     "extras/testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
     "extras/testing/traces.py": 10,  # the same
     "model/instructions/crossing.py": 1,  # whether NPCs can cross at all

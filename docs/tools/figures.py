@@ -34,7 +34,7 @@ from pytest_pafot.support.text import csv_text  # noqa: E402
 from pytest_pafot.support.versions import installed_versions  # noqa: E402
 
 COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
-EVERY = "--blame ego --algorithms distinct,distinct@paper,pafot,av-fuzzer@15,random,nsga2,map-elites,cma-es"
+EVERY = "--blame ego --algorithms distinct,distinct@paper,pafot,av-fuzzer@15,random"
 DEFECT = "--ads example_ads.defects:make:"
 REPORTS = {
     "paper": "--algorithms pafot,av-fuzzer@15,av-fuzzer,random-manoeuvre,random@paper --ads idm_mobil "

@@ -153,7 +153,7 @@ class Settings:
         "Search algorithm, such as distinct, pafot or random; or module:Class for your own.",
         "[What each is](../comparisons/README.md#the-searches).",
         default="distinct",
-        choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre", "nsga2", "map-elites", "cma-es"),
+        choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre"),
         or_class=True,
     )
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)

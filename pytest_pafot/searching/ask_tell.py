@@ -150,9 +150,8 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
         """Finish a generation with the evaluations of the requested scenarios, in the same order."""
         check_evaluations(state.asked, evaluations)
-        kept = self.kept(state)
         finished = GenerationFinished(
-            generation=state.generation, local_generation=0, population=(*kept, *evaluations), elites=len(kept)
+            generation=state.generation, local_generation=0, population=tuple(evaluations), elites=0
         )
         candidate = best_of(evaluations)
         new = candidate if improves(candidate, state.best) else None
@@ -161,10 +160,6 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         if new is None:
             return learnt, (finished,)
         return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
-
-    def kept(self, state: GenerationStateT) -> Sequence[Evaluation]:
-        """Return the evaluations from earlier generations that also belong to the requested one; none by default."""
-        return ()
 
 
 def block_runs(algorithm: object) -> int | None:

@@ -56,7 +56,7 @@ def check_kinds(project, algorithms, refused):
         if not is_supported:
             text = section(result, f"test_{number}")
             assert re.search(r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '", text)
-    assert supported.count(False) == refused, "av-fuzzer and random-manoeuvre have lanes only, cma-es has cells only"
+    assert supported.count(False) == refused, "av-fuzzer and random-manoeuvre have lanes only"
 
 
 def test_a_find_without_cells_is_on_the_page(project):
@@ -72,9 +72,9 @@ def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
         "SHORT, algorithm='random-manoeuvre', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
         "random-manoeuvre, received 'both'*",
         "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, manoeuvres, both, received 'cell'*",
-        "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or cma-es, received 'genetic'; or give your own "
-        "class*",
-        "SHORT, algorithm='randm'": "*or cma-es, received 'randm'; did you mean 'random'[?]",
+        "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or random-manoeuvre, received 'genetic'; or give "
+        "your own class*",
+        "SHORT, algorithm='randm'": "*or random-manoeuvre, received 'randm'; did you mean 'random'[?]",
     }
     project.write("\n".join(f"@pafot.search({given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(told)))
     result = project.run()

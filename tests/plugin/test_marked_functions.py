@@ -219,7 +219,7 @@ WRONG = [
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
-    ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or cma-es, received 'magic'*"),
+    ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or random-manoeuvre, received 'magic'*"),
 ]
 """Arguments that are an error of their item before any fixture, and the error's text."""
 

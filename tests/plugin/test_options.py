@@ -174,7 +174,9 @@ def test_wrong_value_elsewhere_fails_only_marked_items(project):
     project.write("@pafot.search\ndef test_marked(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
     result = project.run()
     result.assert_outcomes(errors=1, passed=1)
-    result.stdout.fnmatch_lines(["ini key pafot_algorithm: expected distinct, pafot, * or cma-es, received 'magic'*"])
+    result.stdout.fnmatch_lines(
+        ["ini key pafot_algorithm: expected distinct, pafot, * or random-manoeuvre, received 'magic'*"]
+    )
 
 
 def test_search_arguments_match_the_table_of_options():

@@ -98,7 +98,6 @@ def test_custom_algorithm_is_a_class_or_its_name():
         "default",
         ("cells", "lanes", "manoeuvres", "both"),
     )
-    assert of_class.library is None
 
 
 def test_algorithm_class_declares_fitness_and_kinds_of_instructions():

@@ -92,15 +92,6 @@ def test_a_block_begins_at_random_and_its_children_are_bred_from_its_own_runs(ch
     assert block.state.proposed == 2 * plan.length * DISTINCT.population + 2 * DISTINCT.population
 
 
-def test_given_scenarios_come_once(cheap_world):
-    plan = plan_of(DISTINCT, generations=100, seed=3)
-    given = plan.beginning(1).drawn[:3]
-    algorithm = replace(DISTINCT, space=replace(SPACE, first=given))
-    plan = plan_of(algorithm, generations=100, seed=3)
-    assert plan.beginning(0).drawn[:3] == given
-    assert not {*given} & {*plan.beginning(3).drawn}
-
-
 def test_generations_that_another_process_has_driven_are_unpacked_when_they_are_needed(cheap_world):
     world = cheap_world()
     here, there = (plan_of(DISTINCT, generations=100, seed=3) for _ in range(2))

@@ -242,10 +242,6 @@ def drawn_digest(name, space, make_evaluation):
 
 @pytest.mark.parametrize("name", [name for name in OF_CORE if not resolve_algorithm(name).is_papers])
 def test_every_search_except_the_papers_handles_junctions(name, make_evaluation):
-    check_junctions(name, make_evaluation)
-
-
-def check_junctions(name, make_evaluation):
     events = list(run_campaign(resolve_algorithm(name).make(SPACE), Judged(make_evaluation), generations=12, seed=1))
     scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
     for each in scenarios:

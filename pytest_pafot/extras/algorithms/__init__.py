@@ -1,1 +1,1 @@
-"""The search algorithms that only comparisons need."""
+"""The search algorithm that only comparisons need."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any
 
@@ -16,7 +15,6 @@ from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearc
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Fitness
 from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
-from pytest_pafot.support.errors import install
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.text import meant
 
@@ -43,21 +41,13 @@ class AlgorithmClass:
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     draws_vehicles: bool = False  # whether NPCs are all vehicles that fit the world, if the mark does not name some
     batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
-    library: str | None = None  # the library that it needs besides this package, by its import name
 
     def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
         """Make the algorithm for a space, with its own parameters, such as ``population=4``.
 
         Raises:
-            ValueError: for an unknown parameter, in a message that lists the known ones; and if the library of the
-                algorithm is not installed, in a message that says how to install it.
+            ValueError: for an unknown parameter, in a message that lists the known ones.
         """
-        if self.library is not None and find_spec(self.library) is None:
-            own = f"`{install('search')}` or " if self.name in ALGORITHMS else ""
-            raise ValueError(
-                f"algorithm: expected the library {self.library} for {self.name!r}, received a Python without it; run "
-                f"{own}`pip install {self.library}`"
-            )
         known = [parameter for parameter in inspect.signature(self.made_by).parameters if parameter != "space"]
         for parameter in parameters:
             if parameter not in known:

@@ -10,7 +10,6 @@ Source of the niches: Mouret, Clune, "Illuminating search spaces by mapping elit
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
@@ -20,54 +19,11 @@ from numpy.random import Generator
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, GenerationStateT, check_parameters
+from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.space import sample
-
-# The common part of searches that store the worst runs of several kinds, the niches, and vary them.
-
-
-@dataclass(frozen=True, slots=True)
-class NicheSearch(GenerationalSearch[GenerationStateT]):
-    """A base class of searches that begin with random scenarios and then breed children of the best runs.
-
-    Attributes:
-        random_runs: number of random scenarios before the first children.
-        crossover_rate: probability that two parents swap two NPCs.
-    """
-
-    random_runs: int = field(default=20, kw_only=True)
-    crossover_rate: float = field(default=0.5, kw_only=True)
-
-    def __post_init__(self) -> None:
-        check_parameters(self, rates=("crossover_rate",), population=1, random_runs=1)
-
-    @property
-    def counted_at_first(self) -> float:
-        """The number of random scenarios at the beginning of a search."""
-        return max(self.population, self.random_runs)
-
-    def propose(self, state: GenerationStateT, rng: Generator) -> tuple[GenerationStateT, Iterable[Scenario]]:
-        """Propose ``random_runs`` random scenarios, and more while there is no parent.
-
-        All others are children.
-        """
-        parents = self.parents(state)
-        to_come = self.random_runs - state.proposed if parents else self.population
-        return state, (
-            sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
-        )
-
-    @abstractmethod
-    def parents(self, state: GenerationStateT) -> Sequence[Any]:
-        """Return the parents from which children are made."""
-
-    @abstractmethod
-    def child(self, parents: Sequence[Any], rng: Generator) -> Scenario:
-        """Return a scenario that is a variation of one or two parents."""
-
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
 FASTEST_NICHE = 5  # index of the last niche, which has no upper end
@@ -91,7 +47,7 @@ class DistinctState(GenerationState):
 
 
 @dataclass(frozen=True, slots=True)
-class DistinctSearch(NicheSearch[DistinctState]):
+class DistinctSearch(GenerationalSearch[DistinctState]):
     """A search that varies the worst run of each niche, which is a kind of run, and drops runs with a known failure.
 
     1. The first scenarios are random, like the paper's first generation.
@@ -108,6 +64,8 @@ class DistinctSearch(NicheSearch[DistinctState]):
 
     Attributes:
         population: number of scenarios in a generation.
+        random_runs: number of random scenarios before the first children.
+        crossover_rate: probability that two parents swap two NPCs.
         most_mutations: largest number of mutations of a child; the number is uniform from 1.
         fresh: share of random scenarios after the first ``random_runs``.
     """
@@ -118,12 +76,18 @@ class DistinctSearch(NicheSearch[DistinctState]):
     block_runs: ClassVar[int] = 64  # as good as one population of all runs, also where a margin has to be climbed
 
     population: int = field(default=16, kw_only=True)
+    random_runs: int = field(default=20, kw_only=True)
+    crossover_rate: float = field(default=0.5, kw_only=True)
     most_mutations: int = field(default=3, kw_only=True)
     fresh: float = field(default=0.35, kw_only=True)
 
     def __post_init__(self) -> None:
-        NicheSearch.__post_init__(self)
-        check_parameters(self, rates=("fresh",), most_mutations=1)
+        check_parameters(self, rates=("crossover_rate", "fresh"), population=1, random_runs=1, most_mutations=1)
+
+    @property
+    def counted_at_first(self) -> float:
+        """The number of random scenarios at the beginning of a search."""
+        return max(self.population, self.random_runs)
 
     def start(self, rng: Generator) -> DistinctState:
         """Return the state before the first generation, without using a random number."""
@@ -136,6 +100,17 @@ class DistinctSearch(NicheSearch[DistinctState]):
     def restored(self, data: Any) -> DistinctState:
         """Return the state from the data of :meth:`stored`."""
         return from_plain(DistinctState, data)
+
+    def propose(self, state: DistinctState, rng: Generator) -> tuple[DistinctState, Iterable[Scenario]]:
+        """Propose ``random_runs`` random scenarios, and more while there is no parent.
+
+        All others are children.
+        """
+        parents = self.parents(state)
+        to_come = self.random_runs - state.proposed if parents else self.population
+        return state, (
+            sample(self.space, rng) if index < to_come else self.child(parents, rng) for index in range(self.population)
+        )
 
     def parents(self, state: DistinctState) -> list[list[Evaluation]]:
         """Return the equally likely groups of parents: elites by fitness, and elites by the margin of each check."""

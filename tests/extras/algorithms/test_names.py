@@ -1,7 +1,5 @@
 """The algorithms of extras have names, fitnesses and kinds of instructions like those of the core."""
 
-import pytest
-
 from pytest_pafot import Highway, World
 from pytest_pafot.door import ALGORITHMS
 from pytest_pafot.extras.algorithms.av_fuzzer import AvFuzzerSearch
@@ -9,8 +7,7 @@ from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.searching.ask_tell import ResumableSearch
 from tests.campaign.test_random_beginning import explored
 from tests.campaign.test_request import space_of
-from tests.helpers.tables import table
-from tests.searching.test_crossing_traffic import WITHOUT, check_grid, check_junctions, drawn_digest
+from tests.searching.test_crossing_traffic import WITHOUT, check_grid, drawn_digest
 
 CLASSES = {name: resolve_algorithm(name) for name in ALGORITHMS}
 
@@ -30,15 +27,8 @@ def test_none_of_them_can_go_on_in_a_later_session():
     assert not any(issubclass(each.made_by, ResumableSearch) for each in CLASSES.values())
 
 
-@pytest.mark.parametrize("name", [name for name, each in CLASSES.items() if not each.is_papers])
-def test_every_search_except_the_papers_handles_junctions(name, make_evaluation):
-    pytest.importorskip(CLASSES[name].library)
-    check_junctions(name, make_evaluation)
-
-
-@table("name", [name for name, each in CLASSES.items() if each.is_papers and not each.library])
-def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
-    check_grid(name, make_evaluation)
+def test_av_fuzzer_keeps_to_the_grid(make_evaluation):
+    check_grid("av-fuzzer", make_evaluation)
 
 
 def test_av_fuzzer_draws_without_zones_as_it_did_before(make_evaluation):
@@ -49,7 +39,7 @@ def test_av_fuzzer_draws_without_zones_as_it_did_before(make_evaluation):
 def test_searches_of_the_papers_have_its_space():
     space = space_of(Highway(), algorithm="av-fuzzer")
     assert (space.npcs, space.ego_lane, space.ego_speed, space.patterns) == (2, 1, 22.0, False)
-    assert space_of(World("intersection-v0"), algorithm="cma-es").crossings is None
+    assert space_of(World("intersection-v0"), algorithm="av-fuzzer").crossings is None
 
 
 def test_av_fuzzer_has_no_random_share():

@@ -178,6 +178,6 @@ def test_seeds_differ_by_run_and_algorithm_and_base():
 def test_runs_of_different_length_are_different_scenarios(quick):
     equal = quick(algorithms=("pafot", "av-fuzzer", "random@paper"))
     assert list(equal.scenarios.values()) == [["pafot", "av-fuzzer", "random@paper"]]
-    (_, whole), (shorter, short) = quick(algorithms=("pafot", "av-fuzzer@15", "cma-es")).scenarios.items()
-    assert (whole, short) == (["pafot", "cma-es"], ["av-fuzzer@15"])
+    (_, whole), (shorter, short) = quick(algorithms=("pafot", "av-fuzzer@15", "random@paper")).scenarios.items()
+    assert (whole, short) == (["pafot", "random@paper"], ["av-fuzzer@15"])
     assert shorter.endswith("; 3 genes of 5 s"), "225 ticks make no two genes"
