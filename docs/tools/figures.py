@@ -54,7 +54,7 @@ BENCHMARKS: Mapping[str, str] = {
     "margins-of-others": "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} "
     "--workers WORKERS",
     "distinctness": "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
-    "speed": "speed --rounds {9|1} --parts {engines ads npcs search batch pure start memory|npcs}",
+    "speed": "speed --rounds {9|1} --parts {engines ads npcs search start memory|npcs}",
     "negative-control": "negative_control --seeds {10|1} --runs {400|8} --workers WORKERS",
 }
 """Arguments of the programs in tests/benchmarks."""

@@ -12,7 +12,6 @@ and it prefers slowing down to changing lanes. So it hits a vehicle that brakes 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -38,13 +37,6 @@ class PpoPolicy:
     def __call__(self, observation: npt.NDArray[Shaped]) -> int:
         """Return the meta-action, 0 to 4, for a Kinematics observation of shape [vehicles, features]."""
         return int(np.argmax(self.logits(observation)))
-
-    def batch(self, observations: Sequence[npt.NDArray[Shaped]]) -> list[int]:
-        """Return the actions for many simultaneous runs, in one pass through the network."""
-        actions: list[int] = np.argmax(
-            self._outputs(np.stack([seen.ravel() for seen in observations])), axis=1
-        ).tolist()
-        return actions
 
     def logits(self, observation: npt.NDArray[Shaped]) -> npt.NDArray[np.float32]:
         """Return the unnormalised log-probability of each action, shape [actions]."""

@@ -13,7 +13,7 @@ from typing import Any
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.tallies import BlockDriver, Tally, facts_of
 from pytest_pafot.campaign.verdict import Verdict, evaluated
-from pytest_pafot.execution.crash_records import CrashRecord, Leftover
+from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated, Runner
 from pytest_pafot.execution.scenario_pool import trace_of
@@ -29,9 +29,6 @@ from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.guard.hang_guard import runs_end_in
-
-PURE_SHARE = 1 / 10
-"""The share of the decisions that a pure ADS need not make from which on no further run is made to check that it is."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -66,24 +63,6 @@ class Bench:
         """Return what the algorithm sees of a run that this process has judged."""
         return evaluated(run, verdict, signature, self.fitness, self.is_steered_by_checks)
 
-    def impure(self) -> tuple[str, str] | None:
-        """Make some runs again with all decisions by the ADS, if decisions of earlier runs took their place.
-
-        Each is made up to as many decisions after those as they were. Return the id of a scenario with another run, and
-        the mark of the ADS that allows no other; None if there is none.
-        """
-        asked = 0
-        for reused, trace in self.runner.resumed:
-            if asked > self.runner.reused * PURE_SHARE:
-                break
-            again = self.rerun(trace.scenario, most=2 * reused)
-            asked += len(again.trace.actions)
-            is_cut = len(again.trace.actions) == 2 * reused < len(trace.actions)
-            same = again.trace.states.tobytes() == trace.states[: len(again.trace.states)].tobytes()
-            if not (same if is_cut else is_same_run(self.harness.run_of(trace), again)):
-                return trace.scenario.id, self.runner.mark
-        return None
-
     def make(self, scenario: Scenario) -> Run | Tally:
         """Return the run of the next scenario of a plan, or its tally if another process has made and judged it.
 
@@ -94,7 +73,7 @@ class Bench:
         """
         __tracebackhide__ = True
         with self._recorded(), refusals():
-            made: Any = self.runner.made(scenario)
+            made: Any = self.runner.made(scenario, announced=True)
         if isinstance(made, Tally):
             return made
         run = self.harness.run_of(made)
@@ -123,10 +102,10 @@ class Bench:
         self._judged_ahead[scenario] = replace(run, facts=facts_of(run, evaluation)), verdict  # for its own turn
         return evaluation
 
-    def run(self, scenario: Scenario, *, afresh: bool = False, most: int | None = None) -> Run:
+    def run(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.
 
-        For ``afresh`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.made`.
+        For ``announced`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.made`.
 
         Raises:
             ProcessLostError: if the run was in another process, and that process died or hung.
@@ -135,7 +114,7 @@ class Bench:
         """
         __tracebackhide__ = True
         with self._recorded(), refusals():
-            trace = self.runner.run(scenario, afresh=afresh, most=most)
+            trace = self.runner.run(scenario, announced=announced, most=most)
         return self.harness.run_of(trace)
 
     def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
@@ -165,19 +144,12 @@ class Bench:
         self.record.clear()
         return not verdict.passes
 
-    def rerun(self, scenario: Scenario, *, most: int | None = None) -> Run:
-        """Run a scenario from scratch, without a verdict; ``most`` is as for :meth:`run`."""
+    def rerun(self, scenario: Scenario) -> Run:
+        """Run a scenario from scratch, without a verdict."""
         __tracebackhide__ = True
-        run = self.run(scenario, afresh=True, most=most)
+        run = self.run(scenario)
         self.record.clear()
         return run
-
-    def rerun_one_by_one(self, leftover: Leftover) -> None:
-        """Run the scenarios of a batch in which a process died one by one, to see which scenario is the cause."""
-        __tracebackhide__ = True
-        leftover.discard()  # first, or after a second death every session would run the whole batch again
-        for scenario in leftover.scenarios:
-            self.rerun(scenario)
 
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:
         """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
@@ -187,8 +159,8 @@ class Bench:
             return None
         policy = self.harness.policy
         with self._recorded(), refusals():
-            if isinstance(self.runner.processes, Isolated):
-                trace = self.runner.processes.in_gym(scenario)
+            if isinstance(self.runner, Isolated):
+                trace = self.runner.in_gym(scenario)
             else:
                 self.record.write(scenario)
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, policy.factory)

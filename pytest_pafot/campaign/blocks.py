@@ -73,7 +73,7 @@ class Blocks:
         driver = self.bench.driver
         if driver is not None and self.plan.length is not None:
             driver.plan, driver.random_runs = self.plan, random_runs
-            self.bench.runner.processes.end()  # processes that were started before do not know the plan
+            self.bench.runner.end()  # processes that were started before do not know the plan
 
     def give(self, fatal: Set[Scenario], known: Iterable[Collection[Signature]]) -> None:
         """Let other processes drive the next blocks by themselves, if runs are short.
@@ -81,7 +81,7 @@ class Blocks:
         Whoever drives a block, it is the same. ``fatal`` are scenarios that nobody must run, ``known`` the failures of
         which no further run must be sent.
         """
-        plan, processes, settings = self.plan, self.bench.runner.processes, self.bench.harness.request.settings
+        plan, processes, settings = self.plan, self.bench.runner, self.bench.harness.request.settings
         if plan.length is None or plan.block.index:
             return
         # This process goes on with a block that it has begun, unless others make the runs, which it would have to miss.
@@ -103,12 +103,12 @@ class Blocks:
         """Return whether other processes drive blocks from the block number ``first`` on."""
         bench, settings = self.bench, self.bench.harness.request.settings
         workers, is_apart = settings.workers, settings.isolate
-        if bench.driver is None or self.plan.length is None or bench.runner.decides_for_many:
+        if bench.driver is None or self.plan.length is None:
             return False
         if not (workers > 1 or is_apart):
             return False
         # Long runs are shared better one by one.
-        is_fast = 0 < bench.runner.processes.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
+        is_fast = 0 < bench.runner.run_seconds < max(DRIVEN_SECONDS, FED_SECONDS * workers)
         is_worth_it = bool(self._driven) or self.plan.whole_blocks - first >= 2 * workers
         return is_fast and is_worth_it
 
@@ -153,7 +153,7 @@ class Blocks:
         if plan.number != number:
             self._driven.pop(number, None)
             if self._suspect is not None:
-                self.bench.runner.processes.recovered.append(self._suspect)
+                self.bench.runner.recovered.append(self._suspect)
                 self._suspect = None
         return events
 
@@ -162,7 +162,7 @@ class Blocks:
 
         With ``stops``, return None as well as soon as something has failed in a later block.
         """
-        processes, messages = self.bench.runner.processes, self._driven.get(self.plan.number)
+        processes, messages = self.bench.runner, self._driven.get(self.plan.number)
         # Messages on other blocks come in between, and are stored until the turn of their block.
         while heard := processes.hear(waits=messages is not None and not messages and not (stops and self._pending)):
             task, what = heard
@@ -211,11 +211,11 @@ class Blocks:
     def _foresee(self, fatal: Set[Scenario]) -> None:
         """Let other processes run scenarios of the next blocks, while the last runs of a generation are waited for."""
         plan, bench = self.plan, self.bench
-        processes, workers = bench.runner.processes, bench.harness.request.settings.workers
-        if plan.length is None or self._driven or self._are_driven(plan.number + 1) or bench.runner.decides_for_many:
+        processes, workers = bench.runner, bench.harness.request.settings.workers
+        if plan.length is None or self._driven or self._are_driven(plan.number + 1):
             return
         scenarios = AHEAD_ELSEWHERE if processes.is_elsewhere else 2 * workers if processes.in_use > 1 else 0
-        blocks = -(-scenarios // plan.algorithm(1).population)
+        blocks = -(-scenarios // plan.algorithm.population)
         unfit: tuple[type[BaseException], ...] = (FitnessError, *skips())
         self._later = {number: block for number, block in self._later.items() if number > plan.number}
         for number in range(plan.number + 1, plan.number + 1 + blocks):

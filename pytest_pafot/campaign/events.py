@@ -125,7 +125,7 @@ class SearchSummary:
         runs, shrink_runs, neighbour_runs: simulated scenarios; further runs to simplify findings; of their neighbours.
         decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions of the policy in this session's
             `runs`, to confirm findings, in `shrink_runs` and in `neighbour_runs`, not in replays.
-        reused_decisions, known_runs: decisions that a `pure` or `copyable` policy did not make again; scenarios not run
+        known_runs: scenarios not run
             again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in [the
             summary](items.md#the-summary-and-the-health-of-a-search): `npc` at fault, `avoidable` of these,
@@ -165,7 +165,6 @@ class SearchSummary:
     confirm_decisions: int = 0
     shrink_decisions: int = 0
     neighbour_decisions: int = 0
-    reused_decisions: int = 0
     known_runs: int = 0
     failing: int = 0
     invalid: int = 0

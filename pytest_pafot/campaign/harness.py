@@ -250,7 +250,7 @@ class Harness:
         __tracebackhide__ = True
         try:
             with refusals("the reference"):
-                trace = runner.run(scenario, afresh=True)
+                trace = runner.run(scenario)
         except ProcessLostError as error:
             return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
         except RequestError as error:
@@ -266,7 +266,7 @@ class Harness:
         job = replace(self.job(), policy=Policy(ads))
         with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
             try:
-                run = self.run_of(runner.run(scenario, afresh=True))
+                run = self.run_of(runner.run(scenario))
             except ProcessLostError:
                 return True
         verdict = self.judge(run)

@@ -54,7 +54,7 @@ def shrink_saved(
     if before is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
     # The file has to fail as it says, or everything that is simpler would be compared with something else.
-    run = bench.run(before.scenario, afresh=True)
+    run = bench.run(before.scenario)
     verdict = bench.finish(run)
     failure = verdict.failure if verdict.failed else None
     if failure is None or verdict.exception is None or of_failure(run, failure) != before.signature:

@@ -62,7 +62,7 @@ class MadeWorse:
         drawn = (sample(space, generation_rng(self.store.seed, 0, 0, number)) for number in range(self.most))
         runner = self.bench.runner
         # Other processes judge by the failures that the search knows, which do not matter here.
-        runner.processes.read_here()
+        runner.read_here()
         with runner, suppress(OutOfTime):
             while ahead := list(islice(drawn, AHEAD)):
                 runner.announce(ahead)

@@ -138,8 +138,7 @@ class Settings:
     population: int | None = option(
         "integer",
         "Number of scenarios in each generation, at most 10000.",
-        "By default 16 for `distinct`, [64 for an ADS with "
-        "`batch`](../guide/machines.md#policies-that-decide-for-many-at-once), 4 for other built-in ones.",
+        "By default 16 for `distinct`, 4 for other built-in ones.",
         least=2,
         most=10_000,
     )
@@ -243,8 +242,7 @@ class Settings:
     isolate: bool = option(
         "switch",
         "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
-        "With `batch` the findings are the same only if the population is given. `ci` isolates only on Linux, and no "
-        "ADS with `batch` ([more](../guide/planners.md#if-it-raises-hangs-or-ends-its-process)).",
+        "`ci` isolates only on Linux ([more](../guide/planners.md#if-it-raises-hangs-or-ends-its-process)).",
         default=False,
     )
     memory: int | None = option(

@@ -251,7 +251,7 @@ class Replays:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
                 for number in range(PROBES):
-                    probe = harness.run_of(runner.run(sample(space, np.random.default_rng(number)), afresh=True))
+                    probe = harness.run_of(runner.run(sample(space, np.random.default_rng(number))))
                     first.see(probe, harness.judge(probe))
                     if not first.is_alike:
                         return
@@ -487,7 +487,7 @@ class Replays:
             while runs < (then.runs if failing else max(then.runs, then.clean)):
                 runs += 1
                 scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, runs)
-                run = finding.expect.known_of(harness.run_of(runner.run(scenario, afresh=True), world))
+                run = finding.expect.known_of(harness.run_of(runner.run(scenario), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
                 if verdict.failed and shown.facts.shows is not Label.STILL_FAILING:
@@ -563,7 +563,7 @@ class Replays:
             if reference is not None:
                 stack.enter_context(reference)
             for scenario in islice(drawn, self._number(finding)):
-                run = harness.run_of(runner.run(scenario, afresh=True), world)
+                run = harness.run_of(runner.run(scenario), world)
                 verdict = harness.judge(run)
                 failure = verdict.failure
                 if verdict.passes:
@@ -571,7 +571,7 @@ class Replays:
                     continue
                 if failure is None or not (has_time(run, failure) and is_same_failure(finding, run, failure)):
                     continue
-                again = harness.run_of(runner.run(scenario, afresh=True), world)
+                again = harness.run_of(runner.run(scenario), world)
                 is_firm = is_same_run(run, again) and harness.judge(again).failed
                 if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
                     yield run, verdict

@@ -82,7 +82,6 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
                     if done is not None:
                         state.verdicts[(yield from lose(done, state, bench, store))] += 1
                     taken = [plan.take(unknown(plan.scenario(), "" if done is None else drivers_error(done)))]
-            state.decides_for_many = plan.decides_for_many = state.decides_for_many or bench.runner.decides_for_many
             yield from _released(state, store)
             yield from _counted(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
@@ -114,16 +113,10 @@ def _judge_and_count(
 ) -> Generator[SearchEvent, None, Evaluation]:
     """Judge and count a run, and save a new failure before the next run; return what the algorithm sees of it."""
     __tracebackhide__ = True
-    is_alone, verdict = bench.runner.is_alone, bench.finish(run)
-    judged = [Judged.here(run, verdict)]
-    if verdict.failed and not is_alone:  # Run it alone as its replay will, in case a batch mixes up its rows.
-        run = bench.run(run.trace.scenario, afresh=True)
-        verdict = bench.finish(run)
-        judged.append(Judged.here(run, verdict))
-        state.repeated[verdict.failed] += 1
-    for event in judged:  # After both runs, because the time limit may end the second one, and then none counts.
-        yield event
-        state.see(event)
+    verdict = bench.finish(run)
+    judged = Judged.here(run, verdict)
+    yield judged
+    state.see(judged)
     doubt = unit_doubt(run.trace) if run.facts is None else run.facts.doubt
     state.take(run, verdict, caught_in(verdict), doubt)
     yield from _released(state, store)

@@ -9,7 +9,7 @@ import hashlib
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from inspect import GEN_CLOSED, getgeneratorstate
@@ -235,7 +235,6 @@ def prepared(
                 workers=settings.workers,
                 isolate=settings.isolate,
                 executor=harness.executor,
-                times_decisions=request.decision_limit is not None,
             )
         stack.push(runner.__exit__)  # Runs after the search start new processes, which must be stopped as well.
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
@@ -347,7 +346,7 @@ class SearchSession:
         yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
         bench.refining_end = max(self.limit.end, began + LEAST)
-        # A process of an earlier session may have died: its scenarios are tried again before anything else.
+        # A process of an earlier session may have died: its scenario is tried again before anything else.
         left = harness.left_behind()
         retried = list[Retried]()
         for leftover in left:
@@ -426,21 +425,18 @@ class SearchSession:
                 yield from self._events(refine(state, self.bench, self.store, until=self.limit.end, way_on=way_on))
                 if self._worse is not None:
                     yield from self._events(self._worse.conclude())
-                if reason in self._ends_with_warnings:
-                    with suppress(OutOfTime), runs_end_in(self.limit.end - state.clock()):
-                        state.impure = self.bench.impure()
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
     def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Generator[SearchEvent, None, Retried]:
-        """Run the scenarios again in which a process of an earlier session died; return the result.
+        """Run the scenario again in which a process of an earlier session died; return the result.
 
-        They are run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
+        It is run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
         the records of all dead processes. If another one died in the same scenario, only the first record counts.
         """
         harness: Harness = self.harness
         world: BaseWorld | None = harness.world
-        same = [each for each in left if each.scenarios == leftover.scenarios]
+        same = [each for each in left if each.scenario == leftover.scenario]
         if same[0] is not leftover:
             leftover.discard()
             return Retried()
@@ -452,7 +448,7 @@ class SearchSession:
                 world = None
         if world is None:
             note = (
-                f"a process (pid {leftover.pid}) died while it ran {leftover.scenarios!r:.300} in a world that cannot "
+                f"a process (pid {leftover.pid}) died while it ran {leftover.scenario!r:.300} in a world that cannot "
                 f"be made here now, {dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
             )
             return Retried(notes=(note,), pending=leftover)
@@ -464,7 +460,6 @@ class SearchSession:
             isolate=harness.request.settings.isolate,
             has_died_twice=sum(not each.is_watched for each in same) > 1,
             keep=self.store.add_crash,
-            run_here=self.bench.rerun_one_by_one,
         )
         for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
             yield from self._events(self.store.publish(each))
@@ -481,13 +476,8 @@ class SearchSession:
         if space is None:
             return Ending.REPLAYS
         request, settings = self.harness.request, self.harness.request.settings
-        # The algorithm twice: a policy that decides for many runs at once gets a larger population, but only its first
-        # generation shows whether it does.
         try:
             algorithm = request.algorithm.make(space, **_population(settings.population))
-            for_batches = request.algorithm.make(
-                space, **_population(settings.population or request.algorithm.batch_population)
-            )
         except ValueError as error:
             raise RequestError(str(error)) from None
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
@@ -513,8 +503,6 @@ class SearchSession:
                 generations=settings.generations,
                 runs=settings.runs,
                 seed=self.store.seed,
-                for_batches=for_batches,
-                decides_for_many=state.decides_for_many,
                 seeds_matter=(self.harness.policy.sight or Sight()).is_drawn or bool(self.harness.drivers),
                 resumed=resumed,
             )
@@ -626,7 +614,7 @@ class SearchSession:
                 del state.finds[find.signature]
             scenario, generation, number = find.found
             try:
-                run = bench.run(scenario, afresh=True)
+                run = bench.run(scenario)
             except ProcessLostError as error:
                 yield from lose(error, state, bench, store)
                 continue
@@ -683,7 +671,6 @@ class SearchSession:
             confirm_decisions=self.bench.confirm_decisions,
             shrink_decisions=state.shrink_decisions,
             neighbour_decisions=state.neighbour_decisions,
-            reused_decisions=self.bench.runner.reused,
             known=dict(state.covered + state.found_before(self.store)),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},

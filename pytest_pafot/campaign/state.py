@@ -132,7 +132,6 @@ class State:
 
     before: tuple[str, ...] = ()  # ids of the files saved before the search; others with its seed are its own findings
     seconds: float = 0.0  # the time of all earlier sessions [s]
-    decides_for_many: bool = False  # True if the ADS has decided for many runs at once
     earlier: tuple[EarlierFind, ...] = ()  # the findings of earlier sessions in the order of discovery
     covered: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
     verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
@@ -170,10 +169,6 @@ class State:
     finished: events.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
     skip: BaseException | None = field(init=False, default=None)  # the last skip of the test function
     first_generation: FirstGeneration = field(init=False, default_factory=FirstGeneration)
-    # number of runs that failed in lock step, by whether they failed alone, too
-    repeated: Counter[bool] = field(init=False, default_factory=Counter)
-    # a scenario in which an ADS decided otherwise than it must, and the mark by which it must not
-    impure: tuple[str, str] | None = field(init=False, default=None)
     # the numbers of runs and generations of earlier sessions; None if there is none
     done_before: tuple[int, int] | None = field(init=False, default=None)
     # ids of findings that still must be shrunk, but not in this session, which has no time left for them
@@ -224,21 +219,6 @@ class State:
             "its exception; do not catch it, or use pafot.target, which never fails"
             for name, runs in sorted(self.caught.items())
         ]
-        if self.repeated[False] > self.repeated[True]:  # a few may, because a network rounds differently in a batch
-            warnings.append(
-                f"{self.repeated[False]} of {plural(self.repeated.total(), 'run')} that failed by the ADS's `batch` "
-                "passed when the ADS was called for each alone, which is all that counts; let both decide the same"
-            )
-        if self.impure:
-            scenario, mark = self.impure
-            why, fix = "remembers earlier ones", "remove `pure`"
-            if mark == "copyable":
-                why = "shares with its copies what it remembers, such as a list or a counter of the class"
-                fix = "let `__deepcopy__` copy it, or remove `copyable`"
-            warnings.append(
-                f"the ADS is marked as {mark}, but decided otherwise in {scenario} when it made all decisions, "
-                f"as it must if it {why}: runs may have passed or failed by that; {fix}"
-            )
         if self.broken:
             warnings.append(
                 f"the reference itself failed in all its runs, at first with {self.broken}, so no failure could count; "

@@ -249,8 +249,7 @@ class Store:
 
         ``again`` describes how a second process ended that ran the scenario again; None if that is unknown.
         """
-        others = " and others in lock step" if leftover.is_lock_step else ""
-        text = f"a process (pid {leftover.pid}) died while it ran this scenario{others}, "
+        text = f"a process (pid {leftover.pid}) died while it ran this scenario, "
         if again is None:
             text += (
                 "because of a crash of native code, something that builds up from run to run, such as memory, or a "

@@ -128,11 +128,11 @@ class TimedWatch(Watch):
         """Return when the loop has to end, given its findings so far [s].
 
         That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
-        told from the runs so far. Runs of a policy that decides for many at once do not tell how long one alone takes.
+        told from the runs so far.
         """
         harness, state = self.bench.harness, self.state
         settings, firm = harness.request.settings, self.store.firm
-        if self.limit.end == math.inf or (firm and state.decides_for_many):
+        if self.limit.end == math.inf:
             return self.earliest_end
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + settings.neighbours
         to_compare = 0 if harness.against is None else 2 * settings.pairs
@@ -158,13 +158,13 @@ class TimedWatch(Watch):
         Confirming a finding is left out: at first most failures are new, and later hardly any.
         """
         runner = self.bench.runner
-        if runner.processes.in_use:
-            return runner.processes.run_seconds
+        if runner.in_use:
+            return runner.run_seconds
         # The first runs of an executor come at the same time, after that of one run.
-        if self._since is None or (runner.processes.is_elsewhere and not self.state.generation):
+        if self._since is None or (runner.is_elsewhere and not self.state.generation):
             return 0.0
         began, before = self._since
-        made = self.state.runs + runner.ready - before
+        made = self.state.runs - before
         return (self.state.clock() - self.bench.confirm_seconds - began) / made if made else 0.0
 
     def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
@@ -176,7 +176,7 @@ class TimedWatch(Watch):
         self._reported_at = now
         budget, generations = state.budget(self.bench.harness.request.settings)
         run_seconds = self._run_seconds
-        runs_left = 0 if budget is None else budget - state.runs - runner.ready
+        runs_left = 0 if budget is None else budget - state.runs
         decisions = 0 if state.done_before else self.bench.decisions  # some of the runs are of an earlier session
         yield Progress(
             node_id=self.node_id,
@@ -187,7 +187,7 @@ class TimedWatch(Watch):
             failing=state.verdicts["failed"],
             finds=self.store.count,
             seconds=state.seconds_so_far,
-            left=runs_left * run_seconds / max(runner.processes.in_use, 1),
+            left=runs_left * run_seconds / max(runner.in_use, 1),
             decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
             is_limited=self.limit.end < math.inf,
             phase=phase,

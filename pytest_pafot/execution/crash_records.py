@@ -77,20 +77,18 @@ class CrashRecord:
         self._world = json.dumps(dict(world) if world is not None else None)
         self._is_watched = is_watched
 
-    def write(self, *scenarios: Scenario, reference: str = "") -> None:
-        """Write the scenario that is about to run to disk, or all scenarios that are about to run in lock step.
+    def write(self, scenario: Scenario, *, reference: str = "") -> None:
+        """Write the scenario that is about to run to disk.
 
-        If the process then crashes, one of these scenarios is the cause. ``reference`` is the name of a policy that
-        drives instead of the ADS, or empty.
+        If the process then crashes, the scenario is the cause. ``reference`` is the name of a policy that drives
+        instead of the ADS, or empty.
         """
-        alone = scenarios[0].canonical() if len(scenarios) == 1 else "null"
-        together = "" if alone != "null" else f', "together": [{", ".join(each.canonical() for each in scenarios)}]'
         process = f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'
         if reference:
             process += f', "reference": {json.dumps(reference)}'
         if self._is_watched:
             process += ', "watched": true'
-        self._put(f'{{{process}, "scenario": {alone}{together}}}'.encode())
+        self._put(f'{{{process}, "scenario": {scenario.canonical()}}}'.encode())
 
     def clear(self) -> None:
         """Record that no scenario is running."""
@@ -156,9 +154,8 @@ class Leftover:
         path: the path of the record.
         pid: the id of the process.
         owner: the node id of the test; empty if the record cannot be read.
-        scenarios: the scenario that was running, or several that ran in lock step; one of them caused the death. Empty
-            if the record cannot be read.
-        world: the world in which the scenarios ran, as plain data, or None.
+        scenario: the scenario that was running; None if the record cannot be read.
+        world: the world in which it ran, as plain data, or None.
         reference: the name of the policy that drove instead of the ADS; empty if the ADS drove.
         is_watched: True if a session would have noticed that the process died, so it died together with that session.
     """
@@ -166,20 +163,10 @@ class Leftover:
     path: Path
     pid: int
     owner: str = ""
-    scenarios: tuple[Scenario, ...] = ()
+    scenario: Scenario | None = None
     world: Mapping[str, Any] | None = None
     reference: str = ""
     is_watched: bool = False
-
-    @property
-    def scenario(self) -> Scenario | None:
-        """The scenario that was running; None if several were running or if the record cannot be read."""
-        return self.scenarios[0] if len(self.scenarios) == 1 else None
-
-    @property
-    def is_lock_step(self) -> bool:
-        """True if several scenarios were running in lock step."""
-        return len(self.scenarios) > 1
 
     def discard(self) -> None:
         """Remove the record's file, if it still exists."""
@@ -231,10 +218,10 @@ def _leftover(path: Path) -> Leftover | None:
         return None
     try:
         record = json.loads(line)
-        scenarios = tuple(map(Scenario.from_canonical, record.get("together") or [record["scenario"]]))
+        scenario = Scenario.from_canonical(record["scenario"])
         world = dict(record["world"]) if record["world"] is not None else None
         owner, reference = str(record["owner"]), str(record.get("reference", ""))
-        leftover = replace(leftover, owner=owner, scenarios=scenarios, world=world, reference=reference)
+        leftover = replace(leftover, owner=owner, scenario=scenario, world=world, reference=reference)
         return replace(leftover, is_watched=bool(record.get("watched")))
     except (ValueError, KeyError, TypeError, AttributeError, ScenarioError, RecursionError):
         return leftover

@@ -274,7 +274,7 @@ class Sumo(Simulator):
         moves, placed = self._sumo.vehicle, list(zip(self._names, controls, self._placed, strict=True))
         if round(self._sumo.simulation.getTime() * self.hz) != self._ticks:
             expected = "that nobody else uses libsumo in this process, which has one simulation"
-            fix = "a policy that runs SUMO itself drives in pafot.Highway; in lock step, leave out batch= of the policy"
+            fix = "a policy that runs SUMO itself drives in pafot.Highway"
             raise WorldError(field="Sumo.step", expected=expected, received="another simulation", fix=fix)
         for name, each, is_placed in placed:
             if is_placed:

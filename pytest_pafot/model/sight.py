@@ -143,11 +143,6 @@ class Sight:
         """True if chance affects what is seen, so that the seed of a scenario makes a difference."""
         return bool(self.noise or self.dropout or self.shuffled or self.ghosts or self.own_bias)
 
-    @property
-    def is_memoryless(self) -> bool:
-        """True if the sight depends only on the vehicles' present positions, neither on the past nor on chance."""
-        return not (self.latency or self.is_drawn)
-
     def only(self, names: Collection[str]) -> Self:
         """Return this sight with only the named imperfections; everything else is perfect."""
         return replace(self, **{name: getattr(_PERFECT, name) for name in self.imperfections if name not in names})

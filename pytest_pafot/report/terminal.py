@@ -344,7 +344,7 @@ def _decisions(search: SearchSummary) -> list[str]:
         return []
     purposes = ("decisions", "to confirm", "to shrink", "of neighbours")
     made = listed([f"{number:,} {purpose}" for purpose, number in zip(purposes, counts, strict=True) if number])
-    return [f"{made}; {search.reused_decisions:,} were known before" if search.reused_decisions else made]
+    return [made]
 
 
 def _find_lines(search: SearchSummary) -> list[str]:

@@ -239,7 +239,7 @@ def check_order(place: str, scenarios: Sequence[Scenario], evaluations: Sequence
 
 
 MOST = 10_000
-"""The largest population. All scenarios of a generation are in memory at once, with their runs in lock step."""
+"""The largest population. All scenarios of a generation are in memory at once."""
 
 
 def check_parameters(search: Any, *, rates: tuple[str, ...] = (), factors: tuple[str, ...] = (), **least: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any, Generic
@@ -70,8 +70,6 @@ def plan_of(
     generations: int | None,
     seed: int,
     runs: int | None = None,
-    for_batches: Algorithm[StateT] | None = None,
-    decides_for_many: bool = False,
     seeds_matter: bool = False,
     resumed: Checkpoint[StateT] | None = None,
 ) -> Plan[StateT]:
@@ -90,9 +88,6 @@ def plan_of(
         seed: seed of all random numbers, at least 0.
         runs: number of simulated scenarios after which the search ends, at least 1; None for no limit. If the limit
             is reached inside a generation, it is reported as finished, but the algorithm does not receive its results.
-        for_batches: the algorithm of all generations but the first if the policy decides for many runs at once; None
-            for ``algorithm``.
-        decides_for_many: True if that is known already.
         seeds_matter: True if the seed of a scenario can change its run even if the NPCs drive the same chains.
         resumed: checkpoint of an earlier search with the same arguments, from which ``generations`` and ``runs`` are
             counted. The events of both, one after the other, are those of one uninterrupted search, except for
@@ -118,8 +113,7 @@ def plan_of(
         length = max(LEAST_GENERATIONS, -(-of_block // algorithm.population))  # type: ignore[attr-defined]
     return Plan(
         started=CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed),
-        algorithms=(algorithm, for_batches or algorithm),
-        decides_for_many=decides_for_many,
+        algorithm=algorithm,
         length=length,
         last_generation=resumed.generation + (generations or (runs or 0) + bool(resumed.begun)),
         last_run=sys.maxsize if runs is None else resumed.sums.simulated + runs,
@@ -136,8 +130,7 @@ class Plan(Generic[StateT]):
 
     Args:
         started: the first event.
-        algorithms: the algorithm of the first generation, and that of later ones if the policy decides for many runs.
-        decides_for_many: True if that is known already.
+        algorithm: the algorithm of all generations.
         length: the number of generations of a block; None if the whole search is one.
         last_generation: the number of the generation before which the search ends.
         last_run: the number of simulated scenarios after which it ends.
@@ -149,8 +142,7 @@ class Plan(Generic[StateT]):
         self,
         *,
         started: CampaignStarted,
-        algorithms: tuple[Algorithm[StateT], Algorithm[StateT]],
-        decides_for_many: bool,
+        algorithm: Algorithm[StateT],
         length: int | None,
         last_generation: int,
         last_run: int,
@@ -160,12 +152,10 @@ class Plan(Generic[StateT]):
         self.started = started
         self.sums = resumed.sums
         """The totals over all evaluations so far."""
-        self.decides_for_many = decides_for_many
-        """True as soon as the policy has shown that it decides for many runs at once; whoever runs it notes that."""
         self.length = length
         self.last_generation = last_generation
         self.last_run = last_run
-        self._algorithms = algorithms
+        self.algorithm: Any = algorithm
         self._is_announced = False
         cache = None if length is not None else EvaluationCache(seeds_matter=seeds_matter)
         try:
@@ -284,10 +274,6 @@ class Plan(Generic[StateT]):
             best = each if improves(each, best) else best
         return replace(self.sums, best=best)
 
-    def algorithm(self, generation: int) -> Any:
-        """Return the algorithm of a generation."""
-        return self._algorithms[bool(generation) and self.decides_for_many]
-
     # Blocks, of which other processes can drive later ones.
 
     @property
@@ -300,20 +286,15 @@ class Plan(Generic[StateT]):
         """The number of blocks, from the first one on, that end within the limits of the search."""
         if self.length is None:
             return 0
-        population, rest = self._algorithms[0].population, self.algorithm(1).population  # type: ignore[attr-defined]
-        in_runs = (self.last_run - int(population) + int(rest)) // int(rest)
-        return min(self.last_generation, in_runs) // self.length
+        return min(self.last_generation, self.last_run // int(self.algorithm.population)) // self.length
 
     def beginning(self, number: int) -> Block[StateT]:
         """Return a block at its beginning."""
         assert self.length is not None  # noqa: S101  (only a search in blocks has another one)
-        generation = number * self.length
-        algorithm = self.algorithm(generation)
-        proposed = 0
-        if generation:
-            proposed = self._algorithms[0].population + (generation - 1) * algorithm.population  # type: ignore[attr-defined]
+        generation, algorithm = number * self.length, self.algorithm
         start = algorithm.start(generation_rng(self.started.seed))
-        return Block(self.algorithm, self.started.seed, replace(start, generation=generation, proposed=proposed))
+        begun = replace(start, generation=generation, proposed=generation * algorithm.population)
+        return Block(algorithm, self.started.seed, begun)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -343,7 +324,7 @@ class Block(Generic[StateT]):
 
     def __init__(
         self,
-        algorithm: Callable[[int], Any],
+        algorithm: Any,
         seed: int,
         state: StateT,
         *,
@@ -369,7 +350,7 @@ class Block(Generic[StateT]):
     def is_whole(self) -> bool:
         """True if all scenarios of the generation are evaluated."""
         if self._cache is None and self._drawing is None:
-            return self.index >= int(self._algorithm(self.generation).population)
+            return self.index >= int(self._algorithm.population)
         return not self._drawn.has(self.index)
 
     def scenario(self) -> Scenario:
@@ -417,7 +398,7 @@ class Block(Generic[StateT]):
         learnt, events = self.learnt, tuple[AlgorithmEvent, ...]()
         if learnt is None:
             asked, evaluations = self._drawn.finished(), tuple(each for each, _ in self.evaluations())
-            state, events = self._algorithm(self.generation).tell(asked, evaluations, self._rng)
+            state, events = self._algorithm.tell(asked, evaluations, self._rng)
             self._state, self.generation = state, state.generation
         else:
             self._state, events = learnt.state, learnt.events
@@ -460,7 +441,7 @@ class Block(Generic[StateT]):
             return self._drawing
         state = self.state
         self._rng = generation_rng(self._seed, state.generation, state.local_generation)
-        self._drawing = Drawing(self._algorithm(state.generation), state, self._rng)
+        self._drawing = Drawing(self._algorithm, state, self._rng)
         if not self._begun:
             if self._cache is not None:
                 self._cache.forget()  # only here, between two generations, where checkpoints are made

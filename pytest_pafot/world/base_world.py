@@ -229,15 +229,6 @@ class BaseWorld(ABC):
         return False
 
     @property
-    def has_lock_step(self) -> bool:
-        """True if :meth:`rollout_batch` makes several runs at once, one decision at a time."""
-        return False
-
-    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios with the traces of :meth:`rollout`, in lock step if the ADS has ``batch``."""
-        raise NotImplementedError
-
-    @property
     def can_last(self) -> bool:
         """True if runs can go on after the end of their scenario, by :meth:`lasting`."""
         return False

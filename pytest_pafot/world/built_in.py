@@ -12,7 +12,6 @@ from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.instructions import ScenarioError, checked_driver
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import FieldError, WorldError
@@ -20,8 +19,7 @@ from pytest_pafot.world.base_world import BaseWorld, FirstDecision, RoadStart, d
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
-from pytest_pafot.world.engines.lock_step import rollouts
-from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun, drives_itself
+from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, drives_itself
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
@@ -145,10 +143,6 @@ class BuiltInWorld(BaseWorld):
         """The road if it is straight, else None."""
         return self.road if isinstance(self.road, StraightRoad) else None
 
-    @abstractmethod
-    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        """Begin a run to which the caller passes the decisions, for an ADS with the given sight."""
-
     has_traffic_styles = True
     """True, because NPCs keep to the style of a scenario's traffic."""
 
@@ -164,11 +158,6 @@ class BuiltInWorld(BaseWorld):
 
     has_free_npcs = True
     """True, because drivers of NPCs see any road from their places."""
-
-    @property
-    def has_lock_step(self) -> bool:
-        """True if several runs can proceed in lock step, one decision at a time."""
-        return True
 
     can_last = True
     """True, because :meth:`lasting` gives this world with longer runs."""
@@ -258,30 +247,6 @@ class BuiltInWorld(BaseWorld):
     def _can_drive_npcs(self, factory: AdsFactory) -> bool:
         """Return whether a policy could drive an NPC, too: it acts in SI units, or is a vehicle class."""
         return True
-
-    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios in lock step if this world supports it and the ADS has ``batch``, else one by one.
-
-        Args:
-            scenarios: the scenarios to run; they are checked against this world.
-            ads_factory: a callable that returns the ADS. For an ADS with ``batch``, see the conditions in
-                :mod:`pytest_pafot.world.engines.lock_step`.
-
-        Raises:
-            ScenarioError: if a scenario does not fit this world.
-            AdsFactoryError: if the factory returns nothing that can drive here, or ``batch`` does not return one action
-                for each observation.
-            WorldError: if the environment cannot be used.
-            Exception: any exception of the factory itself. An exception of the ADS ends its run as ``ads_error``.
-        """
-        for scenario in scenarios:
-            self.check_fits(scenario)
-        policy = Policy(ads_factory)
-        policy.check_drives_in(self)
-        if not self.has_lock_step:
-            return [self.rollout(scenario, ads_factory) for scenario in scenarios]
-        begin = self.driven_in(scenarios, ads_factory)._begin
-        return rollouts(scenarios, policy, begin, self.rollout, self.hang_limit)
 
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.

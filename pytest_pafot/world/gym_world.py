@@ -9,15 +9,13 @@ from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.engines.egos import planner_run
-from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun
+from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
@@ -249,16 +247,6 @@ class World(BuiltInWorld):
         """Return whether a policy could drive an NPC, too, which has no observation or action of the environment."""
         return self.planner_hz is not None or Policy(factory).drives_itself
 
-    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        if self.planner_hz is not None:
-            run = planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
-            run.ends = self._own_ends(self.rules, scenario, run.vehicles, guard)
-            return run
-        self.environment.check_keeps_no_ego()
-        from pytest_pafot.world.engines.policies import begin  # noqa: PLC0415  (imports highway-env)
-
-        return begin(self.environment, self.rules, scenario, guard, sight)
-
     @property
     def least_action_speed(self) -> float:
         """The lowest speed that ``DiscreteMetaAction`` can set [m/s]; 0 for other actions, and for planners.
@@ -285,14 +273,6 @@ class World(BuiltInWorld):
         left_out = {} if is_episode or self.planner_hz is not None else self.environment.left_out
         asked = () if self.ends == "duration" else self.environment.own_ends
         return {name: changed for name, changed in left_out.items() if name not in asked}
-
-    @property
-    def has_lock_step(self) -> bool:
-        """True if several runs can proceed in lock step.
-
-        They cannot with wrappers, or if the environment overrides highway-env's ``step`` or ``reset``.
-        """
-        return self.wrappers is None and not self.environment.episodes_itself(drives_itself=self.planner_hz is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it.

@@ -9,7 +9,6 @@ from typing import Any
 
 from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
-from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
@@ -17,10 +16,8 @@ from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.engines.egos import planner_run, vehicle_run
-from pytest_pafot.world.engines.run import SteppedRun
+from pytest_pafot.world.engines.egos import vehicle_run
 from pytest_pafot.world.guard.failure import closing
-from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
 from pytest_pafot.world.roads.straight import StraightRoad, ego_start
 from pytest_pafot.world.run_config import Rules
@@ -139,9 +136,6 @@ class Highway(BuiltInWorld):
 
         rules = self.driven_in((scenario,), ads_factory).rules
         return replay_highway(rules, scenario, Policy(ads_factory))
-
-    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        return planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""

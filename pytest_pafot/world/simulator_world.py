@@ -19,7 +19,6 @@ import numpy as np
 from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.instructions import BUILT_IN_DRIVERS, ScenarioError, checked_driver
 from pytest_pafot.model.scenario import EGO_SPEED, PAPER_SPEED_LIMIT, Scenario
-from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
@@ -146,11 +145,6 @@ class SimulatorWorld(BuiltInWorld):
         """The packages that the simulator's class names; none if a function makes the simulator."""
         maker = self.simulator.func if isinstance(self.simulator, partial) else self.simulator
         return getattr(maker, "packages", ())  # without a simulator, which is made where its errors are reported
-
-    @property
-    def has_lock_step(self) -> bool:
-        """True if several objects of the simulator can be in use at once."""
-        return not self.maker.one_at_a_time
 
     @property
     def speed_limit(self) -> float:
@@ -328,11 +322,6 @@ class SimulatorWorld(BuiltInWorld):
         with guard:
             self._simulate(run, scenario, guard)
         return run.finish()
-
-    def _begin(self, scenario: Scenario, guard: HangGuard, sight: Sight | None) -> SteppedRun:
-        run = planner_run(self.rules, scenario, lambda: self.stock_road, None, guard, sight=sight)
-        self._simulate(run, scenario, guard)
-        return run
 
     def _simulate(self, run: SteppedRun, scenario: Scenario, guard: HangGuard) -> None:
         """Let the simulator move the vehicles of a run that begins."""

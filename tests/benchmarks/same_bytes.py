@@ -86,21 +86,6 @@ class Idle(Keeping):
     action = 1
 
 
-class Network:
-    """Brakes or accelerates by two small layers."""
-
-    def __init__(self):
-        rng = np.random.default_rng(0)
-        self.first, self.second = rng.normal(0, 0.2, (7, 16)), rng.normal(0, 0.5, (16, 1))
-
-    def __call__(self, observation):
-        return self.batch([observation])[0]
-
-    def batch(self, observations):
-        rows = np.stack([each.array[0] for each in observations]) * 0.05
-        return [(float(pull), 0.0) for (pull,) in np.tanh(rows @ self.first) @ self.second]
-
-
 @pafot.search(ads=Keeping)
 def test_highway(run):
     assert not run.collision, run.explain()
@@ -125,11 +110,6 @@ def test_environment(run):
 def test_vehicle(run):
     assert not run.collision, run.explain()
     assert run.min_distance > 0.5
-
-
-@pafot.search(ads=Network)
-def test_batch(run):
-    assert not run.collision, run.explain()
 '''
 
 
@@ -168,8 +148,6 @@ SESSIONS: Mapping[str, Session] = {
     "environment-workers": Session("environment", always=TWO, slow=DEAR),
     "vehicle": Session("vehicle", ("", REPLAY)),
     "vehicle-isolated-workers": Session("vehicle", always=f"--pafot-isolate {TWO}"),
-    "batch": Session("batch", ("", REPLAY)),
-    "batch-xdist": Session("batch", always=XDIST),
 }
 ALWAYS = (
     "-p pytest_pafot.plugin --pafot-seed=3 --pafot-runs=24 --pafot-shrink-rollouts=16 --pafot-neighbours=4 "

@@ -1,7 +1,7 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
     python -m tests.benchmarks.speed [--rounds 7]
-        [--parts engines ads npcs search batch roads pure start memory comparison]
+        [--parts engines ads npcs search roads start memory comparison]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
@@ -9,10 +9,8 @@
 - ``ads``: policies of different cost, and the share of the time inside them.
 - ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
 - ``search``: the cost of searches in addition to their rollouts.
-- ``batch``: runs in lock step, with policies that decide for all of them at once, compared with one by one.
 - ``roads``: a simulated second of a trivial planner, of IDM and of a trivial policy on the roads of highway-env, beside
   the same policy by ``env.step``.
-- ``pure``: searches with a policy of 1 ms that is declared pure, compared with the same policy called for everything.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
 - ``memory``: the memory of this process over 10,000 scenarios.
 - ``comparison``: searches as in the paper's comparison, IDM+MOBIL as the ego, in two processes.
@@ -38,10 +36,7 @@ from typing import Any
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, PositionInstruction, Run, Scenario, Trace, World, explore
-from pytest_pafot.campaign.refine.runs import driven
-from pytest_pafot.campaign.refine.simplest import ROLLOUTS
-from pytest_pafot.execution.runner import DecisionCache
+from pytest_pafot import Highway, PositionInstruction, Scenario, Trace, World, explore
 from pytest_pafot.extras.training import random_scenarios
 from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.searching import (
@@ -49,7 +44,6 @@ from pytest_pafot.searching import (
     PafotSearch,
     RandomSearch,
     SearchSpace,
-    resolve_algorithm,
     sample,
 )
 from pytest_pafot.searching.fitness import resolve
@@ -59,7 +53,6 @@ from tests.benchmarks.crowd import crowd
 from tests.helpers.campaigns import run_campaign
 from tests.helpers.gym_loop import drive, make_env, place, si_actions
 from tests.helpers.interpreted import InterpretedWorld
-from tests.helpers.shrinking import shrink
 
 SCENARIO = Scenario(
     npcs=(
@@ -292,66 +285,6 @@ def search(rounds: int) -> None:
         print(f"  {ego:15} {arm:22} {runs} runs: {each}, {(total - rollouts) / rollouts:.2f} of it")
 
 
-class Network:
-    """Two layers of 256 in single precision, for one observation of three vehicles or a row for each run."""
-
-    def __init__(self) -> None:
-        rng = np.random.default_rng(0)
-        self._layers = [rng.normal(0, 0.01, shape).astype(np.float32) for shape in ((21, 256), (256, 256), (256, 2))]
-
-    def __call__(self, observation: Any) -> Any:
-        """Return one decision."""
-        return self.batch([observation])[0]
-
-    def batch(self, observations: list[Any]) -> Any:
-        """Return the decisions for all observations."""
-        first, second, last = self._layers
-        rows = np.stack([each.array.ravel() for each in observations]).astype(np.float32) * 1e-3
-        return (np.tanh(np.tanh(rows @ first) @ second) @ last * 1e-3).tolist()
-
-
-class Dear(Network):
-    """An ADS that takes 85 us for any number of observations: in Stable-Baselines3, eight cost as much as one."""
-
-    def __init__(self) -> None:
-        """Make no layers."""
-
-    def batch(self, observations: list[Any]) -> Any:
-        """Return the decisions for all observations."""
-        spin(85e-6)
-        return [(0.0, 0.0)] * len(observations)
-
-
-def batch(rounds: int) -> None:
-    """Run part ``batch``."""
-    world, rng = Highway(speed_limit=30.0), np.random.default_rng(0)
-    print(f"\nruns in lock step against one by one, {KERNEL}, 60 s, 2 NPCs, 15/5 Hz")
-    for name, factory in (("numpy network, 2 x 256", Network), ("85 us, as SB3's PPO", Dear)):
-        for count in (4, 8, 32):
-            scenarios = [replace(SCENARIO, seed=int(rng.integers(2**31))) for _ in range(count)]
-            alone, together = [], []
-            for _ in range(rounds):
-                alone.append(median_ms(partial(one_by_one, world, scenarios, factory), 1))
-                together.append(median_ms(partial(world.rollout_batch, scenarios, factory), 1))
-            ratio = statistics.median(a / b for a, b in zip(alone, together, strict=True))
-            each = statistics.median(together) / count
-            print(f"  {name:24}{count:3} runs: {each:8.3f} ms a run in lock step, {ratio:5.1f} x as fast")
-
-
-def one_by_one(world: Highway, scenarios: list[Scenario], factory: Callable[[], Any]) -> list[Trace]:
-    """Run the scenarios of a batch one after another."""
-    return [world.rollout(scenario, factory) for scenario in scenarios]
-
-
-class Slow:
-    """A pure policy of 1 ms, which follows the vehicle ahead."""
-
-    def __call__(self, observation: Any) -> tuple[float, float]:
-        """Return one decision."""
-        spin(1e-3)
-        return small_python()(observation)
-
-
 def always(action: Any) -> Callable[[object], Any]:
     """Return a policy that returns the same action at every decision."""
     return lambda observation: action
@@ -377,72 +310,6 @@ def roads(rounds: int) -> None:
             seconds = sum(run(scenario, ads).duration for scenario in scenarios)
             took = median_ms(lambda: [run(scenario, ads) for scenario in scenarios], rounds)  # noqa: B023  (called here)
             print(f"{env_id:16} {kind:20} {took / seconds:8.3f} ms a simulated second")
-
-
-def pure(rounds: int) -> None:
-    """Run part ``pure``."""
-    print(f"\ndecisions of a pure policy of 1 ms taken from earlier runs, {KERNEL}, 20 generations, 15/5 Hz")
-    for name in ("pafot", "distinct"):
-        shares, ratios, times = [], [], []
-        for seed in range(rounds):
-            seconds, asked, history = _searched(name, seed, resumed=False)
-            seconds_resumed, asked_resumed, history_resumed = _searched(name, seed, resumed=True)
-            assert history_resumed == history, "the searches differ"
-            shares.append(1 - asked_resumed / asked)
-            ratios.append(seconds / seconds_resumed)
-            times.append((seconds, seconds_resumed))
-        before, after = (statistics.median(column) for column in zip(*times, strict=True))
-        print(
-            f"  {name:10} {statistics.median(shares):6.1%} of the decisions saved, {before:6.2f} s without, "
-            f"{after:6.2f} s with, {statistics.median(ratios):5.2f} x as fast"
-        )
-    saved = [_saved_by_shrinking(seed) for seed in range(rounds)]
-    print(f"  shrinking  {statistics.median(saved):6.1%} of the decisions saved")
-
-
-def _saved_by_shrinking(seed: int) -> float:
-    """Return the share of the decisions that shrinking a collision saves after its run."""
-    world, rng, prefixes, counts = Highway(), np.random.default_rng(seed), DecisionCache(), [0, 0]
-
-    def attempt(scenario: Scenario) -> Scenario | None:
-        decisions = prefixes.recall(scenario)[0]
-        trace = world.rollout(scenario, steady, decisions=decisions)
-        prefixes.remember(trace)
-        counts[0] += min(len(decisions), len(trace.actions))
-        counts[1] += len(trace.actions)
-        return driven(Run(trace)) if trace.outcome is Outcome.COLLISION else None
-
-    found = next(each for each in iter(lambda: sample(SearchSpace(), rng), None) if attempt(each) is not None)
-    counts[:] = [0, 0]
-    shrink(found, attempt, rollouts=ROLLOUTS, top_speed=world.speed_limit)
-    return counts[0] / counts[1]
-
-
-def steady() -> Callable[[Any], tuple[float, float]]:
-    """Return a pure policy that keeps its speed whatever is ahead."""
-    return lambda observation: (0.2 * (22.0 - observation.ego.speed), 0.0)
-
-
-def _searched(name: str, seed: int, *, resumed: bool) -> tuple[float, int, list[str]]:
-    """Return a search's processor time [s], its number of ADS decisions, and the content of each run."""
-    world, fitness, prefixes = Highway(), resolve("default"), DecisionCache()
-    asked, history = 0, []
-
-    def evaluate(scenario: Any) -> Evaluation:
-        nonlocal asked
-        decisions = prefixes.recall(scenario)[0] if resumed else ()
-        trace = world.rollout(scenario, Slow, decisions=decisions)
-        if resumed:
-            prefixes.remember(trace)
-        asked += max(len(trace.actions) - len(decisions), 0)
-        history.append(hashlib.sha256(trace.states.tobytes()).hexdigest())
-        return Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome is Outcome.COLLISION)
-
-    started = time.process_time()
-    algorithm = resolve_algorithm(name).make(SearchSpace(), population=4)
-    for _ in run_campaign(algorithm, evaluate, generations=20, seed=seed):
-        pass
-    return time.process_time() - started, asked, history
 
 
 def start(rounds: int) -> None:
@@ -512,7 +379,7 @@ def _compared(job: tuple[str, int]) -> int:
 
 
 PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "batch": batch, "roads": roads, "pure": pure,
+    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "roads": roads,
     "start": start, "memory": memory, "comparison": comparison,
 }  # fmt: skip
 

@@ -200,28 +200,6 @@ def test_few_frames_separate_search_loop_and_run():
     assert Planner.stacks.index("search") < 8
 
 
-class Batched:
-    """Keep the speed, in many runs at once."""
-
-    def __call__(self, observation):
-        return 0.0, 0.0
-
-    def batch(self, observations):
-        return [(0.0, 0.0)] * len(observations)
-
-
-@pytest.mark.parametrize(
-    ("given", "sizes"),
-    [({}, [16, 64]), ({"decision_limit": 60.0}, [16, 16]), ({"population": 4}, [4, 4])],
-    ids=["in lock step", "one by one", "as given"],
-)
-def test_batch_ads_gets_large_generations_after_the_first(given, sizes):
-    world = pafot.Highway(duration=2.0)
-    searched = pafot.explore(Batched, holds=lambda run: None, world=world, generations=2, seed=1, **given)
-    counts = Counter(event.generation for event in searched.events if isinstance(event, Evaluated))
-    assert [counts[generation] for generation in sorted(counts)] == sizes
-
-
 def test_search_without_corpus_writes_nothing_but_finds_same(exploration, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings == exploration.findings

@@ -81,7 +81,6 @@ class Bench:
 
     verdicts: Callable[[int], Verdict]
     simulate: Callable[[Scenario], Run]
-    runner: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(is_alone=True, decides_for_many=False))
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 

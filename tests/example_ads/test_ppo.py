@@ -63,13 +63,6 @@ def test_it_drives_through_ordinary_traffic_without_a_crash(seed):
     assert (episode.outcome, episode.seconds) == (Outcome.SAFE, 30.0)
 
 
-def test_it_decides_for_many_as_for_each(observations):
-    policy = ppo.make()
-    assert policy.batch(observations) == [policy(observation) for observation in observations]
-    assert policy.batch(list(observations[:1])) == [policy(observations[0])]
-    assert all(type(action) is int for action in policy.batch(observations[:3]))
-
-
 def test_weights_survive_scaling_and_back_exactly():
     inside = train.in_scale(ppo.read_actor(), np.reciprocal(train.SCALES))
     for kept, again in zip(ppo.read_actor(), train.in_scale(inside, train.SCALES), strict=True):

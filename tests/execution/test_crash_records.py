@@ -42,7 +42,7 @@ def test_next_session_names_the_scenario_of_a_crash(tmp_path):
     with child(tmp_path, "os._exit(139)") as process:
         assert process.wait() == 139
     (left,) = leftovers(tmp_path)
-    assert (left.owner, left.scenarios, left.world) == (OWNER, (SCENARIO,), WORLD)
+    assert (left.owner, left.scenario, left.world) == (OWNER, SCENARIO, WORLD)
     assert left.path.name.startswith(f"{left.pid}-")
 
 
@@ -56,7 +56,7 @@ def test_record_of_a_live_process_is_no_leftover(tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
-    assert [left.scenarios for left in leftovers(tmp_path)] == [(SCENARIO,)]
+    assert [left.scenario for left in leftovers(tmp_path)] == [SCENARIO]
 
 
 def test_a_reported_leftover_is_discarded_once(tmp_path):
@@ -130,7 +130,7 @@ def test_last_written_scenario_is_always_recovered(tmp_path_factory, one, other)
     abandoned(folder, "0-copy.inflight", path.read_bytes())
     record.close()
     (left,) = leftovers(folder)
-    assert (left.owner, left.scenarios) == ('nasty "owner"\n\ud800', (other,))
+    assert (left.owner, left.scenario) == ('nasty "owner"\n\ud800', other)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_last_written_scenario_is_always_recovered(tmp_path_factory, one, other)
 def test_a_garbled_record_is_still_a_leftover(tmp_path, content):
     abandoned(tmp_path, "77-x.inflight", content)
     (left,) = leftovers(tmp_path)
-    assert (left.pid, left.owner, left.scenarios) == (77, "", ())
+    assert (left.pid, left.owner, left.scenario) == (77, "", None)
 
 
 def test_each_project_has_a_folder_of_its_own(tmp_path, monkeypatch):
@@ -295,16 +295,3 @@ def test_recording_is_cheap_beside_any_run(tmp_path, monkeypatch):
         record.clear()
         monkeypatch.undo()
     assert calls == ["lseek", "write"] * 2
-
-
-def test_lock_step_record_contains_all_its_scenarios(tmp_path):
-    rest = """
-several = [Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3)]
-record.write(*several)
-os._exit(139)
-"""
-    with child(tmp_path, rest) as process:
-        assert process.wait() == 139
-    (left,) = leftovers(tmp_path)
-    assert (left.owner, left.is_lock_step, left.world) == (OWNER, True, WORLD)
-    assert left.scenarios == tuple(Scenario(npcs=[[PositionInstruction(cell, 2.0)]]) for cell in (1, 2, 3))

@@ -1,11 +1,8 @@
-"""Runs made in advance, in lock step or in other processes: when that happens, and that the results stay the same."""
-
-import json
+"""Runs made in advance, in other processes: when that happens, and that the results stay the same."""
 
 import numpy as np
 import pytest
 
-from pytest_pafot import Highway, explore
 from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
@@ -41,7 +38,7 @@ class World:
     """A world that runs scenarios in this process, each for a given time."""
 
     def __init__(self, seconds=0.0):
-        self.now, self.seconds, self.ran, self.together = 0.0, seconds, [], []
+        self.now, self.seconds, self.ran = 0.0, seconds, []
 
     def clock(self):
         return self.now
@@ -51,10 +48,6 @@ class World:
         self.now += self.seconds
         self.ran.append(scenario.seed)
         return trace_of(scenario)
-
-    def rollout_batch(self, scenarios, ads_factory):
-        self.together.append([each.seed for each in scenarios])
-        return [trace_of(each) for each in scenarios]
 
 
 @pytest.fixture
@@ -76,7 +69,7 @@ def runner_of(tmp_path, monkeypatch):
 def asked(runner, scenarios=SCENARIOS):
     """Return the numbers of the runs, in order."""
     runner.announce(scenarios)
-    return [runner.run(each).scenario.seed for each in scenarios]
+    return [runner.run(each, announced=True).scenario.seed for each in scenarios]
 
 
 class TestProcesses:
@@ -104,9 +97,9 @@ class TestProcesses:
         world, pool = World(1.5), Pool(seconds=0.005)
         with runner_of(world, pool) as runner:
             runner.announce(SCENARIOS)
-            runner.run(SCENARIOS[0])
+            runner.run(SCENARIOS[0], announced=True)
             world.seconds = 0.005
-            assert [runner.run(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+            assert [runner.run(each, announced=True).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
         assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
@@ -115,9 +108,9 @@ class TestProcesses:
         world, pool = World(0.005), Pool()
         runner = runner_of(world, pool)
         runner.announce(SCENARIOS)
-        runner.run(SCENARIOS[0])
+        runner.run(SCENARIOS[0], announced=True)
         world.seconds = 0.02
-        assert [runner.run(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+        assert [runner.run(each, announced=True).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
         assert world.ran == [0, 1]
 
     @pytest.mark.parametrize("seconds", [0.0, 0.02])
@@ -126,7 +119,7 @@ class TestProcesses:
         runner = runner_of(World(seconds), Pool(), workers)
         runner.announce(SCENARIOS)
         for each in SCENARIOS:
-            assert np.array_equal(runner.run(each).states, trace_of(each).states)
+            assert np.array_equal(runner.run(each, announced=True).states, trace_of(each).states)
 
     def test_one_worker_is_this_process_and_says_nothing(self, runner_of):
         world = World(1.0)
@@ -139,7 +132,7 @@ class TestProcesses:
         world = World(1.0)
         runner = runner_of(world)
         for each in SCENARIOS:
-            runner.run(each)
+            runner.run(each, announced=True)
         assert world.ran == list(range(8))
 
     def test_fresh_runs_are_made_in_this_process(self, runner_of):
@@ -147,7 +140,7 @@ class TestProcesses:
         runner = runner_of(world, pool)
         asked(runner)
         runner.announce(SCENARIOS)
-        runner.run(SCENARIOS[5], afresh=True)
+        runner.run(SCENARIOS[5])
         assert world.ran == [0, 5]
 
     def test_run_impossible_in_other_processes_is_made_here(self, runner_of):
@@ -209,115 +202,3 @@ class TestProcesses:
         assert used == "--pafot-workers=2: in use after 1 run of this process"
         assert recovered.startswith("a process (pid 7) was ended by SIGKILL while it ran <Scenario ")
         assert "too little memory for so many workers" in recovered
-
-
-class Batched:
-    def batch(self, observations):
-        """Fail: the world has no physics, so nothing calls it."""
-
-
-class TestLockStep:
-    @pytest.fixture
-    def world(self):
-        return World()
-
-    @pytest.fixture
-    def runner(self, runner_of, world):
-        """Return a runner that knows that its ADS decides for many runs at once."""
-        runner = runner_of(world, ads=Batched)
-        runner.run(SCENARIOS[7])
-        world.ran.clear()
-        return runner
-
-    def test_first_request_makes_all_announced_runs_together(self, world, runner):
-        with runner:
-            runner.announce(SCENARIOS[:4])
-            assert world.together == []
-            assert [runner.run(each).scenario for each in SCENARIOS[:4]] == SCENARIOS[:4]
-        assert (world.together, world.ran) == ([[0, 1, 2, 3]], [])
-
-    def test_batches_have_equal_npc_counts_and_no_nan(self):
-        batches = []
-
-        class Network:
-            def __call__(self, observation):
-                return 0.0, 0.0
-
-            def batch(self, observations):
-                batches.append(observations.array)
-                return np.zeros((len(observations), 2))
-
-        explore(Network, holds=lambda run: None, world=Highway(duration=2.0), runs=60, population=30, seed=1)
-        assert len({batch.shape[1] for batch in batches}) > 3
-        assert not any(np.isnan(batch).any() for batch in batches)
-
-    def test_unannounced_and_repeated_runs_are_made_alone(self, world, runner):
-        runner.announce(SCENARIOS[:2])
-        for number in (7, 0, 0, 1, 1):
-            assert runner.run(SCENARIOS[number]).scenario.seed == number
-        assert (world.together, world.ran) == ([[0, 1]], [7, 0, 1])
-
-    def test_makes_by_itself_what_is_asked_for_afresh(self, world, runner):
-        runner.announce(SCENARIOS[:2])
-        runner.run(SCENARIOS[0], afresh=True)
-        assert (world.together, world.ran, runner.is_alone) == ([], [0], True)
-
-    def test_runner_knows_whether_the_last_run_was_alone(self, runner):
-        runner.announce(SCENARIOS[:2])
-        runner.run(SCENARIOS[0])
-        assert not runner.is_alone
-        runner.run(SCENARIOS[0])
-        assert runner.is_alone
-
-    def test_one_announced_run_is_made_by_itself(self, world, runner):
-        runner.announce(SCENARIOS[:1])
-        runner.run(SCENARIOS[0])
-        assert (world.together, world.ran) == ([], [0])
-
-    def test_keeps_nothing_that_was_not_asked_for(self, world, runner):
-        with runner:
-            runner.announce(SCENARIOS[:2])
-            runner.run(SCENARIOS[0])
-            runner.announce(SCENARIOS[1:3])
-            runner.run(SCENARIOS[1])
-        runner.run(SCENARIOS[2])
-        assert (world.together, world.ran) == ([[0, 1], [1, 2]], [2])
-
-    def test_crash_record_narrows_to_the_requested_scenario(self, world, runner, tmp_path):
-        def on_disk():
-            (path,) = tmp_path.iterdir()
-            record = json.loads(path.read_text().partition("\n")[0])
-            return record["scenario"], record.get("together")
-
-        def rollout_batch(scenarios, ads_factory):
-            before.append(on_disk())
-            return [trace_of(each) for each in scenarios]
-
-        before, world.rollout_batch = [], rollout_batch
-        runner.announce(SCENARIOS[:2])
-        runner.run(SCENARIOS[1])
-        plain = [json.loads(each.canonical()) for each in SCENARIOS[:2]]
-        assert before == [(None, plain)]
-        assert on_disk() == (plain[1], None)
-
-    @pytest.mark.parametrize(("ads", "expected"), [(Batched, [[1, 2]]), (object, [])])
-    def test_first_ads_shows_whether_batches_are_possible(self, runner_of, world, ads, expected):
-        runner = runner_of(world, ads=ads)
-        asked(runner, SCENARIOS[:3])
-        assert world.together == expected
-
-    def test_it_is_not_used_where_it_may_not(self, runner_of, world):
-        asked(runner_of(world, ads=Batched, times_decisions=True))
-        assert world.together == []
-
-    @pytest.mark.parametrize(
-        ("workers", "notes"),
-        [
-            (1, []),
-            (2, ["--pafot-workers=2: not in use, since the ADS decides for many runs at once, by its `batch`"]),
-        ],
-    )
-    def test_the_notes_say_that_processes_are_not_used(self, runner_of, workers, notes):
-        with runner_of(World(0.02), ads=Batched, workers=workers) as runner:
-            asked(runner)
-        assert runner.notes == notes

@@ -11,7 +11,7 @@ import pytest
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover, leftovers
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import answers_apart, retry, run_apart
+from pytest_pafot.execution.runner import answer_apart, retry, run_apart
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.model.instructions import Free
 from pytest_pafot.model.scenario import Scenario
@@ -22,7 +22,7 @@ from tests.helpers.toy_world import Toy, scenario
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
-ONE, TWO = scenario(1), scenario(2)
+ONE = scenario(1)
 
 
 @pytest.fixture
@@ -57,9 +57,9 @@ def test_scenario_and_its_verdict_run_in_another_process(job_of, tmp_path, capfd
         print("judged")
         (tmp_path / f"{trace.scenario.seed}").write_text(f"{os.getpid()}")
 
-    answers = answers_apart(job_of(idle), [ONE, TWO], judge, isolate=False)
-    assert [trace.scenario for trace, *_ in answers.values()] == [ONE, TWO]
-    assert {(tmp_path / "1").read_text(), (tmp_path / "2").read_text()}.isdisjoint({f"{os.getpid()}"})
+    trace, *_ = answer_apart(job_of(idle), ONE, judge, isolate=False)
+    assert trace.scenario == ONE
+    assert (tmp_path / "1").read_text() != f"{os.getpid()}"
     assert capfd.readouterr().out == ""
 
 
@@ -78,7 +78,7 @@ def test_lost_process_counts_despite_a_successful_retry(job_of, tmp_path):
             (tmp_path / "died").touch()
             os._exit(9)
 
-    answer = answers_apart(job_of(die_once), [ONE], praise, isolate=False)[ONE]
+    answer = answer_apart(job_of(die_once), ONE, praise, isolate=False)
     assert isinstance(answer, ProcessLostError)
 
 
@@ -115,19 +115,18 @@ def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork
 class TestRetrying:
     @pytest.fixture
     def retried(self, job_of, tmp_path):
-        """Return the result of a dead process's record, the remaining records, and the runs in this process."""
+        """Return the result of a dead process's record, and what is saved."""
 
-        def retried(*scenarios, drive=idle):
+        def retried(drive=idle):
             folder = tmp_path / "records"
-            plain = [json.loads(each.canonical()) for each in scenarios]
-            several = {"scenario": None, "together": plain} if len(plain) > 1 else {"scenario": plain[0]}
             folder.mkdir(exist_ok=True)
-            (folder / "1-x.inflight").write_text(json.dumps({"owner": "it", "pid": 1, "world": None, **several}))
+            record = {"owner": "it", "pid": 1, "world": None, "scenario": json.loads(ONE.canonical())}
+            (folder / "1-x.inflight").write_text(json.dumps(record))
             return again(drive)
 
         def again(drive=idle, *, twice=False):
             (leftover,) = leftovers(tmp_path / "records")
-            kept, here = [], []
+            kept = []
             came = retry(
                 leftover,
                 job_of(drive),
@@ -135,50 +134,43 @@ class TestRetrying:
                 isolate=False,
                 has_died_twice=twice,
                 keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.how)),
-                run_here=lambda leftover: here.append(leftover.scenarios),
             )
-            return came, kept, here
+            return came, kept
 
         retried.again = again
         return retried
 
     @needs_fork
-    @pytest.mark.parametrize("scenarios", [(ONE,), (ONE, TWO)])
-    def test_retried_scenario_that_completes_is_noted_and_pending(self, retried, tmp_path, scenarios):
-        came, kept, here = retried(*scenarios)
-        assert (kept, here) == ([], [])
+    def test_retried_scenario_that_completes_is_noted_and_pending(self, retried, tmp_path):
+        came, kept = retried()
+        assert kept == []
         assert "ran to its end when it was tried again" in came.notes[0]
         assert [each.path for each in leftovers(tmp_path / "records")] == [came.pending.path]
 
     @needs_fork
     def test_retried_scenario_that_dies_again_is_saved(self, retried, tmp_path):
-        came, kept, here = retried(ONE, TWO, drive=die_in_first)
-        assert (kept, here) == ([(ONE, "ended with exit code 9")], [])
+        came, kept = retried(die_in_first)
+        assert kept == [(ONE, "ended with exit code 9")]
         assert (came.notes, came.pending) == ((), None)
         assert leftovers(tmp_path / "records") == ()
 
     @needs_fork
     def test_sessions_that_are_killed_again_and_again_are_no_finding(self, retried):
-        retried(ONE)
+        retried()
         for _ in range(2):
-            came, kept, here = retried.again()
-            assert (kept, here) == ([], [])
+            came, kept = retried.again()
+            assert kept == []
             assert "killed from outside" in came.notes[0]
 
     @needs_fork
     def test_scenario_in_which_two_processes_died_is_saved(self, retried):
-        retried(ONE)
-        came, kept, _ = retried.again(twice=True)
+        retried()
+        came, kept = retried.again(twice=True)
         assert (kept, came.pending) == ([(ONE, None)], None)
 
     def test_without_retrying_one_death_of_lone_scenario_suffices(self, retried, no_fork):
-        _, kept, here = retried(ONE)
-        assert (kept, here) == ([(ONE, None)], [])
-
-    def test_without_retrying_lock_step_scenarios_run_here(self, retried, no_fork):
-        came, kept, here = retried(ONE, TWO)
-        assert (kept, here) == ([], [(ONE, TWO)])
-        assert came.pending is None
+        _, kept = retried()
+        assert kept == [(ONE, None)]
 
 
 def keep(observation):
@@ -225,8 +217,8 @@ BESIDE_IT = Scenario(
 def test_process_that_the_driver_of_an_npc_ends_is_no_death_of_the_policy(end, tmp_path, monkeypatch):
     monkeypatch.setattr(scenario_pool, "GRACE", 0.2)
     job, kept = driven_by({"last": ends(DEATHS[end])}, tmp_path), []
-    record = Leftover(path=tmp_path / "record", pid=1, scenarios=(BESIDE_IT,))
-    again = retry(record, job, praise, isolate=False, has_died_twice=True, keep=kept.append, run_here=pytest.fail)
+    record = Leftover(path=tmp_path / "record", pid=1, scenario=BESIDE_IT)
+    again = retry(record, job, praise, isolate=False, has_died_twice=True, keep=kept.append)
     assert f"the driver last failed: its process {end}, which says nothing about the ADS" in again.notes[0]
     assert again.fatal == BESIDE_IT
     assert kept == []
@@ -236,5 +228,5 @@ def test_process_that_the_driver_of_an_npc_ends_is_no_death_of_the_policy(end, t
 @pytest.mark.processes
 def test_process_that_the_policy_ends_next_to_a_driver_is_its_own_death(tmp_path):
     job = replace(driven_by({"last": lambda: keep}, tmp_path), policy=Policy(ends(DEATHS["ended with exit code 7"])))
-    lost = answers_apart(job, [BESIDE_IT], praise, isolate=False)[BESIDE_IT]
+    lost = answer_apart(job, BESIDE_IT, praise, isolate=False)
     assert (lost.npc, lost.how) == (None, "ended with exit code 7")

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Isolated
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.execution.scenario_pool import CapturedOutput, ExecutionError, Job
 from pytest_pafot.extras import executors
 from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
@@ -296,18 +296,20 @@ def test_runs_impossible_on_workers_happen_in_the_session(pool_of):
 def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
     executors._bench.cache_clear()
-    isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
-    assert isolated.collect(SCENARIOS[0], afresh=True) is not None
+    job = job_of(tmp_path)
+    isolated = runner_for(job, job.crash_record(), isolate=True, executor=Inline())
+    assert isolated.run(SCENARIOS[0]) is not None
     assert isolated.notes == ["pafot_executor: Inline made the runs of the generations"]
 
 
 def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "WorkerPool", Unable)
     executors._bench.cache_clear()
-    isolated = Isolated(job_of(tmp_path), workers=1, executor=Inline())
-    assert isolated.collect(SCENARIOS[0], afresh=True) is not None
+    job = job_of(tmp_path)
+    isolated = runner_for(job, job.crash_record(), isolate=True, executor=Inline())
+    assert isolated.run(SCENARIOS[0]) is not None
     with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; install"):
-        isolated.collect(SCENARIOS[1], afresh=True)
+        isolated.run(SCENARIOS[1])
     assert isolated.notes == []
 
 

@@ -115,7 +115,6 @@ def test_runs_of_two_worlds_follow_each_other_in_a_process():
     before = WORLD.rollout(drives, keeps_its_speed)
     other.rollout(drives, keeps_its_speed)
     assert np.array_equal(WORLD.rollout(drives, keeps_its_speed).states, before.states)
-    assert not WORLD.has_lock_step
 
 
 def test_a_policy_that_uses_libsumo_in_the_same_process_is_noticed():

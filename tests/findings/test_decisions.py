@@ -449,10 +449,8 @@ def expecting(run, **options):
     return Expect(failure="AssertionError", outcome=run.outcome, time=run.event_time, npc=0, **options)
 
 
-@pytest.mark.parametrize(("pure", "instead", "asked"), [
-    (False, None, 5), (False, "other", 3), (True, "other", 1), (True, None, 5),
-])  # fmt: skip
-def test_a_policy_is_asked_no_more_than_a_question_needs(pure, instead, asked):
+@pytest.mark.parametrize(("instead", "asked"), [(None, 5), ("other", 3)])
+def test_a_policy_is_asked_no_more_than_a_question_needs(instead, asked):
     seen = []
 
     class Ads:
@@ -460,7 +458,6 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(pure, instead, asked):
             seen.append(observation)
             return 0.0, 0.0
 
-    Ads.pure = pure
     aside = Aside()
     drive = beside(Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, Question(number=2, instead=instead))()
     assert [drive(number) for number in range(5)] == [(1.0, 0.0)] * 5
@@ -468,38 +465,6 @@ def test_a_policy_is_asked_no_more_than_a_question_needs(pure, instead, asked):
     assert aside.of(2) == (0.0, 0.0)
     assert (instead in seen) == (instead is not None)
     assert aside.at == 2
-
-
-@pytest.mark.parametrize("fails", [False, True])
-def test_a_copy_of_a_policy_is_asked_only_the_question(fails):
-    class Ads:
-        copyable = True
-
-        def __init__(self):
-            self.seen = []
-
-        def __call__(self, observation):
-            self.seen.append(observation)
-            return float(len(self.seen)), 0.0
-
-        def __deepcopy__(self, memo):
-            if fails:
-                raise TypeError
-            copied = Ads()
-            copied.seen = [*self.seen]
-            return copied
-
-    def told(question):
-        aside = Aside()
-        drive = beside(Ads, [(1.0, 0.0)] * 5, lambda action: action, aside, question)()
-        assert [drive(number) for number in range(5)] == [(1.0, 0.0)] * 5
-        return aside
-
-    whole = told(Question(number=2))
-    assert (whole.asked, whole.ads is None) == (5, fails)
-    for _ in range(2):
-        other = told(Question(number=2, instead="other", ads=whole.ads))
-        assert (other.asked, other.of(2)) == (3 if fails else 1, (3.0, 0.0))
 
 
 def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():

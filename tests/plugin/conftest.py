@@ -140,11 +140,10 @@ class Project:
         found = (path for path in sorted(self.path.rglob("*")) if "__pycache__" not in path.parts)
         return {path.relative_to(self.path).as_posix(): None if path.is_dir() else path.read_bytes() for path in found}
 
-    def leave_behind(self, owner, cells=(Cell.FRONT,), world=None):
-        """Write the record of a process that died while a test ran one scenario or several."""
+    def leave_behind(self, owner, world=None):
+        """Write the record of a process that died while a test ran a scenario."""
         flight = CrashRecord(records_of(self.path), owner, world=world or Highway(duration=10.0).to_dict())
-        chains = [(PositionInstruction(cell, 20.0),) * 2 for cell in cells]
-        flight.write(*(Scenario(npcs=(chain,), gene_seconds=5) for chain in chains))
+        flight.write(Scenario(npcs=((PositionInstruction(Cell.FRONT, 20.0),) * 2,), gene_seconds=5))
         os.close(flight._descriptor)
 
     def leave_crash(self, owner):

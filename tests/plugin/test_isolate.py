@@ -79,17 +79,6 @@ def session(project, *args, generations=3):
     return result, project.contents
 
 
-BATCH = """
-class Batching:
-    pure = True
-
-    def __call__(self, observation):
-        return 0.0, 0.0
-
-    def batch(self, observations):
-        return [(0.0, 0.0)] * len(observations)
-"""
-
 FAILS = """
 def fails(observation):
     if observation.time > 3 and observation.others[0].lane == 1:
@@ -101,8 +90,8 @@ def fails(observation):
 
 @pytest.mark.parametrize(
     ("drive", "more"),
-    [("keep", ""), ("Batching()", BATCH), ("fails", FAILS)],
-    ids=["plain", "batch", "raises"],
+    [("keep", ""), ("fails", FAILS)],
+    ids=["plain", "raises"],
 )
 def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
     project = isolated(drive, more)
@@ -276,16 +265,6 @@ def drive(observation):
         return -0.5, 0.0
     return 0.0, 0.0
 """
-
-
-def test_policy_that_decides_for_many_runs_stays_in_the_session_and_that_is_told(isolated, monkeypatch):
-    project = isolated("Batching()", BATCH)
-    monkeypatch.setenv("CI", "true")
-    result, contents = session(project, "--pafot-seed=0", *QUICK)
-    result.stdout.fnmatch_lines(["  note: the ADS runs in this process although the profile ci isolates*"])
-    assert str(result.stdout).count("decides for many runs at once") == 1
-    monkeypatch.delenv("CI")
-    assert session(project, "--pafot-seed=0", *QUICK)[1] == contents
 
 
 OPENS = """

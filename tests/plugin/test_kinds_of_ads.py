@@ -98,19 +98,6 @@ def test_drive(run):
     pass
 """
 
-BATCHED = """
-class Batched:
-    def __call__(self, observation):
-        return drive(observation)
-
-    def batch(self, observations):
-        return [drive(observation) for observation in observations]
-
-@pafot.search(SHORT, ads=Batched, shrink_rollouts=0)
-def test_drive(run):
-    pass
-"""
-
 RAISED = {
     "pytest.skip('no GPU')": "Skipped",
     "pytest.importorskip('no_such_module')": "Skipped",
@@ -139,11 +126,6 @@ class TestWhatAnAdsRaisesIsAFinding:
             assert finding.expect.failure == failure
         result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
         project.run(generations=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
-
-    def test_of_runs_in_lock_step(self, project):
-        project.write(RAISING.replace("RAISE", "pytest.skip('no GPU')") + BATCHED)
-        project.run().assert_outcomes(failed=2)
-        assert load(project.only_file).expect.failure == "Skipped"
 
     @pytest.mark.processes
     @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")

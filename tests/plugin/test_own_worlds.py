@@ -236,33 +236,6 @@ def test_environment_registered_with_wrapper_fails_its_item(project):
     )
 
 
-def test_batch_of_ads_is_not_used_in_wrappers(project):
-    project.write(
-        textwrap.dedent(
-            """
-            from gymnasium.wrappers import FlattenObservation
-
-            class Policy:
-                def __call__(self, seen):
-                    assert seen.shape == (25,)
-                    return 1
-
-                def batch(self, observations):
-                    raise AssertionError("in lock step")
-
-            FLAT = pafot.World("highway-v0", duration=2.0, wrappers=[FlattenObservation])
-
-            @pafot.search(genes=2, gene_seconds=1, npcs=2, population=2, ads=Policy, world=FLAT)
-            def test_holds(run):
-                assert run.ads_error is None, run.explain()
-            """
-        )
-    )
-    result = project.run("--pafot-workers=2")
-    result.assert_outcomes(passed=1)
-    result.stdout.no_fnmatch_line("*by its `batch`*")
-
-
 # --- worlds that a package has registered
 
 RINGS = (

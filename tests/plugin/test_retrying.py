@@ -10,7 +10,6 @@ import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import Isolated
-from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 
@@ -227,27 +226,3 @@ def test_retry_uses_the_world_of_the_record(project):
     replayed(project).stdout.fnmatch_lines([INNOCENT])
     project.leave_behind(OWNER, world=Highway(duration=10.0).to_dict())
     replayed(project).stdout.fnmatch_lines(["*the one that ran it again ended with exit code 9*"])
-
-
-AROUND = (Cell.FRONT, Cell.REAR, Cell.RIGHT)
-
-
-@forks
-def test_lock_step_scenario_that_kills_again_is_saved(project):
-    write(project, "os._exit(9) if observation.time == 0 and observation.others[0].x < observation.ego.x - 5 else None")
-    project.leave_behind(OWNER, AROUND)
-    result = replayed(project)
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*died while it ran this scenario and others in lock step, and the one that ran it*"])
-    ((gene, _),) = load(project.only_file).scenario.npcs
-    assert gene.cell is Cell.REAR
-    assert records(project) == []
-
-
-@forks
-def test_lock_step_scenarios_that_complete_share_one_note(project):
-    write(project, "None")
-    project.leave_behind(OWNER, AROUND)
-    result = replayed(project)
-    result.stdout.fnmatch_lines(["*died while it ran 3 scenarios in lock step, each of which ran to its end when*"])
-    assert (project.files, records(project)) == ([], [])

@@ -75,26 +75,6 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
             shown.fnmatch_lines([line, "*in all 4 runs of the first generation, at the first decision*"])
         assert project.files == []
 
-    def test_in_an_ads_that_decides_for_many_runs(self, project):
-        project.write(
-            """
-class Batched:
-    def __call__(self, observation):
-        return self.batch([observation])[0]
-
-    def batch(self, observations):
-        return [(observation.ego.sped, 0.0) for observation in observations]
-
-@pafot.search(SHORT, ads=Batched)
-def test_drive(run):
-    pass
-"""
-        )
-        result = project.run(generations=3)
-        result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines(["the ADS failed: AttributeError*", "*in batch", ALIKE])
-        assert project.files == []
-
     def test_setup_error_leaves_earlier_scenarios_unchanged(self, project):
         project.write(misspelt("stop_after=1").replace("not run.collided", "run.duration < 1"))
         project.run("--pafot-shrink-rollouts=0")

@@ -103,7 +103,6 @@ def test_custom_algorithm_is_a_class_or_its_name():
 def test_algorithm_class_declares_fitness_and_kinds_of_instructions():
     told = resolve_algorithm(Structural)
     assert (told.fitness, told.instructions) == ("paper", ("lanes",))
-    assert resolve_algorithm(Careful).batch_population == DistinctSearch.batch_population
     assert resolve_algorithm(PafotSearch) == resolve_algorithm("pafot")
 
 

@@ -268,25 +268,3 @@ def test_driver_that_fails_is_reported_and_is_no_failure():
     assert found.findings == ()
     (warning, *_) = found.summary.warnings
     assert "tested nothing; most often the driver own failed: ValueError: no way; correct that driver" in warning
-
-
-class Pure:
-    """An ego whose decisions are cached, among drivers that draw: with another seed they drive otherwise."""
-
-    pure = True
-
-    def __call__(self, observation):
-        return following(observation)
-
-
-def test_cached_decisions_are_those_of_a_run_with_all_drivers():
-    drivers = {"drawing": Drawing, "policy": "policy"}
-    cached, anew = (
-        pafot.explore(
-            ads, holds=no_collision, drivers=drivers, world=SHORT, runs=60, seed=6, blame="ego", neighbours=0, npcs=2
-        )
-        for ads in (Pure, lambda: following)
-    )
-    assert cached.summary.outcomes == anew.summary.outcomes
-    assert [each.scenario for each in cached.findings] == [each.scenario for each in anew.findings]
-    assert not any("pure" in each for each in cached.summary.warnings + cached.summary.notes)

@@ -1,7 +1,6 @@
 """A campaign from its first event to its last."""
 
 import random
-from dataclasses import replace
 from itertools import count
 
 import pytest
@@ -164,20 +163,6 @@ def test_first_reached_limit_of_runs_or_generations_ends(cheap_world):
         list(run_campaign(RandomSearch(), cheap_world(), generations=2, runs=runs, seed=1))[-1] for runs in (7, 8, 9)
     ]
     assert [(end.reason, end.simulated) for end in ends] == [("runs", 7), ("generations", 8), ("generations", 8)]
-
-
-@pytest.mark.parametrize("algorithm", [RandomSearch(), PafotSearch()], ids=lambda algorithm: algorithm.name)
-def test_another_algorithm_can_continue_after_first_generation(cheap_world, algorithm):
-    large = replace(algorithm, population=6)
-    plan, events, world = plan_of(algorithm, generations=3, seed=1, for_batches=large), [], cheap_world()
-    while not plan.is_over:
-        while not plan.is_whole:
-            recalled = plan.recalled()
-            plan.take(world(plan.scenario()) if recalled is None else recalled, reused=recalled is not None)
-            plan.decides_for_many = True
-        events += plan.learn()
-    wholes = [event for event in of(GenerationFinished, events) if not event.local_generation]
-    assert [len(event.population) - event.elites for event in wholes] == [4, 6 - wholes[1].elites, 6 - wholes[2].elites]
 
 
 @table("events_before", [0, 1, 2, 7, 30])

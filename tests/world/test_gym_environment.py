@@ -275,7 +275,6 @@ def test_each_run_has_fresh_wrappers_and_is_confirmed():
         world.rollout(SCENARIO, lambda: Listener(world.environment.make().action_space)),
         world.rollout(SCENARIO, lambda: Listener(world.environment.make().action_space)),
         world.rollout_in_gym(SCENARIO, lambda: Listener(world.environment.make().action_space)),
-        *world.rollout_batch([SCENARIO], lambda: Listener(world.environment.make().action_space)),
     ]
     assert len({trace.states.tobytes() for trace in traces}) == 1
 
@@ -371,9 +370,7 @@ def test_what_a_custom_reset_does_to_the_ego_holds_in_runs(register):
     trace = world.rollout(SCENARIO, lambda: lambda seen: 1)
     assert trace.ego[-1, 3] == pytest.approx(12.0, abs=0.1)
     assert np.array_equal(trace.states, world.rollout_in_gym(SCENARIO, lambda: lambda seen: 1).states)
-    assert not world.has_lock_step
     planned = World("mine-v0", duration=2.0, planner_hz=5)
-    assert planned.has_lock_step
     assert planned.rollout(SCENARIO, lambda: lambda seen: (0.0, 0.0)).ego[-1, 3] == pytest.approx(SCENARIO.ego_speed)
 
 
@@ -637,7 +634,6 @@ def test_custom_step_is_used_on_straight_roads_too(register):
     World("highway-v0", duration=2.0).rollout(SCENARIO, lambda: stock)
     assert np.array_equal(own.seen[0], 2 * stock.seen[0])
     assert np.array_equal(own.seen[1], 2 * stock.seen[1])
-    assert not World("mine-v0").has_lock_step
 
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
@@ -1215,18 +1211,6 @@ def test_a_simulation_of_its_own_is_too(register):
 
 
 # --- who drives, and what cannot be
-
-
-def test_runs_in_wrappers_are_not_in_lock_step():
-    class Batching(Listener):
-        def batch(self, observations):
-            raise AssertionError
-
-    world = World("highway-v0", duration=2.0, wrappers=[FlattenObservation])
-    traces = world.rollout_batch([SCENARIO, SCENARIO], lambda: Batching(gymnasium.spaces.Discrete(5)))
-    assert len(traces) == 2
-    assert not world.has_lock_step
-    assert World("highway-v0").has_lock_step
 
 
 @pytest.mark.parametrize("factory", [IDMVehicle, lambda: IDMVehicle])

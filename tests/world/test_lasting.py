@@ -109,20 +109,6 @@ def test_npc_that_has_arrived_takes_the_speed_of_its_last_gene():
     assert trace.npcs[-1, 0, SPEED] == pytest.approx(10.0, abs=0.2)
 
 
-def test_all_runs_of_a_batch_last_longer():
-    world = Highway(duration=DURATION)
-    traces = world.lasting(9.0).rollout_batch([*scenarios(world)], Batched)
-    assert {trace.duration for trace in traces if trace.outcome is Outcome.SAFE} == {9.0}
-
-
-class Batched:
-    def __call__(self, observation):
-        return 0.0, 0.0
-
-    def batch(self, observations):
-        return [(0.0, 0.0)] * len(observations)
-
-
 @pytest.mark.parametrize("world", [Highway(speed_limit=36.0), World("highway-v0")])
 def test_run_ends_before_the_end_of_a_straight_road(world):
     longer = world.lasting(3000.0)

@@ -455,19 +455,6 @@ def test_run_equals_that_of_env_step_to_the_last_bit(world):
         assert differences(trace, again) == [], each.canonical()
 
 
-@pytest.mark.parametrize("world", [HIGHWAY, INTERSECTION], ids=["Highway", "intersection-v0"])
-def test_runs_in_lock_step_equal_those_one_by_one(world):
-    class Batched:
-        def __call__(self, observation):
-            return 0.05 * len(observation.others), 0.002 * np.sin(observation.time)
-
-        def batch(self, observations):
-            return list(map(self, observations))
-
-    for each, together in zip(runs_of(world), world.rollout_batch(runs_of(world), Batched), strict=True):
-        assert differences(world.rollout(each, Batched), together) == []
-
-
 def test_steps_begin_in_their_order():
     for each in random_scenarios(HIGHWAY, 5, 10):
         for begun, npc in zip(HIGHWAY.rollout(each, constant_speed).begun, each.npcs, strict=True):

@@ -199,24 +199,15 @@ def test_acceleration_of_an_own_driver_follows_from_its_speeds():
     assert trace.states[1:, 1, 4].tolist() == [45.0] + [0.0] * 29  # 3 m/s in a tick of 1/15 s, then none
 
 
-class Batch:
+class Slowing:
     def __call__(self, seen):
         return -seen.ego.speed / 20, 0.0
-
-    def batch(self, observations):
-        return [self(seen) for seen in observations]
-
-
-def test_runs_in_lock_step_have_simulators_of_their_own():
-    many = scenarios()[:3]
-    for one, other in zip(TOY.rollout_batch(many, Batch), many, strict=True):
-        assert same(one, TOY.rollout(other, Batch))
 
 
 def test_longer_runs_begin_as_the_others():
     scenario = scenarios()[2]
-    longer = TOY.lasting(30.0).rollout(scenario, Batch)
-    short = TOY.rollout(scenario, Batch)
+    longer = TOY.lasting(30.0).rollout(scenario, Slowing)
+    short = TOY.rollout(scenario, Slowing)
     assert longer.ticks > short.ticks
     assert np.array_equal(longer.states[: short.ticks + 1], short.states)
 
@@ -723,14 +714,14 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
     Counted.closed.clear()
     world = SimulatorWorld(partial(Counted, "own"), duration=2.0)
     for _ in range(3):
-        world.rollout(scenarios()[0], Batch)
-    world.take_over(world.rollout(scenarios()[0], Batch), 3, "steady-braking")
+        world.rollout(scenarios()[0], Slowing)
+    world.take_over(world.rollout(scenarios()[0], Slowing), 3, "steady-braking")
     assert (len(Counted.made), Counted.closed) == (1, [])
     world._simulators._free[0].states = lambda: None
     with pytest.raises(WorldError):
-        world.rollout(scenarios()[0], Batch)
+        world.rollout(scenarios()[0], Slowing)
     assert Counted.closed == ["own"]
-    world.rollout(scenarios()[0], Batch)
+    world.rollout(scenarios()[0], Slowing)
     assert len(Counted.made) == 2
 
 
@@ -744,13 +735,13 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
 def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, message):
     monkeypatch.setattr("pytest_pafot.world.engines.simulation.CLOSING", 0.2)
     world = SimulatorWorld(partial(type("Counted", (Bicycle,), {"close": close})), duration=1.0)
-    world.rollout(scenarios()[0], Batch)
+    world.rollout(scenarios()[0], Slowing)
     with pytest.warns(RuntimeWarning, match=message):
         Simulators.close_all()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Simulators.close_all()
-        world.rollout(scenarios()[0], Batch)
+        world.rollout(scenarios()[0], Slowing)
     with pytest.warns(RuntimeWarning, match=message):  # the run made another one
         Simulators.close_all()
 
@@ -768,7 +759,7 @@ def test_close_that_fails_never_hides_the_error_of_the_run(recwarn, action):
     with warnings.catch_warnings():
         warnings.simplefilter(action)
         with pytest.raises(KeyError, match="wheel") as caught:
-            SimulatorWorld(failing, duration=1.0).rollout(scenarios()[0], Batch)
+            SimulatorWorld(failing, duration=1.0).rollout(scenarios()[0], Slowing)
     assert caught.value.__notes__ == ["raised by Failing.step, tick 1"]
     assert caught.value.__context__ is None
     assert len(recwarn) == (action == "error")
@@ -789,8 +780,8 @@ class Marking(Bicycle):
 def test_a_process_of_multiprocessing_closes_its_own_simulators_at_its_end(tmp_path, how):
     """Such a process does not call the functions of ``atexit``; one that is forked has those of its parent, too."""
     world = SimulatorWorld(partial(Marking, tmp_path), duration=1.0)
-    world.rollout(scenarios()[0], Batch)
-    process = multiprocessing.get_context(how).Process(target=world.rollout, args=(scenarios()[0], Batch))
+    world.rollout(scenarios()[0], Slowing)
+    process = multiprocessing.get_context(how).Process(target=world.rollout, args=(scenarios()[0], Slowing))
     process.start()
     process.join(60.0)
     assert [each.name for each in tmp_path.iterdir()] == [str(process.pid)]
@@ -821,10 +812,10 @@ def test_simulators_that_outlive_their_module_are_closed_once_at_the_end_of_pyth
 
 def test_world_that_is_sent_to_a_process_makes_its_own_simulator():
     world = SimulatorWorld(Counted, duration=2.0)
-    trace = world.rollout(scenarios()[0], Batch)
+    trace = world.rollout(scenarios()[0], Slowing)
     Counted.made.clear()
     again = pickle.loads(pickle.dumps(world))
-    assert same(again.rollout(scenarios()[0], Batch), trace)
+    assert same(again.rollout(scenarios()[0], Slowing), trace)
     assert len(Counted.made) == 1
 
 
@@ -846,7 +837,7 @@ def test_world_of_a_registered_simulator_is_made_from_its_file(register):
     assert (data["kind"], "class" in data, is_code(data)) == ("counted", False, False)
     again = from_dict(data)
     assert described(again) == data
-    assert same(again.rollout(scenarios()[0], Batch), world.rollout(scenarios()[0], Batch))
+    assert same(again.rollout(scenarios()[0], Slowing), world.rollout(scenarios()[0], Slowing))
     with pytest.raises(WorldError, match=r"world.data"):
         from_dict({**data, "data": {**data["data"], "lanes": 3}})
 
@@ -856,11 +847,6 @@ class Alone(Bicycle):
 
     one_at_a_time = True
     packages = ("pytest",)
-
-
-def test_a_simulator_that_is_alone_in_its_process_does_not_drive_in_lock_step():
-    assert SimulatorWorld(Bicycle).has_lock_step
-    assert not SimulatorWorld(Alone).has_lock_step
 
 
 def test_the_packages_of_a_simulator_are_among_the_versions():

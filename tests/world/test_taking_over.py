@@ -209,7 +209,7 @@ def test_abilities_for_a_replaced_rollout_are_not_used():
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
     assert base_world(HIGHWAY) is HIGHWAY
     slower = base_world(Slower())
-    assert (slower.has_lock_step, slower.reference_drivers, slower.taking_over(trace)) == (False, (), None)
+    assert (slower.reference_drivers, slower.taking_over(trace)) == ((), None)
     assert base_world(Reviewed()).reference_drivers == ("mine",)
     assert base_world(Reviewed()).taking_over(trace).drivers[0] == "mine"
 

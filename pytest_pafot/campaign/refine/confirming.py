@@ -54,7 +54,7 @@ def _run_again(scenario: Scenario, sighting: Sighting, state: State, bench: Benc
     """Run a scenario from scratch; return the run, its verdict, and its difference from the finding, if any."""
     __tracebackhide__ = True
     for _ in range(MANY_RUNS if sighting.is_flaky else 1):
-        run = bench.run(scenario, afresh=True)
+        run = bench.run(scenario)
         verdict = bench.finish(run)
         if is_shown := shows(sighting, run, verdict, state):
             break

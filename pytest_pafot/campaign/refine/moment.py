@@ -117,7 +117,7 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
     npc, seen = moment.npc, aside.at
     whom: dict[int, tuple[int, ...]] | None = None
     if isinstance(seen, Observation):
-        whom, question = {}, replace(question, ads=None if trace.drew else aside.ads)
+        whom = {}
         for other in sorted([*seen.ids, *(each.id for each in seen.crossing)]) if aside.conditions else ():
             nudged = yield from ask(replace(question, instead=_nudged(seen, other)))
             for each in () if nudged is None else differing(aside.conditions, nudged.conditions):
@@ -126,7 +126,7 @@ def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store
             words, by = _compared(moment, _changes(seen, npc))
             compared.append((f"with NPC {npc} {words}", npc, replace(question, instead=changed(seen, npc, by))))
     if number and number == moved_over(run):
-        compared.append((f"at {times[number - 1]:.1f} s", None, replace(question, number=number - 1, ads=None)))
+        compared.append((f"at {times[number - 1]:.1f} s", None, replace(question, number=number - 1)))
     first: dict[str, Parted] = {}
     for when, elsewhere, each_question in compared:
         if not first and (asked := (yield from ask(each_question))) is not None:
@@ -174,8 +174,6 @@ def _on_vehicles(
     # The policy must decide in the recorded run as it did, or a difference would not be due to the hidden vehicle.
     if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
         return None, None
-    if trace.drew:  # a copy has no part in the generators that the policy draws from
-        whole = replace(whole, ads=None)
     # Decisions before the danger began say nothing of it.
     numbers, since = counted(trace, *window(run, expect))
     others = [each for each in range(len(run.scenario.npcs)) if each != npc]
@@ -242,13 +240,11 @@ def _decided_aside(
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
         with refusals():
-            if isolate:  # the other process notes what is decided in a copy, and no ADS leaves it
-                aside = call_apart(
-                    job, scenario, lambda *run: (rollout_of(job.world)(*run), replace(aside, ads=None))[1]
-                )
+            if isolate:  # the other process notes what is decided in a copy
+                aside = call_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
                 return aside
             with runner_for(job, record, isolate=False) as runner:
-                runner.run(scenario, afresh=True)
+                runner.run(scenario)
                 return aside
     except RequestError:
         return None
@@ -283,7 +279,7 @@ def _moment_of(
     if is_planner and npc in seen.ids:
         tries = [(words, changed(seen, npc, by)) for words, by in _changes(seen, npc)]
     for words, instead in tries:
-        aside = yield from ask(None, Question(number=number, instead=instead, ads=whole.ads))
+        aside = yield from ask(None, Question(number=number, instead=instead))
         # Only a policy that decides as the run's until there says what the run's would answer: one that keeps state
         # in a module or a class still has that of other runs.
         if aside is None or any(differ(each, aside.of(before)) for before, each in enumerate(trace.actions[:number])):
@@ -311,7 +307,7 @@ def _braked_for(
     """
     action, found, largest = whole.of(number), None, 0.0
     for npc, without_it in others.items():
-        aside = yield from ask(None, Question(number=number, instead=without_it.at, ads=whole.ads))
+        aside = yield from ask(None, Question(number=number, instead=without_it.at))
         if aside is None or aside.of(number) is None:
             continue
         answer = aside.of(number)

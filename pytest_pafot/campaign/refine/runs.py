@@ -22,9 +22,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 
-BATCH = 16
-"""The number of candidates that an ADS that decides for many runs at once drives in one batch."""
-
 
 def showing(
     sighting: Sighting, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
@@ -35,15 +32,12 @@ def showing(
         return None
     try:
         bench.harness.world.check_fits(scenario)
-        for afresh in (False, True):
-            run = bench.run(scenario, afresh=afresh, most=most)
-            if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
-                bench.record.clear()
-                return None
-            if not shows(sighting, run, bench.finish(run, driven(run)), state):
-                return None
-            if bench.runner.is_alone:  # A batch may mix up its rows, and a replay runs it alone.
-                break
+        run = bench.run(scenario, announced=True, most=most)
+        if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
+            bench.record.clear()
+            return None
+        if not shows(sighting, run, bench.finish(run, driven(run)), state):
+            return None
     except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
         return None
     except ProcessLostError as error:
@@ -75,8 +69,8 @@ def driven(run: Run) -> Scenario:
 
 
 def number_ahead(bench: Bench) -> int:
-    """Return the number of runs that are made at the same time: in other processes, or in one batch."""
-    return BATCH if bench.runner.decides_for_many else bench.harness.request.settings.workers
+    """Return the number of runs that are made at the same time: in other processes."""
+    return bench.harness.request.settings.workers
 
 
 def announce(ahead: Ahead, state: State, bench: Bench) -> None:
@@ -115,7 +109,7 @@ def fails_again(sighting: Sighting, scenario: Scenario, state: State, bench: Ben
 def fails(scenario: Scenario, bench: Bench) -> bool:
     """Return whether the test fails in a run of a scenario."""
     check_time(bench)
-    return bench.finish(bench.run(scenario, afresh=True)).failed
+    return bench.finish(bench.run(scenario)).failed
 
 
 def is_as_often(as_found: FailureRate, several: Iterator[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool:

@@ -46,7 +46,7 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf,
     __tracebackhide__ = True
     bench.refining_end = until
     # Candidates are judged by the failure of one finding, which no other process knows.
-    bench.runner.processes.read_here()
+    bench.runner.read_here()
     before = bench.decisions
     with bench.runner:
         try:

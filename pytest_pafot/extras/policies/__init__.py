@@ -37,8 +37,7 @@ def sb3(
     """Make an ADS factory from a saved model of Stable-Baselines3 or sb3-contrib. Needs ``pytest-pafot[sb3]``.
 
     The ADS drives in a :class:`pytest_pafot.World` that has the observations and actions of the model's training. Its
-    decisions are exactly those of ``model.predict``. It decides for many runs at once if it is deterministic, its
-    actions are integers and the model is not recurrent.
+    decisions are exactly those of ``model.predict``.
 
     Args:
         file: the zip file of the model's ``save``.

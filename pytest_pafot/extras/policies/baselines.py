@@ -106,7 +106,7 @@ class Sb3Policy(PolicyLoader):
     def __call__(self) -> BaselineAds:
         """Return a new ADS, which has not seen any observation."""
         model: BaselineModel = self.loaded
-        return BatchingBaselineAds(model) if model.decides_for_many else BaselineAds(model)
+        return BaselineAds(model)
 
     def check_world(self, world: Any) -> None:
         """Compare the actions, and the shape and type of the stacked observations, with those of the model."""
@@ -133,13 +133,6 @@ class BaselineModel:
 
     def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
         self.observation_space, self.action_space = model.observation_space, model.action_space
-        self.is_recurrent = hasattr(model, "_last_lstm_states")
-        self.remembers = self.is_recurrent or frame_stack > 1
-        self.is_pure = deterministic and not self.remembers
-        # The last bits of real-valued actions depend on how many observations go through a network at once.
-        self.decides_for_many = (
-            deterministic and not self.is_recurrent and type(self.action_space).__name__ == "Discrete"
-        )
         self._model, self._statistics = model, statistics
         self._frame_stack, self._deterministic = frame_stack, deterministic
         shape = None if statistics is None else statistics.observation_space.shape
@@ -175,21 +168,16 @@ class BaselineModel:
         return observation if self._statistics is None else self._statistics.normalize_obs(observation)
 
     def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
-        """Return the action for an input, and the state of a recurrent model; for several runs, a row for each."""
+        """Return the action for an input, and the state of a recurrent model."""
         start = np.array([is_first])
         action, state = self._model.predict(seen, state=state, episode_start=start, deterministic=self._deterministic)
         return action, state
 
 
 class BaselineAds:
-    """An ADS that drives one run with a model.
-
-    Attributes:
-        pure: True if the ADS decides only from the current observation.
-    """
+    """An ADS that drives one run with a model."""
 
     def __init__(self, model: BaselineModel) -> None:
-        self.pure = model.is_pure
         self._model = model
         self._frames: Array | None = None
         self._state: Any = None
@@ -201,24 +189,6 @@ class BaselineAds:
         action, self._state = self._model.predict(seen, self._state, is_first=self._is_first)
         self._is_first = False
         return action
-
-
-class BatchingBaselineAds(BaselineAds):
-    """An ADS that drives one run with a model, or many runs in lock step."""
-
-    def __init__(self, model: BaselineModel) -> None:
-        super().__init__(model)
-        self._frames_of: dict[int, Array | None] = {}
-
-    def batch(self, observations: Any) -> list[int]:
-        """Return the action for each of the :class:`~pytest_pafot.world.engines.lock_step.Observations`."""
-        rows = []
-        for run, observation in zip(observations.runs, observations, strict=True):
-            self._frames_of[run], seen = self._model.seen(self._frames_of.get(run), observation)
-            rows.append(seen)
-        actions, _ = self._model.predict(np.stack(rows))
-        listed: list[int] = actions.tolist()
-        return listed
 
 
 def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:

@@ -212,7 +212,6 @@ def check_world(
         ("sides of NPCs", lambda: _check_sides(world, done[0])),
         ("decisions=", lambda: _check_decisions(world, few)),
         ("drivers that take over", lambda: _check_drivers(world, staged, [*egos, *few][: len(few)])),
-        ("rollout_batch", lambda: _check_batch(world, done, ads)),
         ("lasting", lambda: _check_lasting(world, done, ads)),
         ("an ADS that fails", lambda: _check_faults(world, longest, ads)),
         ("from_dict", lambda: _check_round_trip(world, done[0], ads)),
@@ -582,21 +581,9 @@ def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
         (base.has_manoeuvres, "manoeuvres", "has_manoeuvres"),
         (base.can_drive(TRUCK), "trucks, vans and motorcycles", "has_vehicles"),
         (bool(base.straight_road), "varied starts and patterns of traffic", "road, a straight one of this package"),
-        (base.has_lock_step, "many runs at once", "rollout_batch"),
         (data.is_plain and data.data["kind"] != "own", "export, and replays without the test", "from_dict, registered"),
     ):  # fmt: skip
         yield f"  {'has  ' if has else 'lacks'} {what} ({by})"
-
-
-def _check_batch(world: Any, done: Sequence[_Done], ads: Ads) -> None:
-    """Check that runs in lock step give the traces of single runs, if the ADS of the check decides for many."""
-    if not base_world(world).has_lock_step or not Policy(ads).only_observes or not hasattr(ads(), "batch"):
-        return
-    with _no_error("rollout_batch runs scenarios"):
-        traces = rollout_of(world, "rollout_batch")([each.scenario for each in done], ads)
-    _promise(len(traces) == len(done), "rollout_batch returns one trace for each scenario", f"{len(traces)}")
-    for each, trace in zip(done, traces, strict=True):
-        _check_same(each.trace, trace, "rollout_batch gives the traces of rollout")
 
 
 def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:

@@ -40,7 +40,6 @@ class AlgorithmClass:
     instructions: Sequence[str] = tuple(LANE_SHARES)  # the kinds of instructions that it can sample, last the default
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     draws_vehicles: bool = False  # whether NPCs are all vehicles that fit the world, if the mark does not name some
-    batch_population: int | None = None  # scenarios in a generation if the ADS decides for many runs at once
 
     def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
         """Make the algorithm for a space, with its own parameters, such as ``population=4``.

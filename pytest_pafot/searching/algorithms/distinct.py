@@ -72,7 +72,6 @@ class DistinctSearch(GenerationalSearch[DistinctState]):
 
     name: ClassVar[str] = "distinct"
     draws_vehicles: ClassVar[bool] = True
-    batch_population: ClassVar[int] = 64
     block_runs: ClassVar[int] = 64  # as good as one population of all runs, also where a margin has to be climbed
 
     population: int = field(default=16, kw_only=True)

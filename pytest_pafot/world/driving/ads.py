@@ -19,7 +19,7 @@ PREDICTING = "`lambda: lambda observation: model.predict(observation, determinis
 """An example of a factory whose ADS calls a trained model, for messages."""
 
 AdsFactory = Callable[..., Any]
-"""A callable that returns a fresh ADS; it is called once per scenario, or once for all that run in lock step.
+"""A callable that returns a fresh ADS; it is called once per scenario.
 
 It may have these optional members: a method ``check_world(world)``, which raises if its ADSs cannot drive there; a
 method ``preload()``, which the session calls so that forked processes share what it loads; a text ``weights_digest``, a

@@ -14,7 +14,7 @@ from pytest_pafot.world.driving.perception import ads_and_sight, sight_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ads:
-    """The ADS that a policy has made for one run, or for all that run in lock step.
+    """The ADS that a policy has made for one run.
 
     Attributes:
         given: the ADS itself; it is closed after the run.
@@ -28,17 +28,12 @@ class Ads:
     sight: Sight | None
     drives_itself: bool
 
-    @property
-    def decides_for_many(self) -> bool:
-        """True if it has ``batch``, which decides for many runs at once."""
-        return not self.drives_itself and callable(getattr(self.given, "batch", None))
-
 
 @dataclass(frozen=True, eq=False)
 class Policy:
     """A policy: the factory of its ADSs, or a vehicle class, and what only these can say about it.
 
-    What they say is asked once, when it is needed. What an ADS can do, such as ``batch``, only shows when it is made.
+    What they say is asked once, when it is needed.
     """
 
     factory: AdsFactory

@@ -26,16 +26,6 @@ OWN_STATE = ("position", "heading", "speed", "lane_index", "lane")
 """The attributes of an ego in highway-env that an error of its own state changes."""
 
 
-def is_pure(ads: Any) -> bool:
-    """Return whether an ADS decides only from its current observation, by the user's promise."""
-    return getattr(ads, "pure", False) is True
-
-
-def is_copyable(ads: Any) -> bool:
-    """Return whether a copy of an ADS decides as the ADS itself would have, by the user's promise."""
-    return getattr(ads, "copyable", False) is True and not isinstance(ads, type)
-
-
 @dataclass(frozen=True, eq=False)
 class SeeingAds:
     """An ADS with an imperfect sight; a run passes to ``ads`` only what this sight lets it see."""
@@ -51,21 +41,6 @@ class SeeingAds:
             received="a world that calls the ADS directly",
             fix="apply the imperfect sight in that world itself",
         )
-
-    @property
-    def pure(self) -> bool:
-        """True if the ADS is pure and the sight has no memory, so decisions depend only on the current state."""
-        return self.sight.is_memoryless and is_pure(self.ads)
-
-    @property
-    def copyable(self) -> bool:
-        """True if the ADS is copyable and the sight has no memory, so a copy of the ADS sees and decides the same."""
-        return self.sight.is_memoryless and is_copyable(self.ads)
-
-    @property
-    def batch(self) -> Any:
-        """The ADS's own ``batch``, which receives an imperfect observation for each run."""
-        return self.ads.batch
 
     @property
     def close(self) -> Any:

@@ -17,7 +17,7 @@ from typing import Any
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.conditions import Conditions, Evaluated
 from pytest_pafot.world.driving.perception import deciding
-from pytest_pafot.world.driving.seeing import SeeingAds, is_copyable, is_pure, lane_nearest, with_others
+from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
 from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.kernel.observation import Observation
 
@@ -36,7 +36,6 @@ class Aside:
         seen: digests of its observations; those that cannot be pickled are left out.
         at: what it would have seen at the decision of a question, had nothing been changed; None without one.
         conditions: those that it evaluated in this decision, with their values, if the question is about them.
-        ads: a copy of the ADS as it was before this decision; None if it is not copyable.
     """
 
     is_noted: bool = True
@@ -45,7 +44,6 @@ class Aside:
     seen: list[bytes] = field(default_factory=list)
     at: Any = None
     conditions: list[Evaluated] = field(default_factory=list)
-    ads: Any = None
 
     def of(self, number: int) -> Any:
         """Return the action of a decision; None without one."""
@@ -60,13 +58,11 @@ class Question:
         number: the number of the decision.
         instead: what it sees there instead; None for what there is to see.
         conditions: what records the conditions that it evaluates there; None if nothing does.
-        ads: the ADS that is asked; None for a fresh one, which makes the decisions before, too.
     """
 
     number: int
     instead: Any = None
     conditions: Conditions | None = None
-    ads: Any = None
 
 
 class Shadow(Around):
@@ -84,25 +80,19 @@ class Shadow(Around):
                 aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
-        if question is not None and question.instead is not None and number != question.number:
-            is_ready = question.ads is not None or is_pure(self._ads)
-            is_over = number > question.number or is_ready
-            if is_over and number < len(self._actions):  # What it would decide here says nothing about the question.
-                aside.answers.append(self._actions[number])
-                return self._actions[number]
+        if question is not None and question.instead is not None and question.number < number < len(self._actions):
+            # What it would decide here says nothing about the question.
+            aside.answers.append(self._actions[number])
+            return self._actions[number]
         if question is not None and number == question.number:
             aside.at = copy.deepcopy(observation)  # the ADS may write into it
-            if is_copyable(self._ads):
-                with suppress(Exception):  # the user's own code, or an attribute that cannot be copied
-                    aside.ads = copy.deepcopy(self._ads)
             observation = observation if question.instead is None else question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
         aside.asked += 1
         try:
             with recording:
-                ads = self._ads if question is None or question.ads is None else copy.deepcopy(question.ads)
-                answer = self._check(ads(observation))
+                answer = self._check(self._ads(observation))
         except Exception:  # noqa: BLE001  (an ADS may raise anything about an observation that it never had)
             answer = None
         aside.answers.append(answer)

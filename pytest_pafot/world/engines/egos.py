@@ -28,10 +28,9 @@ def planner_run(
     rules: Rules,
     scenario: Scenario,
     stock_road: Callable[[], Any],
-    ads: Callable[[Any], Any] | None,
+    ads: Callable[[Any], Any],
     guard: HangGuard,
     *,
-    sight: Sight | None = None,
     decisions: Sequence[Any] = (),
     body: Body | None = None,
 ) -> SteppedRun:
@@ -40,18 +39,16 @@ def planner_run(
     Args:
         rules, scenario: the world's rules, and a scenario that fits them.
         stock_road: returns the road as a road of highway-env, which not every run needs.
-        ads: the planner; None if the decisions are passed in.
+        ads: the planner.
         guard: the guard of its decisions.
-        sight: the sight of a planner whose decisions are passed in; None for perfect sight.
         decisions: the first decisions of the run, which replace calls of the planner.
         body: the ego, in place of its usual body.
     """
-    if ads is not None:
-        ads, sight = ads_and_sight(ads)
+    decides, sight = ads_and_sight(ads)
     ego = body or Body(rules.ego.length, rules.ego.width)
     ego.place(*rules.ego_position(scenario), rules.ego_speed(scenario))
     vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
-    return SteppedRun(vehicles, planner_driver(vehicles, ads, guard, sight, decisions), guard)
+    return SteppedRun(vehicles, planner_driver(vehicles, decides, guard, sight, decisions), guard)
 
 
 def planner_driver(
@@ -65,7 +62,8 @@ def planner_driver(
 ) -> GivenDriver:
     """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`.
 
-    ``rules`` may have another rate of decisions than those of the run.
+    ``ads`` is None if the decisions are passed in, and ``sight`` for perfect sight. ``rules`` may have another rate of
+    decisions than those of the run.
     """
     rules, scenario, road = rules or vehicles.rules, vehicles.scenario, vehicles.rules.road
     every = rules.physics_hz // rules.ads_hz

@@ -31,7 +31,6 @@ from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.policy import Ads, Policy
-from pytest_pafot.world.driving.seeing import is_pure
 from pytest_pafot.world.guard.chance import OwnDraws
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard, code_of_driver
@@ -278,7 +277,7 @@ class FreeNpc:
         sensor = road.sensor(seat, own.reshape(-1), seeded, rates, ads.sight, rules.ego, self._npc + 1)
         common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
         common |= {"every": rates[1], "dt": dt, "kind": kind}
-        decides = ads.decides if is_pure(ads.given) else _drawing(ads.decides, self._draws)
+        decides = _drawing(ads.decides, self._draws)
         planner = decides, guard, (), self.body, seat.bodies[0], sensor
         return SeatedDriver(rows, own, self._npc, *planner, **common)
 

@@ -116,7 +116,7 @@ class Simulator(ABC):
         drivers: names of drivers of the simulator's own, for free NPCs.
         follows_recordings: True if :meth:`step` puts each vehicle whose control is ``recorded`` in the control's state.
         moves_ego_only: True if :meth:`step` puts all NPCs, but those of ``drivers``, in the states of their controls.
-        one_at_a_time: True if a process can have one simulation only; then no runs proceed in lock step.
+        one_at_a_time: True if a process can have one simulation only.
         packages: names of installed packages whose versions change runs, for saved files.
     """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, wraps
@@ -49,26 +49,9 @@ def base_world(world: Any) -> BaseWorld:
 def rollout_of(world: Any, method: str = "rollout") -> Callable[..., Any]:
     """Return the ``rollout`` of any world, with seeded global generators, or another method of it that makes runs.
 
-    Decisions that hang are ended: by the world, or else here. ``rollout_batch`` makes several runs at once.
+    Decisions that hang are ended: by the world, or else here.
     """
-    base = base_world(world)
-    if method == "rollout_batch":
-        return partial(_rollout_batch, base)
-    return partial(GENERATORS.run, getattr(base, method))
-
-
-def _rollout_batch(world: BaseWorld, scenarios: Sequence[Scenario], ads_factory: Callable[..., Any]) -> list[Trace]:
-    """Simulate scenarios at once. If they draw from a global generator, each has the numbers of its own seed instead.
-
-    They are made one by one then.
-    """
-    __tracebackhide__ = True
-    with GENERATORS.held():
-        GENERATORS.share()
-        made = world.rollout_batch(scenarios, ads_factory)
-        if not GENERATORS.is_shared():
-            made = [rollout_of(world)(each, ads_factory) for each in scenarios]
-        return made
+    return partial(GENERATORS.run, getattr(base_world(world), method))
 
 
 def _declared(name: str, default: object) -> Any:
@@ -148,21 +131,6 @@ class OwnWorld(BaseWorld):
         with _Watch(self.hang_limit, len(given.get("decisions", ()))) as watch:
             return watch.told(self.world.rollout(scenario, watch.guarded(ads_factory), **given))
 
-    def rollout_batch(self, scenarios: Sequence[Scenario], ads_factory: AdsFactory) -> list[Trace]:
-        """Simulate scenarios by the world's ``rollout_batch``, with the guard of :meth:`rollout`.
-
-        If a decision for many runs hangs, ``hang`` is the outcome of the runs that the world ended for it.
-        """
-        __tracebackhide__ = True
-        if self._guards_ads:
-            made: list[Trace] = self.world.rollout_batch(scenarios, ads_factory)
-            return made
-        with _Watch(self.hang_limit, 0) as watch:
-            made = self.world.rollout_batch(scenarios, watch.guarded(ads_factory))
-            if watch.is_cut:
-                raise OutOfTime
-            return [watch.told(trace) if trace.outcome is Outcome.ADS_ERROR else trace for trace in made]
-
     @property
     def _guards_ads(self) -> bool:
         """True if the world's class itself states that it ends decisions that hang.
@@ -240,11 +208,6 @@ class OwnWorld(BaseWorld):
         rollout = getattr(self.world.rollout, "__func__", self.world.rollout)
         takes = _takes_decisions if isinstance(rollout, FunctionType) else _takes_decisions.__wrapped__
         return bool(takes(rollout))
-
-    @property
-    def has_lock_step(self) -> bool:
-        """True if the world has ``rollout_batch`` for its ``rollout``, unless its ``has_lock_step`` is false."""
-        return self._runs_alike("rollout_batch") and bool(getattr(self.world, "has_lock_step", True))
 
     @property
     def can_last(self) -> bool:
@@ -455,6 +418,5 @@ class _GuardedAds:
         setattr(self._ads, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the ADS; its ``batch`` decides under guard, too."""
-        value = getattr(self._ads, name)
-        return partial(self._watch.call, value) if name == "batch" and callable(value) else value
+        """Return an attribute of the ADS."""
+        return getattr(self._ads, name)

@@ -14,9 +14,8 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pytest_pafot as pafot
-from pytest_pafot.extras.policies.baselines import BaselineModel, BatchingBaselineAds, pushed, stacking_axis
+from pytest_pafot.extras.policies.baselines import BaselineAds, BaselineModel, pushed, stacking_axis
 from pytest_pafot.extras.policies.loading import PolicyLoader, digest_of
-from pytest_pafot.searching import SearchSpace, sample
 from tests.helpers.tables import table
 
 WORLD = pafot.World("highway-fast-v0", duration=5.0)
@@ -49,7 +48,7 @@ class Loader(PolicyLoader):
         return BaselineModel(Weighing(self.frames), None, self.frames, deterministic=True)
 
     def __call__(self):
-        return BatchingBaselineAds(self.loaded)
+        return BaselineAds(self.loaded)
 
     def check_world(self, world):
         if not self.loaded.fits(world.observation_space, world.action_space):
@@ -92,24 +91,6 @@ def test_wrong_number_of_frames_is_a_clear_error():
         pushed(None, np.zeros((5, 5)), 2, (5, 15))
 
 
-@pytest.mark.parametrize("frames", [1, 3])
-def test_each_run_in_lock_step_has_own_frames(frames):
-    rng = np.random.default_rng(2)
-    space = SearchSpace(npcs=3, genes=1, gene_seconds=5.0, speed_limit=26.0)
-    scenarios = [sample(space, rng) for _ in range(6)]
-    together = WORLD.rollout_batch(scenarios, Loader(frames=frames))
-    assert len({trace.ticks for trace in together}) > 1  # runs end one after another
-    for trace in together:
-        alone = WORLD.rollout(trace.scenario, Loader(frames=frames))
-        assert alone.actions == trace.actions
-        assert alone.states.tobytes() == trace.states.tobytes()
-
-
-def test_only_a_policy_that_remembers_nothing_is_pure():
-    assert Loader(frames=1)().pure
-    assert not Loader(frames=3)().pure
-
-
 @table(
     "world",
     [
@@ -119,9 +100,8 @@ def test_only_a_policy_that_remembers_nothing_is_pure():
     ],
 )
 def test_policy_is_compared_with_world_before_any_run(world):
-    for drive in (world.rollout, lambda scenario, ads: world.rollout_batch([scenario], ads)):
-        with pytest.raises(TypeError, match=r"None None|Box.*(Box|7, 5)"):
-            drive(CUT_IN, Loader())
+    with pytest.raises(TypeError, match=r"None None|Box.*(Box|7, 5)"):
+        world.rollout(CUT_IN, Loader())
 
 
 class Planner:
@@ -145,9 +125,8 @@ def test_planner_class_is_not_asked_for_policy_properties():
 def test_so_is_one_with_an_imperfect_sight():
     with pytest.raises(TypeError, match="None None"):
         pafot.Highway().rollout(CUT_IN, pafot.Perception(Loader(), latency=0.2))
-    alone, together = Loader(frames=3), pafot.Perception(Loader(frames=3), range=1000.0)
-    for seen in WORLD.rollout_batch([CUT_IN, CUT_IN], together):
-        assert seen.actions == WORLD.rollout(CUT_IN, alone).actions
+    seeing = pafot.Perception(Loader(frames=3), range=1000.0)
+    assert WORLD.rollout(CUT_IN, seeing).actions == WORLD.rollout(CUT_IN, Loader(frames=3)).actions
 
 
 def test_a_policy_of_the_world_drives_in_it():

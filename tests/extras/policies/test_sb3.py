@@ -71,8 +71,6 @@ def test_policy_with_statistics_and_frames_decides_like_wrappers(framed):
             in_gym, WORLD.rollout_in_gym(trace.scenario, lambda: InItsWrappers(model, WORLD, statistics, frames=3))
         )
     assert len({action for trace in traces for action in trace.actions}) > 1
-    for alone, together in zip(traces, WORLD.rollout_batch(scenarios(10), policy), strict=True):
-        assert same(alone, together)
 
 
 def test_statistics_of_stacked_observations_are_recognised_by_shape(tmp_path):
@@ -123,15 +121,6 @@ def test_model_is_loaded_once_with_one_thread(framed):
     assert copy == policy
     assert copy.loaded is policy.loaded
     assert copy() is not copy()
-
-
-def test_only_what_remembers_nothing_is_pure(framed, tmp_path):
-    file, statistics = framed
-    assert not pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)().pure
-    plain, _ = saved_model(tmp_path, stable_baselines3.DQN)
-    assert pafot.policies.sb3(plain)().pure
-    assert hasattr(pafot.policies.sb3(plain)(), "batch")
-    assert not hasattr(pafot.policies.sb3(plain, deterministic=False)(), "batch")
 
 
 def test_only_model_without_its_statistics_gets_hint(framed, tmp_path):

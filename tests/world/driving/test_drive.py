@@ -272,20 +272,11 @@ def test_speeds_in_kilometres_an_hour_are_doubted():
 
 
 class Weaving:
-    """An ADS that decides for many runs at once, with lanes for some and pairs for others."""
+    """An ADS that decides by lanes, and beside two others by a pair."""
 
     def __call__(self, seen):
         lane = int(seen.time) % seen.lanes
         return (0.1, 0.0) if len(seen.others) == 2 else Drive(lane=lane, speed=24.0)
-
-    def batch(self, observations):
-        return tuple(map(self, observations))
-
-
-def test_batches_may_mix_drives_and_pairs():
-    world, two = Highway(duration=6.0), replace(BEHIND, npcs=[*BEHIND.npcs, [PositionInstruction(2, 20.0)]])
-    together = world.rollout_batch([BEHIND, two, BEHIND], Weaving)
-    assert [differences(a, world.rollout(a.scenario, Weaving)) for a in together] == [[], [], []]
 
 
 def test_decisions_that_were_recorded_are_driven_again():

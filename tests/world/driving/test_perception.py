@@ -308,62 +308,14 @@ def test_planner_in_environment_finds_only_visible_vehicles():
 class OfItsOwn:
     """An ADS that says how it was made, and is closed."""
 
-    pure = copyable = True
-
     def __init__(self):
         self.closed = []
 
     def __call__(self, observation):
         return -1.0 if len(observation.others) % 2 else 0.5, 0.0
 
-    def batch(self, observations):
-        return [self(each) for each in observations]
-
     def close(self):
         self.closed.append(True)
-
-
-def test_lock_step_runs_equal_single_runs():
-    scenarios = [
-        Scenario(npcs=SCENARIO.npcs[:count], seed=seed, ego_lane=1) for seed, count in ((1, 2), (2, 3), (3, 1))
-    ]
-    world, factory = pafot.Highway(duration=6.0), pafot.Perception(OfItsOwn, **EVERYTHING)
-    together = world.rollout_batch(scenarios, factory)
-    alone = [world.rollout(scenario, factory) for scenario in scenarios]
-    assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
-
-
-def test_policies_in_lock_step_see_the_same():
-    class Policy:
-        def __call__(self, observation):
-            return FASTER if observation[:, 0].sum() > 3 else IDLE
-
-        def batch(self, observations):
-            return [self(each) for each in observations]
-
-    world, factory = pafot.World("highway-v0", GYM), pafot.Perception(Policy, **EVERYTHING)
-    scenarios = [SCENARIO, Scenario(npcs=SCENARIO.npcs[:2], seed=4, ego_lane=1, gene_seconds=3.0)]
-    alone = [world.rollout(scenario, factory) for scenario in scenarios]
-    together = world.rollout_batch(scenarios, factory)
-    assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
-
-
-@table(
-    ("imperfections", "is_pure"),
-    [
-        ({}, True),
-        ({"range": 50.0, "occlusion": True}, True),
-        ({"latency": 0.2}, False),
-        ({"noise": {"speed": 1}}, False),
-        ({"shuffled": True}, False),
-        ({"ghosts": {"rate": 1, "lifetime": 1}}, False),
-        ({"own_bias": {"speed": 1}}, False),
-    ],
-)
-def test_ads_stays_pure_or_copyable_without_delay_or_noise(imperfections, is_pure):
-    assert pafot.Perception(OfItsOwn, **imperfections)().pure is is_pure
-    assert pafot.Perception(OfItsOwn, **imperfections)().copyable is is_pure
-    assert not getattr(pafot.Perception(Watching)(), "pure", False)
 
 
 def test_perception_passes_questions_to_the_policy_factory():
@@ -385,7 +337,6 @@ def test_perception_passes_questions_to_the_policy_factory():
 def test_ads_is_closed_and_gains_no_methods():
     _, ads = run(PLANNERS["loop"], OfItsOwn, latency=0.2)
     assert ads.closed == [True]
-    assert not hasattr(pafot.Perception(Watching)(), "batch")
     assert not hasattr(pafot.Perception(Watching)(), "close")
 
 

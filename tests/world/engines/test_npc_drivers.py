@@ -202,19 +202,6 @@ def test_ego_that_drives_itself_meets_free_npcs():
     assert trace.states[-1, 1, SPEED] == 15.0  # its start speed is the speed that it wants
 
 
-def test_batches_have_free_npcs_of_their_own():
-    class Batching:
-        def __call__(self, observation):
-            return following(observation)
-
-        def batch(self, observations):
-            return [following(each) for each in observations]
-
-    scenarios = [Scenario(npcs=(free("policy", speed=speed), free("mobil", ahead=-25.0))) for speed in (12.0, 24.0)]
-    together = WORLD.rollout_batch(scenarios, Batching)
-    assert [states(each) for each in together] == [states(WORLD.rollout(each, Batching)) for each in scenarios]
-
-
 class Drawing:
     """A driver that draws from both global generators."""
 

@@ -458,29 +458,24 @@ def test_a_policy_has_no_episodes_that_a_step_of_the_older_gym_ends_by_its_info(
     assert trace.error.message.startswith("step: expected (observation, reward, terminated, truncated, info), as in g")
 
 
-class Batching:
+class Idle:
     def __call__(self, seen):
         return IDLE
 
-    def batch(self, observations):
-        return [IDLE for _ in observations]
 
-
-def test_runs_in_lock_step_and_in_training_end_there_too(register):
+def test_runs_in_training_end_there_too(register):
     register("ending-v0", entry_point=Crawling)
     world = World("ending-v0", config={"action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]}})
     slow = Scenario(npcs=[[PositionInstruction(Cell.REAR, 0.0)] * 3], ego_speed=20.0, gene_seconds=10.0)
     fast = Scenario(npcs=slow.npcs, ego_speed=25.0, gene_seconds=10.0)
-    alone = [world.rollout(each, Batching) for each in (slow, fast)]
+    alone = [world.rollout(each, Idle) for each in (slow, fast)]
     assert [each.ended for each in alone] == ["Crawling._is_truncated", ""]
-    together = world.rollout_batch([slow, fast], Batching)
-    assert [each.states.tobytes() for each in together] == [each.states.tobytes() for each in alone]
     training = pytest.importorskip("pytest_pafot.extras.training")
     env = training.training_env(world, [slow], share=1.0)
     env.reset(seed=1)
     results = [env.step(IDLE)[2:4] for _ in range(3)]
     assert results == [(False, False), (False, False), (False, True)]
-    assert (env.trace.ended, env.trace.ticks) == (together[0].ended, together[0].ticks)
+    assert (env.trace.ended, env.trace.ticks) == (alone[0].ended, alone[0].ticks)
 
 
 class Wrong(HighwayEnvFast):
@@ -567,7 +562,6 @@ def test_what_an_end_remembers_is_that_of_its_run_alone(register, name):
         assert world.rollout(scenario, idle).duration == 7.0
         assert world.rollout(scenario, lambda: IDMVehicle).duration == 7.0
         assert world.rollout_reference(scenario, "careful-human").duration == 7.0
-        assert [each.duration for each in world.rollout_batch([scenario] * 2, Batching)] == [7.0, 7.0]
         assert planners.rollout(scenario, straight).duration == 7 / 5
     assert world.rollout_in_gym(scenario, idle).duration == 7.0
 

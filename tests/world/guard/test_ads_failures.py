@@ -345,21 +345,6 @@ def test_hang_while_an_action_is_read_is_interrupted(clock):
     assert "__float__" in trace.error.traceback
 
 
-def test_hang_while_an_action_of_a_batch_is_read_ends_its_own_run(clock):
-    class Batched:
-        def __call__(self, observation):
-            is_alone = len(observation.others) == 1 and observation.time > 1
-            return endless_action(clock) if is_alone else (0.0, 0.0)
-
-        def batch(self, observations):
-            return list(map(self, observations))
-
-    alone = Scenario(npcs=SCENARIO.npcs[:1], gene_seconds=4.0)
-    traces = HIGHWAY.rollout_batch([SCENARIO, alone, SCENARIO], Batched)
-    assert [trace.outcome for trace in traces] == [Outcome.SAFE, Outcome.HANG, Outcome.SAFE]
-    assert traces[1].error.tick == traces[1].ticks == 18
-
-
 def test_nested_run_does_not_count_as_outer_hang():
     def nesting(observation):
         inner = HIGHWAY.rollout(SCENARIO, always((0.0, 0.0)))

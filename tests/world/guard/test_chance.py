@@ -133,23 +133,6 @@ def test_a_forked_process_makes_no_run_twice() -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 
-class Together:
-    """A policy that decides for many runs at once."""
-
-    def __call__(self, seen: Any) -> Any:
-        return np.random.normal(), 0.0
-
-    def batch(self, seen: Any) -> Any:
-        return [self(each) for each in seen]
-
-
-def test_runs_in_lock_step_that_draw_are_the_runs_one_by_one() -> None:
-    scenarios = [with_seed(seed) for seed in (1, 2)]
-    together = rollout_of(WORLD, "rollout_batch")(scenarios, Together)
-    assert [each.actions for each in together] == [drive(Together, seed).actions for seed in (1, 2)]
-    assert all(each.drew for each in together)
-
-
 def test_the_generator_of_torch_is_seeded_if_torch_is_imported() -> None:
     torch = pytest.importorskip("torch")
     before = torch.get_rng_state()

@@ -92,19 +92,6 @@ def test_policies_and_planners_in_environment_are_closed(env_id, drive, inside):
     assert [each.log for each in made] == [["closed"]]
 
 
-def test_batch_ads_is_closed_after_its_last_run():
-    class Batching(Program):
-        def batch(self, observations):
-            return [self(observation) for observation in observations]
-
-    made = []
-    world = Highway(duration=2.0)
-    traces = world.rollout_batch([BESIDE, BRAKED, BESIDE], lambda: made.append(Batching([])) or made[-1])
-    assert (len(traces), [each.log for each in made]) == (3, [["closed"]])
-    world.rollout_batch([BESIDE, BRAKED], lambda: made.append(Program([])) or made[-1])
-    assert [each.log for each in made[1:]] == [["closed"]] * 3, "one was made to see whether it decides for many"
-
-
 @pytest.mark.parametrize(
     ("end", "said"),
     [(raises, "no exception, received LookupError: lost"), (None, "a return within 30 s")],

@@ -195,57 +195,18 @@ def test_errors_of_an_ads_stay_what_they_are():
     assert (trace.outcome, trace.error.kind) == (Outcome.ADS_ERROR, "KeyError")
 
 
-@table("decides", [lambda ads: ads(0), lambda ads: ads.batch([0])])
-def test_traceback_shows_the_ads_and_its_world_only(decides):
+def test_traceback_shows_the_ads_and_its_world_only():
     class Ads:
         def __call__(self, seen):
             return {}["no"]
 
-        batch = __call__
-
     class Asks(Calls):
         def rollout(self, scenario, ads_factory):
-            decides(ads_factory())
+            ads_factory()(0)
 
     with pytest.raises(KeyError) as raised:
         OwnWorld(Asks()).rollout(AHEAD, Ads)
     assert {entry.path.name for entry in raised.traceback.filter(raised)} == {Path(__file__).name}
-
-
-class Batch:
-    """An ADS that decides for many runs, and declares that it is pure."""
-
-    pure = True
-
-    def __init__(self, hangs=False):
-        self.hangs = hangs
-
-    def __call__(self, seen):
-        return 0.0, 0.0
-
-    def batch(self, seen):
-        time.sleep(60 * self.hangs)
-        return [(0.0, 0.0)] * len(seen)
-
-
-class Together(Calls):
-    def rollout_batch(self, scenarios, ads_factory):
-        ads = ads_factory()
-        assert ads.pure
-        try:
-            ads.batch(scenarios)
-        except Exception as raised:  # noqa: BLE001  (as users write it)
-            error = AdsError(kind="any", message=str(raised), traceback="", tick=0)
-            broken = replace(STILL, outcome=Outcome.ADS_ERROR, error=error)
-            return [broken, STILL]
-        return [STILL, STILL]
-
-
-@table(("does_hang", "outcomes"), [(True, [Outcome.HANG, Outcome.SAFE]), (False, [Outcome.SAFE, Outcome.SAFE])])
-def test_decision_for_many_runs_ends_those_it_was_for(does_hang, outcomes):
-    assert [
-        trace.outcome for trace in OwnWorld(Together()).rollout_batch([AHEAD, AHEAD], lambda: Batch(does_hang))
-    ] == outcomes
 
 
 def test_imperfect_sight_drives_in_a_world_around_a_highway():
@@ -304,7 +265,11 @@ def test_names_of_drivers_mean_nothing_without_the_methods_that_drive_them(drive
 
 
 def test_world_may_set_attributes_of_its_ads():
-    planner = Batch()
+    class Planner:
+        def __call__(self, seen):
+            return 0.0, 0.0
+
+    planner = Planner()
 
     class Sets(Calls):
         def ask(self, ads, decision):
