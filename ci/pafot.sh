@@ -4,35 +4,27 @@
 #   sh ci/pafot.sh install        what the tests need, and pytest-pafot
 #   sh ci/pafot.sh replay         what is saved
 #   sh ci/pafot.sh search         what is saved, then a search
-#   sh ci/pafot.sh pull-request   what is saved, then a search for what a change breaks
-#   sh ci/pafot.sh night          a search that goes on where the last one stopped; its finds go onto a branch
-#   sh ci/pafot.sh merge          the finds of several machines into one corpus, replayed, and onto a branch
+#   sh ci/pafot.sh pull-request   a search of the commit BASE, then one of the change, red only for what is new
+#   sh ci/pafot.sh night          a search from a seed of its day; its finds go onto a branch
 #
 # Each session runs all tests: one that calls pafot.sweep or uses pafot_simulate looks like any other one before it runs.
 # Further arguments are options of pytest, such as the folder of the tests. Each session leaves pafot.json and pafot.xml,
 # and pafot.html if a search or a replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and
-# pafot.json does not say so, and where a pull request could not be compared. A finding of a
-# pull request fails it only if the policy became worse, and not if that of before fails as often. The environment says the
-# rest; what is empty or not set is left out:
+# pafot.json does not say so, and where BASE cannot be installed or run. The environment says the rest; what is empty or
+# not set is left out:
 #
 #   REQUIREMENTS  a file for `pip install -r`
 #   RUNS, SEED    of each search
-#   LIMIT         seconds for all searches of a session
-#   BASE          the commit before the change; the policy of each test is compared with that of this commit
-#   AGAINST       another reference in place of BASE: rev:REVISION, or module:factory[:argument]
-#   COPY          files and folders that the policy needs and git ignores, such as weights, with spaces between them
-#   STATE         the folder with the states of searches that go on
+#   LIMIT         seconds for each search
+#   BASE          the commit before the change; what fails there, too, is accepted
 #   BRANCH        the branch for finds, neither the default one nor that of HEAD; REMOTE has it (origin)
-#   RESULTS       the folder on that branch for the pafot.json of each night (pafot_results)
 #   GIT_NAME, GIT_EMAIL  the author of the commit of finds
-#   MACHINES      the folder below this one with a folder for each machine (machines)
+#
+# A pull request searches BASE in a checkout of its own, in which git-ignored files are missing. With REQUIREMENTS, an
+# environment of its own gets what that file of BASE names; so name there what the repository itself installs, too.
 #
 # Finds are a commit on top of the branch as it is then, and never a forced push. Where both HEAD and the branch have
 # moved, the commit joins them. Of a saved scenario that both have changed, the text on the branch stays.
-#
-# The pafot.json of a night names its day (UTC) and its commit (HEAD), unless --pafot-today and --pafot-commit name others.
-# If there is a BRANCH, the commit of finds has this file as RESULTS/DAY-COMMIT.json. It is made for this file alone if
-# nothing was found. A second night of the same day and commit replaces the file.
 set -eu
 
 here=$(dirname "$0")
@@ -109,42 +101,32 @@ session() {
 }
 
 search() {
-  [ -z "${LIMIT:-}" ] || set -- "--pafot-total-time=$LIMIT" "$@"
+  [ -z "${LIMIT:-}" ] || set -- "--pafot-max-time=$LIMIT" "$@"
   [ -z "${SEED:-}" ] || set -- "--pafot-seed=$SEED" "$@"
   [ -z "${RUNS:-}" ] || set -- "--pafot-runs=$RUNS" "$@"
   session "$@"
 }
 
-# The options of the day and the commit that a caller gives are arguments or in PYTEST_ADDOPTS, which pytest reads first.
+# The seed is that of the day (UTC), so that each night searches other scenarios, and a second one the same.
 night() {
-  given="$* ${PYTEST_ADDOPTS:-}"
-  tested=$(git rev-parse -q --verify HEAD 2>/dev/null) || tested=
-  case $given in
-    *--pafot-commit*) ;;
-    *) [ -z "$tested" ] || set -- "--pafot-commit=$tested" "$@" ;;
-  esac
-  case $given in
-    *--pafot-today*) ;;
-    *) set -- "--pafot-today=$(date -u +%F)" "$@" ;;
-  esac
-  search "--pafot-resume=${STATE:-pafot_state}" "$@"
+  SEED=${SEED:-$(date -u +%Y%m%d)}
+  search "$@"
 }
 
-# The policy of before is built from all files of its commit, in a process of its own.
+# Two ordinary sessions: the first one is of BASE, in a checkout of its own.
 pull_request() {
-  if [ -z "${AGAINST:-}" ]; then
-    [ -n "${BASE:-}" ] || fail "expected BASE or AGAINST; see the head of this file"
-    if ! git rev-parse -q --verify "$BASE^{commit}" >/dev/null 2>&1; then
-      kind=$(git cat-file -t "$BASE" 2>/dev/null) || fail "expected the commit BASE=$BASE; fetch it first"
-      fail "expected a commit as BASE, received $BASE, a $kind; name the commit"
-    fi
-    AGAINST=rev:$BASE
+  [ -n "${BASE:-}" ] || fail "expected BASE; see the head of this file"
+  if ! git rev-parse -q --verify "$BASE^{commit}" >/dev/null 2>&1; then
+    kind=$(git cat-file -t "$BASE" 2>/dev/null) || fail "expected the commit BASE=$BASE; fetch it first"
+    fail "expected a commit as BASE, received $BASE, a $kind; name the commit"
   fi
-  [ -z "${COPY:-}" ] || set -- "--pafot-copy=$COPY" "$@"
-  compared=0
-  search "--pafot-against=$AGAINST" "$@" || compared=$?
-  [ "$compared" != 4 ] || compared=2 # pytest's code for wrong use: there was nothing to compare with
-  return "$compared"
+  temp=$(cd "$(mktemp -d)" && pwd)
+  trap 'git worktree remove --force "$temp/base" 2>/dev/null || true; rm -rf "$temp"' EXIT
+  git worktree add -q --detach "$temp/base" "$BASE"
+  there=$temp/base/$(git rev-parse --show-prefix)
+  mkdir -p "$there" # a folder that the change has added
+  run_python "$here/pull_request.py" "$there" "$@"
+  return "$ended"
 }
 
 # What the remote has as the branch now: its commit in $tip, which is empty where there is none. An error ends with $1.
@@ -223,45 +205,6 @@ bring() (
   git write-tree
 )
 
-# Print a tree with the blob $2 as the file $3. It is an error if that name, or a folder in it, is something else there.
-with_file() (
-  export GIT_INDEX_FILE="$temp/file"
-  git read-tree "$1" &&
-    git update-index --add --cacheinfo "100644,$2,$(git rev-parse --show-prefix)$3" &&
-    git write-tree
-)
-
-not_filed() {
-  record=
-  echo "pafot.sh: pafot.json is not filed: expected $1, received $2" >&2
-}
-
-# Set $record to the name that pafot.json of a night gets on the branch, and $blob to its text; $record to nothing where it
-# is not to be filed. A policy may have written the file, so its day and commit are checked before they become a name.
-prepare_record() {
-  record=
-  [ "$task" = night ] || return 0
-  if [ -L pafot.json ]; then
-    received="a link"
-  elif [ ! -e pafot.json ]; then
-    received="no such file"
-  elif [ ! -f pafot.json ]; then
-    received="no regular file"
-  elif [ "$(wc -c <pafot.json)" -gt 20000000 ]; then
-    received="a larger one"
-  elif name=$(python -I -c 'import json, re
-session = json.load(open("pafot.json", "rb"))
-(day,) = re.findall(r"\A\d{4}-\d\d-\d\d\Z", session["day"], re.ASCII)
-print(day + "-" + re.sub(r"[^A-Za-z0-9._-]", "_", session["commit"][:7]))' 2>/dev/null); then
-    record=$results/$name.json
-    blob=$(git hash-object -w --path="$record" pafot.json) || not_filed "a file that git can add" "an error"
-    return 0
-  else
-    received="no JSON of a session with its day and commit"
-  fi
-  not_filed "a file of at most 20 MB" "$received"
-}
-
 # A commit of the finds on the branch, with an index and a checkout that stay as they are.
 keep() {
   found=$(
@@ -272,14 +215,9 @@ keep() {
   ) || fail "expected files that git can add, received an error; finds lie in $PWD"
   what="finds are"
   [ "$found" != "$known" ] || what="all finds are"
-  prepare_record
   refused=0
   for _ in 1 2 3 4 5 6 7 8 9; do
     tree=$(join "$known" "$onto" "$found")
-    if [ -n "$record" ]; then
-      filed=$(with_file "$tree" "$blob" "$record") && tree=$filed ||
-        not_filed "the folder $results, or none, on $BRANCH" "something else"
-    fi
     if [ "$tree" = "$(git rev-parse "$onto^{tree}")" ]; then
       [ -n "$tip" ] && echo "all finds are on $BRANCH" || echo "no finds to keep"
       return
@@ -287,7 +225,7 @@ keep() {
     commit=$(echo "Keep what searches have found" | git -c user.name="${GIT_NAME:-pytest-pafot}" \
       -c user.email="${GIT_EMAIL:-pytest-pafot@localhost}" commit-tree "$tree" $parents)
     if git push -q --no-follow-tags --recurse-submodules=no -- "$remote" "$commit:refs/heads/$BRANCH"; then
-      echo "$what on $BRANCH${record:+, with pafot.json as $record}"
+      echo "$what on $BRANCH"
       return
     fi
     was=$tip
@@ -312,42 +250,17 @@ with_branch() {
   git check-ref-format "refs/heads/$BRANCH" || fail "expected a name that git allows as BRANCH, received $BRANCH"
   head=$(git rev-parse -q --verify HEAD) || fail "expected a repository with a commit in $PWD, found none"
   remote=${REMOTE:-origin}
-  others=":(exclude,literal)${MACHINES:-machines}"
-  git ls-files -- "$FILES" "$others" >/dev/null || fail "expected MACHINES in the repository, received ${MACHINES:-machines}"
   temp=$(cd "$(mktemp -d)" && pwd)
   trap 'rm -rf "$temp"' EXIT
   look
   meet
-  results=${RESULTS:-pafot_results}
-  results=${results%/}
-  with_file "$both" "$(git hash-object -w /dev/null)" "$results/day-commit.json" >/dev/null ||
-    fail "expected as RESULTS the name of a folder below this one, received $results; name another"
-  known=$(bring "$FILES" "$others")
+  known=$(bring "$FILES")
   code=0
   "$@" || code=$?
   [ "$(git rev-parse HEAD)" = "$head" ] ||
     fail "expected HEAD as it was before the session; finds lie in $PWD. Do this again"
-  keep "$FILES" "$others"
+  keep "$FILES"
   return $code
-}
-
-add_machines() {
-  for folder in "$machines"/*/; do
-    [ -d "$folder" ] || fail "expected a folder for each machine in $machines, found none"
-    set -- "$@" --from "$folder"
-  done
-  run_python -m pytest_pafot corpus join --write "$@"
-}
-
-# One of each kind stays only when a replay has said which of them fail here.
-merge() {
-  machines=${MACHINES:-machines} merged=0
-  add_machines
-  [ "$ended" = 0 ] || merged=$ended
-  session --pafot-generations=0 "--ignore=$machines" "$@" || merged=$?
-  run_python -m pytest_pafot corpus join --write --results pafot.json
-  [ "$ended" = 0 ] || merged=$ended
-  return "$merged"
 }
 
 task=${1:-}
@@ -358,6 +271,5 @@ case $task in
   search) search "$@" ;;
   pull-request) pull_request "$@" ;;
   night) with_branch night "$@" ;;
-  merge) with_branch merge "$@" ;;
-  *) fail "expected install, replay, search, pull-request, night or merge, received '$task'" ;;
+  *) fail "expected install, replay, search, pull-request or night, received '$task'" ;;
 esac

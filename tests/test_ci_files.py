@@ -10,13 +10,10 @@ from tests.helpers.tables import table
 COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_PATH/ci/pafot.sh" "$TASK"']
 """The commands that ``test_ci_script.py`` runs."""
 
-TASKS = ["install", "replay", "search", "pull-request", "night", "merge"]
+TASKS = ["install", "replay", "search", "pull-request", "night"]
 OTHERS = {
     "actions/checkout@v4",
     "actions/setup-python@v5",
-    "actions/cache/restore@v4",
-    "actions/cache/save@v4",
-    "actions/download-artifact@v4",
     "actions/upload-artifact@v4",
 }
 SCRIPT_TEXT = SCRIPT.read_text(encoding="utf-8")
@@ -110,25 +107,8 @@ def test_time_limit_leaves_room_for_installing_and_shrinking():
         for job, step in steps_of(name)
         if "limit" in step.get("with", {})
     ]
-    assert len(limits) == 2
+    assert len(limits) == 1
     assert all(int(limit) <= 60 * (minutes - 25) for minutes, limit in limits)
-
-
-def test_states_of_a_night_are_always_saved():
-    cached = {step["uses"]: step for _, step in steps_of("night") if "cache" in step["uses"]}
-    restore, save = (cached[f"actions/cache/{what}@v4"] for what in ("restore", "save"))
-    assert save["if"] == "always()"
-    assert save["with"]["key"] == restore["with"]["key"]
-    assert save["with"]["key"].startswith(restore["with"]["restore-keys"])
-    assert save["with"]["path"] == restore["with"]["path"] == action()["inputs"]["state"]["default"]
-
-
-def test_the_fleet_merges_what_its_machines_upload():
-    given = {step["with"]["task"]: step["with"] for _, step in steps_of("fleet") if step["uses"] == OWN}
-    (download,) = (step["with"] for _, step in steps_of("fleet") if step["uses"] == "actions/download-artifact@v4")
-    assert given["search"]["artifact"].startswith(download["pattern"].rstrip("*"))
-    assert not action()["inputs"]["artifact"]["default"].startswith(download["pattern"].rstrip("*"))
-    assert download["path"] == given["merge"]["machines"]
 
 
 def test_the_files_are_in_the_source_distribution():

@@ -1,6 +1,5 @@
 """The jobs of a CI, run in a shell: ``ci/pafot.sh``, by the commands of the action."""
 
-import json
 import os
 import re
 import shutil
@@ -9,7 +8,6 @@ import stat
 import subprocess
 import sys
 import time
-from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -64,16 +62,8 @@ if [ -n "${FINDS_NOW:-}" ]; then
   echo "$FINDS_NOW" >"pafot_corpus/test_it/test_x/$FINDS_NOW.pafot.yaml"
 fi
 [ -z "${MEANWHILE:-}" ] || sh -c "$MEANWHILE" || exit
-day=null commit=null
-for option in ${PYTEST_ADDOPTS:-} "$@"; do
-  case $option in
-    --pafot-today=*) day="\\"${option#*=}\\"" ;;
-    --pafot-commit=*) commit="\\"${option#*=}\\"" ;;
-  esac
-done
-echo "{\\"exit\\": ${JSON:-${CODE:-0}}, \\"day\\": $day, \\"commit\\": $commit}" >pafot.json
+echo "{\\"exit\\": ${JSON:-${CODE:-0}}}" >pafot.json
 [ "${JSON:-}" != none ] || rm pafot.json
-[ -z "${LAST:-}" ] || sh -c "$LAST" || exit
 exit "${CODE:-0}"
 """
 """A fake Python that records its calls, returns given results, and sees changes made elsewhere meanwhile.
@@ -134,7 +124,7 @@ def saved(folder):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"base": ""}, "expected BASE or AGAINST; see the head of this file"),
+        ({"base": ""}, "expected BASE; see the head of this file"),
         ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
         ({"base": "HEAD^{tree}"}, "expected a commit as BASE, received HEAD^{tree}, a tree; name the commit"),
         ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
@@ -146,55 +136,20 @@ def test_incomparable_pull_request_is_refused_with_advice(repository, changes, e
     assert (code, expected in printed) == (2, True), printed
 
 
-def test_fleet_searches_with_own_seeds_and_merges(repository, copied, summary):
-    commit(repository, {"test_it.py": FAILS}, "A test")
-    found = []
-    for seed in (1, 2):
-        inputs = inputs_of("fleet", "search", {"matrix.seed": seed, "github.run_number": 7})
-        assert (inputs["seed"], inputs["artifact"]) == (f"700{seed}", f"pafot-{seed}")
-        inputs |= {"runs": "4", "requirements": "", "options": f"{QUICK} -q"}
-        code, printed = run_action(inputs, repository, **copied)
-        assert code == 1, printed
-        found += saved(repository)
-        shutil.move(repository / "pafot_corpus", repository / "machines" / inputs["artifact"] / "pafot_corpus")
-    inputs = inputs_of("fleet", "merge") | {"requirements": ""}
-    code, printed = run_action(inputs, repository, GITHUB_STEP_SUMMARY=str(summary), **copied)
-    assert code == 1, printed  # as for any saved scenario that fails
-    assert "finds are on pafot-finds" in printed
-    assert "still failing" in summary.read_text()
-    assert "not run: " not in printed  # the files in the folders of the machines
-    assert all(each["result"] == "failed" for each in json.loads((repository / "pafot.json").read_text())["findings"])
-    assert 0 < len(saved(repository / "pafot_corpus")) < len(found)
-    git(repository, "fetch", "-q", "origin", "pafot-finds")
-    kept = git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines()
-    assert kept == [f"pafot_corpus/{name}" for name in saved(repository / "pafot_corpus")]
-
-
-def test_night_resumes_in_fresh_clone_from_cached_states(repository, copied, tmp_path):
+def test_a_night_keeps_its_finds_and_the_next_one_knows_them(repository, copied, tmp_path):
     commit(repository, {"test_it.py": FAILS}, "A test")
     git(repository, "push", "-q", "origin", "main")
     git(tmp_path, "clone", "-q", "origin.git", "next")
-    options = f"{QUICK} -q --pafot-today=2027-01-31"
-    inputs = inputs_of("night", "night") | {"runs": "4", "requirements": "", "options": options}
+    inputs = inputs_of("night", "night") | {"runs": "4", "seed": "1", "requirements": "", "options": f"{QUICK} -q"}
     found = []
     for folder in (repository, tmp_path / "next"):
         code, printed = run_action(inputs, folder, **copied)
         assert code == 1, printed
         found.append([finding.file for finding in record_of(folder).findings if finding.status == "new"])
-        if folder is repository:
-            shutil.copytree(repository / "pafot_state", tmp_path / "next" / "pafot_state")
-    assert "resumed after 4 runs of earlier sessions" in printed
     assert found[0]
-    assert found[1]
+    assert not found[1]
     git(repository, "fetch", "-q", "origin", "pafot-finds")
-    kept = git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines()
-    head = git(repository, "rev-parse", "main")
-    filed = f"pafot_results/2027-01-31-{head[:7]}.json"
-    assert kept == [*sorted(found[0] + found[1]), filed]
-    assert kept[:-1] == saved(tmp_path / "next")
-    record = record_of(tmp_path / "next")
-    assert (record.day, record.commit) == ("2027-01-31", head)
-    assert git(repository, "show", f"FETCH_HEAD:{filed}") == (tmp_path / "next" / "pafot.json").read_text().strip()
+    assert git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines() == sorted(found[0])
 
 
 def test_jobs_that_divide_the_replays_replay_each_file_once(repository, copied):
@@ -241,7 +196,7 @@ def test_empty_inputs_are_omitted_and_others_become_options(repository, fake):
     run_action({"task": "replay"}, repository, **fake)
     assert [call for call in calls(fake) if call.startswith("-m")] == [
         SESSION,
-        f"{SESSION} --pafot-runs=40 --pafot-seed=3 --pafot-total-time=60",
+        f"{SESSION} --pafot-runs=40 --pafot-seed=3 --pafot-max-time=60",
         f"{SESSION} --pafot-generations=0",
     ]
 
@@ -312,7 +267,7 @@ def test_a_json_elsewhere_is_refused_because_the_script_reads_its_own(repository
 def test_unknown_task_error_lists_the_known_tasks(repository):
     code, printed = shell(f"sh {SCRIPT} nihgt", repository)
     assert code == 2
-    assert "expected install, replay, search, pull-request, night or merge, received 'nihgt'" in printed
+    assert "expected install, replay, search, pull-request or night, received 'nihgt'" in printed
 
 
 def test_install_adds_requirements_and_package_if_missing(repository, fake):
@@ -332,7 +287,7 @@ FOLDER = "pafot_corpus/test_it/test_x"
 
 
 class TestTheBranch:
-    """The branch where nightly jobs and merges store their findings."""
+    """The branch where nightly jobs store their findings."""
 
     def night(self, folder, fake, *, finds="", code="1", options=""):
         inputs = inputs_of("night", "night") | {"requirements": "", "options": options}
@@ -342,17 +297,16 @@ class TestTheBranch:
 
     def kept(self, folder):
         git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
-        names = git(folder, "diff", "--name-only", "main", "refs/kept", "--", ":!pafot_results").splitlines()
+        names = git(folder, "diff", "--name-only", "main", "refs/kept").splitlines()
         return [name.rpartition("/")[2][0] for name in names]
 
-    def test_a_night_goes_on_from_its_state(self, repository, fake):
+    def test_a_night_takes_its_seed_from_the_date(self, repository, fake):
         self.night(repository, fake, code="0")
-        call, _, dated = calls(fake)[-1].rpartition(" --pafot-today=")
-        assert call == f"{SESSION} --pafot-runs=1000000 --pafot-total-time=5400 --pafot-resume=pafot_state"
-        assert re.fullmatch(rf"\d{{4}}-\d\d-\d\d --pafot-commit={git(repository, 'rev-parse', 'HEAD')}", dated)
+        call = re.sub(r"seed=20\d{6}", "seed=DAY", calls(fake)[-1])
+        assert call == f"{SESSION} --pafot-runs=1000000 --pafot-seed=DAY --pafot-max-time=5400"
 
-    def test_a_night_without_finds_and_record_makes_no_branch(self, repository, fake):
-        assert "no finds to keep" in self.night(repository, fake | {"JSON": "none"})
+    def test_a_night_without_finds_makes_no_branch(self, repository, fake):
+        assert "no finds to keep" in self.night(repository, fake)
         assert git(repository, "ls-remote", "origin", "pafot-finds") == ""
 
     def test_findings_are_one_commit_without_touching_the_checkout(self, repository, fake):
@@ -414,76 +368,6 @@ class TestTheBranch:
         told = f"expected to push finds to pafot-finds, received an error twice; they lie in {repository}"
         assert (code, told in printed) == (2, True), printed
 
-    def filed(self, folder, results="pafot_results"):
-        """Return the exit codes in the sessions that nights have filed, by name."""
-        git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
-        names = git(folder, "ls-tree", "-r", "-z", "--name-only", "refs/kept", f"{results}/").split("\0")[:-1]
-        told = {name: json.loads(git(folder, "show", f"refs/kept:{name}")) for name in names}
-        assert all(name.startswith(f"{results}/{each['day']}-") for name, each in told.items())
-        return {name.removeprefix(f"{results}/"): each["exit"] for name, each in told.items()}
-
-    def test_each_night_files_its_session_by_day_and_commit(self, repository, fake):
-        head = git(repository, "rev-parse", "--short=7", "HEAD")
-        printed = self.night(repository, fake, code="0", options="--pafot-today=2027-01-30")
-        assert f"all finds are on pafot-finds, with pafot.json as pafot_results/2027-01-30-{head}.json" in printed
-        for code in ("0", "1"):  # The second replaces the first.
-            self.night(repository, fake, code=code, finds="a", options="--pafot-today=2027-01-31")
-        assert self.filed(repository) == {f"2027-01-30-{head}.json": 0, f"2027-01-31-{head}.json": 1}
-        assert git(repository, "log", "--format=%s", "main..refs/kept").count("\n") == 2
-        killed = fake | {"JSON": "null"}
-        self.night(repository, killed, code="137", options="--pafot-today=2027-02-01 --pafot-commit=../évv1.0")
-        assert self.filed(repository).popitem() == ("2027-02-01-..__vv1.json", None)
-        assert self.kept(repository) == ["a"]
-        assert git(repository, "status", "--porcelain").splitlines() == ["?? pafot_corpus/"]
-
-    @pytest.mark.parametrize(
-        ("last", "received"),
-        [
-            ("rm pafot.json", "no such file"),
-            ("mv pafot.json other; ln -s other pafot.json", "a link"),
-            ("rm pafot.json; ln -s missing pafot.json", "a link"),
-            ("rm pafot.json; mkdir pafot.json", "no regular file"),
-            ("rm pafot.json; mkfifo pafot.json", "no regular file"),
-            ("head -c 20000001 /dev/zero >pafot.json", "a larger one"),
-            ("echo [ >pafot.json", "no JSON of a session with its day and commit"),
-            ("""echo '{"day": null, "commit": "a"}' >pafot.json""", "no JSON of a session with its day and commit"),
-            (
-                """echo '{"day": "2027-01-31/x", "commit": "a"}' >pafot.json""",
-                "no JSON of a session with its day and *",
-            ),
-        ],
-    )
-    def test_unfit_session_file_is_not_filed_but_finds_are(self, repository, fake, last, received):
-        printed = self.night(repository, fake | {"LAST": last}, finds="a")
-        expected = f"pafot.json is not filed: expected a file of at most 20 MB, received {received}"
-        assert fnmatch(printed, f"*{expected}\n*")
-        assert self.kept(repository) == ["a"]
-        assert self.filed(repository) == {}
-
-    def test_session_is_filed_in_a_folder_of_any_name(self, repository, fake):
-        commit(repository, {".gitattributes": "*.json text eol=crlf"}, "Attributes")
-        git(repository, "push", "-q", "origin", "main")
-        folder = repository / "sub dir ä"
-        folder.mkdir()
-        own = fake | {"RESULTS": "-my, results\n/", "BRANCH": "pafot-finds"}
-        for _ in range(2):
-            ended, printed = shell(f"sh {SCRIPT} night --pafot-today=2027-01-31", folder, **own)
-            assert ended == 0, printed
-        assert list(self.filed(repository, "sub dir ä/-my, results\n").values()) == [0]
-
-    @pytest.mark.parametrize("name", ["/x", "../x", ".", "x/.git", "planner.py", "link"])
-    def test_unsuitable_folder_of_results_is_refused_before_the_search(self, repository, fake, name):
-        (repository / "link").symlink_to("elsewhere")
-        commit(repository, {"planner.py": PLANNER}, "A planner")
-        code, printed = shell(f"sh {SCRIPT} night", repository, BRANCH="finds", RESULTS=name, **fake)
-        told = f"expected as RESULTS the name of a folder below this one, received {name}; name another"
-        assert (code, told in printed, calls(fake)) == (2, True, []), printed
-
-    def test_merge_files_no_session(self, repository, fake):
-        (repository / "machines" / "1").mkdir(parents=True)
-        code, printed = shell(f"sh {SCRIPT} merge", repository, BRANCH="pafot-finds", FINDS_NOW="a", **fake)
-        assert (code, self.filed(repository), self.kept(repository)) == (0, {}, ["a"]), printed
-
     def on_branch(self, folder, name):
         git(folder, "fetch", "-q", "origin", "+refs/heads/pafot-finds:refs/kept")
         return git(folder, "show", f"refs/kept:{name}")
@@ -522,7 +406,7 @@ class TestTheBranch:
         assert git(repository, "rev-parse", "refs/kept^1", "refs/kept^2").splitlines() == theirs
         changed = git(repository, "diff", "--name-only", "main...refs/kept").splitlines()
         finds = [f"{FOLDER}/{name}.pafot.yaml" for name in ("a", "b", "old")]
-        assert [name for name in changed if not name.startswith("pafot_results/")] == ["NOTES.md", *finds]
+        assert changed == ["NOTES.md", *finds]
 
     def test_finding_deleted_on_the_branch_does_not_return(self, repository, fake):
         self.night(repository, fake, finds="a")
@@ -569,10 +453,6 @@ class TestTheBranch:
             assert (code, f"received {branch}" in printed) == (2, True), printed
         assert (calls(fake), git(repository, "ls-remote", "origin")) == ([], before)
 
-    def test_machines_elsewhere_are_refused_before_the_merge(self, repository, fake, tmp_path):
-        code, printed = shell(f"sh {SCRIPT} merge", repository, BRANCH="finds", MACHINES=str(tmp_path), **fake)
-        assert (code, f"expected MACHINES in the repository, received {tmp_path}" in printed) == (2, True), printed
-
     def test_unreadable_remote_ends_job_before_the_search(self, repository, fake):
         shutil.move(repository.parent / "origin.git", repository.parent / "gone.git")
         inputs = inputs_of("night", "night") | {"requirements": ""}
@@ -586,16 +466,3 @@ def test_without_a_branch_finds_stay_where_they_are(repository, fake):
     assert (code, saved(repository)) == (1, ["pafot_corpus/test_it/test_x/a.pafot.yaml"])
     assert git(repository, "ls-remote", "origin").count("refs/heads") == 1
     assert "pafot-finds" not in printed
-
-
-def test_a_night_outside_of_any_repository_has_a_day_alone(tmp_path, fake):
-    code, _ = shell(f"sh {SCRIPT} night", tmp_path, GIT_CEILING_DIRECTORIES=str(tmp_path.parent), **fake)
-    assert (code, re.sub(r"today=\d{4}-\d\d-\d\d$", "today=DAY", calls(fake)[-1])) == (
-        0,
-        f"{SESSION} --pafot-resume=pafot_state --pafot-today=DAY",
-    )
-
-
-def test_a_merge_without_machines_is_refused(repository, fake):
-    code, printed = shell(f"sh {SCRIPT} merge", repository, **fake)
-    assert (code, "expected a folder for each machine in machines, found none" in printed) == (2, True)

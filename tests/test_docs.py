@@ -583,5 +583,5 @@ def test_searching_job_has_more_time_than_its_searches():
         searching = {name: text for name, text in commands.items() if "--pafot-generations=0" not in text}
         assert searching
         for name, text in searching.items():
-            (seconds,) = re.findall(r"--pafot-total-time=(\d+)", text)  # --pafot-max-time is for each search
+            (seconds,) = re.findall(r"--pafot-max-time=(\d+)", text)  # of the only search
             assert workflow["jobs"][name]["timeout-minutes"] * 60 >= int(seconds) + 15 * 60

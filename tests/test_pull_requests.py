@@ -1,0 +1,94 @@
+"""The task of a pull request, in a real repository: a search of the commit before it, then one of the change."""
+
+import pytest
+
+from tests.helpers.actions import git, inputs_of, run_action
+from tests.test_ci_script import (  # noqa: F401
+    begun_repository,
+    commit,
+    copied,
+    record_of,
+    repository,
+    saved,
+)
+
+pytestmark = pytest.mark.processes
+
+SOUND = "Planner = lambda: lambda seen: (22.0 - seen.ego.speed, 0.0)\n"
+FAST = SOUND.replace("22.0", "26.0")
+TEST = """
+import pytest_pafot as pafot
+from planner import Planner
+
+
+@pafot.search(ads=Planner, npcs=1, genes=1, gene_seconds=5, ego_speed=20)
+def test_speed(run):
+    assert run.ego.speed.max() < 24
+"""
+
+
+@pytest.fixture
+def changed(repository, copied):  # noqa: F811
+    """Return a function that commits a base and a change, runs the task, and returns its exit code and its output."""
+
+    def run(before, change, **inputs):
+        commit(repository, before, "Before")
+        base = git(repository, "rev-parse", "HEAD")
+        commit(repository, change, "Change")
+        own = {"runs": "4", "seed": "1", "requirements": "", "options": "--pafot-shrink-rollouts=0"}
+        given = inputs_of("pull-request", "pull-request", {"github.event.pull_request.base.sha": base})
+        code, printed = run_action(given | own | inputs, repository, **copied)
+        assert git(repository, "worktree", "list").count("\n") == 0
+        return code, printed
+
+    return run
+
+
+def test_a_harmful_change_is_red_for_what_is_new(repository, changed):  # noqa: F811
+    code, printed = changed({"planner.py": SOUND, "test_safety.py": TEST}, {"planner.py": FAST})
+    assert code == 1, printed
+    assert "fails as well: 0 saved scenarios" in printed
+    assert [each.status for each in record_of(repository).findings] == ["new"]
+    assert saved(repository) == [record_of(repository).findings[0].file]
+
+
+def test_a_harmless_change_is_green_although_both_fail(repository, changed):  # noqa: F811
+    code, printed = changed({"planner.py": FAST, "test_safety.py": TEST}, {"planner.py": f"# Too fast\n{FAST}"})
+    assert code == 0, printed
+    assert "fails as well: 1 saved scenarios" in printed
+    assert record_of(repository).searches[0].failing > 0
+    assert saved(repository) == []
+
+
+def test_a_change_that_renames_the_test_leaves_no_files_without_a_test(repository, changed):  # noqa: F811
+    renamed = TEST.replace("test_speed", "test_top_speed")
+    code, printed = changed({"planner.py": FAST, "test_safety.py": TEST}, {"test_safety.py": renamed})
+    assert code == 1, printed
+    assert [each.test for each in record_of(repository).findings] == ["test_safety.py::test_top_speed"]
+    assert record_of(repository).orphans == []
+
+
+def test_a_mended_policy_is_green_and_its_saved_failure_too(repository, changed):  # noqa: F811
+    before = {"planner.py": FAST, "test_safety.py": TEST}
+    code, _ = changed(before, {"planner.py": f"{FAST}\n"})
+    assert code == 0
+    assert changed({"planner.py": FAST}, {"planner.py": SOUND})[0] == 0
+
+
+def test_a_base_that_cannot_be_installed_is_an_error_that_says_so(repository, changed):  # noqa: F811
+    before = {"planner.py": SOUND, "test_safety.py": TEST, "needs.txt": "./gone\n"}
+    code, printed = changed(before, {"needs.txt": ""}, requirements="needs.txt")
+    assert code == 2, printed
+    assert "a commit that can be installed, received the error above" in printed
+    assert saved(repository) == []
+
+
+def test_a_base_whose_tests_cannot_be_run_is_an_error_that_says_so(changed):
+    code, printed = changed({"test_safety.py": TEST}, {"planner.py": SOUND})
+    assert (code, "a commit whose tests can be run, received the error above" in printed) == (2, True), printed
+
+
+def test_the_first_test_has_nothing_to_be_compared_with(repository, changed):  # noqa: F811
+    code, printed = changed({"README.md": "Soon."}, {"planner.py": SOUND, "test_safety.py": TEST})
+    assert code == 0, printed
+    assert len(record_of(repository).searches) == 1
