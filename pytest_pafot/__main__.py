@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 
@@ -41,9 +40,6 @@ OWN_COMMANDS = MappingProxyType({
     ),
 })  # fmt: skip
 """The commands of the core."""
-
-GROUP = "pytest_pafot.commands"
-"""The group of entry points by which other packages add commands."""
 
 GATES = tuple(name for name, command in {**OWN_COMMANDS, **COMMANDS}.items() if command.is_gate)
 """The commands whose exit code is a verdict on a policy."""
@@ -118,15 +114,6 @@ def main_in_child(arguments: list[str]) -> int:
     return ended_with(left) or 2
 
 
-def known_commands() -> dict[str, Command]:
-    """Return the commands of the core, of the extras and of other packages, by name; none of those replaces ours."""
-    others = {
-        entry.name: Command(entry.value, f"a command of the package {entry.dist.name if entry.dist else '?'}", "")
-        for entry in metadata.entry_points(group=GROUP)
-    }
-    return {**others, **OWN_COMMANDS, **COMMANDS}
-
-
 def _hold_back(is_held: bool) -> None:
     """Let :data:`ENDS` wait, or come. A child inherits that: Python would print a traceback while it starts."""
     if hasattr(signal, "pthread_sigmask"):
@@ -186,9 +173,8 @@ def _run(given: list[str]) -> int:
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
-    ours = {**OWN_COMMANDS, **COMMANDS}
+    known = {**OWN_COMMANDS, **COMMANDS}
     asked = next((each for each in given if not each.startswith("-")), "")
-    known = ours if asked in ours else known_commands()  # looking through other packages takes a while
     parsers = {
         name: commands.add_parser(name, help=command.help, description=command.about) for name, command in known.items()
     }
@@ -199,15 +185,6 @@ def _run(given: list[str]) -> int:
             parsers[asked].set_defaults(run=module.run)
         except RequestError as error:
             parser.exit(2, f"{asked}: {error}\n")
-        except Exception as error:
-            if asked in ours:
-                raise
-            received = f"{type(error).__name__}: {error}"
-            sys.stderr.write(
-                f"{asked}: expected {known[asked].help} with add_arguments and run, received {received}; correct or "
-                "uninstall that package\n"
-            )
-            return BAD_USE
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
     own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
     arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))

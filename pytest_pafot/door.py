@@ -2,7 +2,7 @@
 
 The core imports no module of ``extras/``: it opens one by a name of this file. An extra imports what is public, the
 names of :mod:`pytest_pafot.extending`, and the small tools of ``support/``; what it adds, it names here. A package of
-somebody else adds an algorithm as ``module:Class``, and commands, exporters and hooks by entry points.
+somebody else adds an algorithm as ``module:Class``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The public catalogue is complete, lazy, and fast to import; and packages of others may add commands."""
+"""The public catalogue is complete, lazy, and fast to import."""
 
 import subprocess
 import sys
@@ -6,8 +6,7 @@ import sys
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.__main__ import GROUP, known_commands, main
-from pytest_pafot.door import COMMANDS, NAMES
+from pytest_pafot.door import NAMES
 
 
 def test_every_public_name_of_the_core_can_be_reached():
@@ -39,19 +38,3 @@ assert callable(pytest_pafot.reject), "a module in the place of the function"
 
 def test_package_import_loads_only_the_standard_library():
     subprocess.run([sys.executable, "-c", FRESH], check=True)
-
-
-def add_arguments(parser):
-    parser.add_argument("count", type=int)
-
-
-def run(arguments, line):
-    print("counted to", arguments.count, "by", line[-2])
-    return 3
-
-
-def test_package_adds_a_command_by_an_entry_point_and_replaces_none(register, capsys):
-    register(GROUP, tally=__name__, map=__name__)
-    assert main(["tally", "7"]) == 3
-    assert capsys.readouterr().out == "counted to 7 by tally\n"
-    assert known_commands()["map"] is COMMANDS["map"]

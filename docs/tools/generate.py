@@ -131,9 +131,8 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `2`.",
     "test": "Node id of the test; the folder decides which test replays the file.",
-    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. Of a "
-    "world that is code (`own`, or with `wrappers`) the replay uses the test's. A "
-    "[registered](../guide/own-world.md) world has its own kind and its `data`.",
+    "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. The "
+    "kind `sumo` has `data`. Of a world that is code (`own`, or with `wrappers`) the replay uses the test's.",
     "scenario.seed": "Of all random choices in the run.",
     "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], also of NPCs that do not cross, at the start.",
     "scenario.gene_seconds": "Duration of a gene [s]; by default `10.0`.",

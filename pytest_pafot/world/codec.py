@@ -1,10 +1,9 @@
 """Worlds in files: conversion to plain data and back, and worlds that the test must name because they are code.
 
-A ``pafot.Highway`` or ``pafot.World`` is data, and a replay makes it from the file. The same holds for a world whose
-class an installed package has registered, and for a simulator's: the ``kind`` in a file is the name of its entry point
-in the group ``pytest_pafot.worlds``. Any other user-defined world or simulator is code, and so are wrappers around an
-environment. Files may come from strangers, so no file may decide which code runs. For a world that is code, a replay
-uses the world that the test names, if the name of its class or environment is the name in the file.
+A ``pafot.Highway``, ``pafot.World`` or ``pafot.sumo`` is data, and a replay makes it from the file. A user-defined
+world or simulator is code, and so are wrappers around an environment. Files may come from strangers, so no file may
+decide which code runs. For a world that is code, a replay uses the world that the test names, if the name of its class
+or environment is the name in the file.
 """
 
 from __future__ import annotations
@@ -12,16 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from importlib import metadata
 from types import MappingProxyType
 from typing import Any
 
+from pytest_pafot.door import EXTRAS, opened
 from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences, shown
 from pytest_pafot.world.base_world import WorldLike
-from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
@@ -29,9 +27,11 @@ from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
 from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
-GROUP = "pytest_pafot.worlds"
-"""The group of entry points for worlds. The name of an entry point is the ``kind`` in files; its value is a class with
-``from_dict(data)`` and ``to_dict()``."""
+SUMO = "sumo"
+"""The ``kind`` in files of a world of ``pafot.sumo``."""
+
+SUMO_CLASS = f"{EXTRAS}.sumo:Sumo"
+"""The simulator of such a world."""
 
 OWN = "own"
 """The ``kind`` in files of a world that is code."""
@@ -55,23 +55,20 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
 
     Raises:
         WorldError: for an unknown kind or field, a bad value, a configuration that names code outside highway-env,
-            or a registered class that cannot be imported or does not accept the data.
+            or a simulator that does not accept the data.
     """
     if not isinstance(data, Mapping):
         raise WorldError(field="world", expected="a mapping", received=repr(data))
     kind, values = data.get("kind"), {key: value for key, value in data.items() if key != "kind"}
     if isinstance(kind, str) and kind in BUILT_IN:
         return _built_in(kind, values)
-    registered = _registered()
-    if isinstance(kind, str) and kind in registered:
-        return _from_registered(registered[kind], values)
-    hint = (
-        "a file cannot hold the code of your own world; use the world object itself, or --world module:factory"
-        if kind == OWN
-        else f"a package that registers its kind in the entry points {GROUP} may not be installed here"
+    if kind == SUMO:
+        return _of_sumo(values)
+    hint = "a file cannot hold the code of your own world; use the world object itself, or --world module:factory"
+    known = ", ".join(sorted([*BUILT_IN, SUMO]))
+    raise WorldError(
+        field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint if kind == OWN else ""
     )
-    known = ", ".join(sorted([*BUILT_IN, *registered]))
-    raise WorldError(field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint)
 
 
 def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
@@ -104,65 +101,37 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
         raise WorldError(field=place, expected=expected, received=", ".join(unknown))
 
 
-def _registered() -> dict[str, metadata.EntryPoint]:
-    """Return the entry points of the kinds that installed packages have registered; none replaces a built-in kind."""
-    entries = metadata.entry_points(group=GROUP)
-    return {entry.name: entry for entry in entries if entry.name not in (*BUILT_IN, OWN)}
-
-
-def _from_registered(entry: metadata.EntryPoint, values: dict[str, Any]) -> WorldLike:
+def _of_sumo(values: dict[str, Any]) -> SimulatorWorld:
     if set(values) != {"data"}:
         received = ", ".join(values) or "none"
-        raise WorldError(field=f"world (kind {entry.name})", expected="the field data", received=received)
-    cls = _loaded(entry)
+        raise WorldError(field=f"world (kind {SUMO})", expected="the field data", received=received)
     try:
-        is_simulator = isinstance(cls, type) and issubclass(cls, Simulator)
-        world: WorldLike = SimulatorWorld.of(cls, values["data"]) if is_simulator else cls.from_dict(values["data"])
+        return SimulatorWorld.of(opened(SUMO_CLASS), values["data"])
     except WorldError:
         raise
     except Exception as error:
-        expected = f"data that {entry.value}{'' if is_simulator else '.from_dict'} accepts"
-        fix = f"it raised {type(error).__name__}: {error!s:.200}"
+        expected, fix = "data of a world of pafot.sumo", f"it raised {type(error).__name__}: {error!s:.200}"
         raise WorldError(field="world.data", expected=expected, received=shown(values["data"]), fix=fix) from error
-    if lacking := base_world(world).missing:
-        expected = f"that {entry.value}.from_dict returns a world"
-        received = f"{world!r:.100}, which has no {', '.join(lacking)}"
-        raise WorldError(field="world.kind", expected=expected, received=received)
-    return world
-
-
-def _loaded(entry: metadata.EntryPoint) -> Any:
-    """Import the class of an entry point."""
-    try:
-        return entry.load()
-    except Exception as error:
-        registered = f"{entry.value}, which is registered as {entry.name!r} in the entry points {GROUP}"
-        received = f"{type(error).__name__}: {error}"
-        raise WorldError(
-            field="world.kind", expected=f"that {registered}, can be imported", received=received
-        ) from error
 
 
 def described(world: Any) -> dict[str, Any]:
     """Describe a world as plain data for a file.
 
     Raises:
-        WorldError: if its environment cannot be used, or a registered world gives data that a file cannot hold.
+        WorldError: if its environment cannot be used.
     """
     world = base_world(world).given
     if type(world) in BUILT_IN.values():
         data: dict[str, Any] = world.to_dict()
         return data
     maker = world.maker if isinstance(world, SimulatorWorld) else type(world)
-    kind = _kind_of(maker)
-    own = {"kind": OWN, "class": maker.__name__} if kind is None else {"kind": kind}
+    is_sumo = f"{maker.__module__}:{maker.__name__}" == SUMO_CLASS
+    own = {"kind": SUMO} if is_sumo else {"kind": OWN, "class": maker.__name__}
     try:
         given = plain_data("world", world.to_dict())
         check_plain("world", given)
-    except ValueError as error:
-        if kind is None:  # Such data cannot be compared later, but the scenario is worth saving.
-            return own
-        raise WorldError(f"{maker.__name__}.to_dict: {error}") from error
+    except ValueError:  # Such data cannot be compared later, but the scenario is worth saving.
+        return own
     return {**own, "data": given}
 
 
@@ -171,22 +140,11 @@ def is_built_in(world: Any) -> bool:
     return type(world) in (*BUILT_IN.values(), SimulatorWorld)
 
 
-def _kind_of(cls: type[Any]) -> str | None:
-    """Return the kind under which a class's own package has registered the class; None if it is not registered."""
-    if not (hasattr(cls, "from_dict") or issubclass(cls, Simulator)):  # to read the entry points takes milliseconds
-        return None
-    package = cls.__module__.partition(".")[0]
-    for entry in _registered().values():
-        if entry.module.partition(".")[0] == package and _loaded(entry) is cls:
-            return entry.name
-    return None
-
-
 def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> WorldLike:
     """Make the world that a file describes, with runs and decisions no longer than in ``own``, the test's world.
 
     Raises:
-        WorldError: as :func:`from_dict`; and for a registered world whose runs or decisions may last longer, because
+        WorldError: as :func:`from_dict`; and for a world of SUMO whose runs or decisions may last longer, because
             :func:`within` cannot shorten them.
     """
     world = from_dict(within(data, scenario, own))

@@ -22,7 +22,7 @@ from pytest_pafot import (
     SimulatorWorld,
     WorldError,
 )
-from pytest_pafot.world.codec import GROUP, described, from_dict
+from pytest_pafot.world.codec import described, from_dict
 from tests.helpers.tables import table
 
 pytest.importorskip("libsumo", reason='needs pip install "pytest-pafot[sumo]"')
@@ -306,8 +306,7 @@ def test_without_libsumo_the_error_names_the_extra(monkeypatch):
         _ = pafot.sumo().road
 
 
-def test_a_world_is_made_from_its_file(register):
-    register(GROUP, sumo="pytest_pafot.extras.sumo:Sumo")  # as pyproject.toml does
+def test_a_world_is_made_from_its_file():
     world = pafot.sumo(drivers={"calm": {"carFollowModel": "IDM", "tau": 2}}, hz=25, ads_hz=5, duration=12.0)
     assert described(world)["kind"] == "sumo"
     again = from_dict(described(world))
@@ -316,8 +315,7 @@ def test_a_world_is_made_from_its_file(register):
     assert np.array_equal(again.rollout(drives, keeps_its_speed).states, world.rollout(drives, keeps_its_speed).states)
 
 
-def test_the_names_of_attributes_in_a_strangers_file_give_sumo_no_orders(register, tmp_path):
-    register(GROUP, sumo="pytest_pafot.extras.sumo:Sumo")
+def test_the_names_of_attributes_in_a_strangers_file_give_sumo_no_orders(tmp_path):
     stolen = tmp_path / "written.xml"
     order = f"""tau="1"/><edgeData id="x" freq="1" file="{stolen}"/><vType id="y" minGap"""
     data = described(pafot.sumo(drivers={"calm": {}}, duration=12.0))

@@ -2,14 +2,12 @@
 
 import re
 import textwrap
-from importlib import metadata
 
 import pytest
 
 from pytest_pafot.attribution.takeovers import avoidance
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.world import Highway
-from pytest_pafot.world.codec import GROUP
 
 RING = """
 class Ring:
@@ -233,58 +231,6 @@ def test_environment_registered_with_wrapper_fails_its_item(project):
     result.assert_outcomes(failed=1, passed=1)
     result.stdout.fnmatch_lines(
         ["*(world=...): env_id: *registered with these wrappers: FlattenObservation; *wrappers=[[]])*"]
-    )
-
-
-# --- worlds that a package has registered
-
-RINGS = (
-    "import pytest_pafot as pafot\n"
-    + RING.replace("DATA", "{'lanes': self.lanes}")
-    + """
-    @classmethod
-    def from_dict(cls, data):
-        return cls(**data)
-"""
-)
-FINDS = """
-from rings import Ring
-
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(3), stop_after=1)
-def test_fails(run):
-    assert len(run.trace.lanes) != 3
-"""
-
-
-@pytest.fixture
-def registered(project, monkeypatch):
-    """Return a project with one scenario that was saved in a package's registered world."""
-    given = metadata.entry_points
-    rings = (metadata.EntryPoint("ring", "rings:Ring", GROUP),)
-    monkeypatch.setattr(
-        metadata, "entry_points", lambda **which: rings if which == {"group": GROUP} else given(**which)
-    )
-    project.pytester.makepyfile(rings=RINGS)
-    project.write(FINDS)
-    project.run_once(generations=5)
-    return project
-
-
-def test_finding_in_registered_world_replays_without_naming_it(registered):
-    assert "\nworld: {kind: ring, data: {lanes: 3}}\n" in registered.only_file.read_text()
-    registered.write(FINDS.replace("world=Ring(3), ", ""))
-    result = registered.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
-
-
-def test_unregistered_kind_of_world_fails_with_likely_cause(registered):
-    file = registered.only_file
-    file.write_text(file.read_text().replace("kind: ring", "kind: wring"))
-    result = registered.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(
-        [f"*{file.name}:3: world.kind: expected one of gym, highway, ring, received 'wring'; *may not be installed*"]
     )
 
 

@@ -226,3 +226,20 @@ def test_duration_that_the_road_cuts_is_no_change():
     assert cuts(data, SIX_GENES, own) == []
     assert elsewhere(data, SIX_GENES, own) == []
     assert cuts({**data, "duration": 25.0}, SIX_GENES, own) == ["world.duration 25.0 in the file, 20.0 now"]
+
+
+def test_wrappers_in_a_file_are_refused_with_both_ways_to_give_them():
+    with pytest.raises(WorldError, match=r"world\.wrappers: .*in the test, or by --world module:factory"):
+        from_dict({"kind": "gym", "env_id": "highway-v0", "wrappers": ["FlattenObservation"]})
+
+
+@table("kind", ["rings", "tests.world.test_codec:Ring", "os:system", "", None])
+def test_unknown_kind_is_refused_with_known_kinds(kind):
+    with pytest.raises(WorldError, match=r"world.kind: expected one of gym, highway, sumo, received"):
+        from_dict({"kind": kind, "data": {"lanes": 3}})
+
+
+@pytest.mark.parametrize("world", [{"kind": "sumo"}, {"kind": "sumo", "lanes": 3}])
+def test_all_but_the_kind_of_a_world_of_sumo_is_in_its_data(world):
+    with pytest.raises(WorldError, match=r"world \(kind sumo\): expected the field data, received (none|lanes)"):
+        from_dict(world)

@@ -37,7 +37,7 @@ from pytest_pafot.campaign.request import build_space
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world.codec import GROUP, described, from_dict, is_code, named
+from pytest_pafot.world.codec import described, is_code, named
 from pytest_pafot.world.engines.simulation import Simulators
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.roads.lines import network_of, straight_along
@@ -828,18 +828,6 @@ def test_file_names_the_class_of_a_simulator_and_what_it_states():
     assert named(data, world) is world
     with pytest.raises(WorldError, match="a world of the class Counted"):
         named(data, TOY)
-
-
-def test_world_of_a_registered_simulator_is_made_from_its_file(register):
-    register(GROUP, counted=f"{__name__}:Counted")
-    world = SimulatorWorld(partial(Counted, "own"), duration=2.0, ads_hz=3, ego="truck")
-    data = described(world)
-    assert (data["kind"], "class" in data, is_code(data)) == ("counted", False, False)
-    again = from_dict(data)
-    assert described(again) == data
-    assert same(again.rollout(scenarios()[0], Slowing), world.rollout(scenarios()[0], Slowing))
-    with pytest.raises(WorldError, match=r"world.data"):
-        from_dict({**data, "data": {**data["data"], "lanes": 3}})
 
 
 class Alone(Bicycle):

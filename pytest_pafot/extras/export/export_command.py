@@ -10,7 +10,7 @@ from typing import Any
 
 from pytest_pafot import Outcome, load
 from pytest_pafot.extending import WorldData, add_world_arguments, ads_factory, chosen_world
-from pytest_pafot.extras.export.exporter import BUILT_IN, GROUP, ExportError, exporter
+from pytest_pafot.extras.export.exporter import FORMATS, ExportError, exporter
 from pytest_pafot.extras.resumable import written_into
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.interrupts import postponed
@@ -18,9 +18,8 @@ from pytest_pafot.support.interrupts import postponed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    names = ", ".join(entry.name for entry in BUILT_IN)
     parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario: its file, or its id")
-    of_to = f"the format: {names}, or one that a package registers in {GROUP}"
+    of_to = f"the format: {', '.join(FORMATS)}"
     parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
     of_ads = "the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", metavar="ADS", help=of_ads)

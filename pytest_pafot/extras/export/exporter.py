@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import metadata
+from importlib import import_module
 from types import MappingProxyType
 from typing import Protocol
 
@@ -61,20 +61,16 @@ def name_of(vehicle: int) -> str:
     return f"npc{vehicle - 1}" if vehicle else "ego"
 
 
-GROUP = "pytest_pafot.exporters"
-"""The group of entry points in which packages register an :class:`Exporter` under the name of its format."""
-
-BUILT_IN = tuple(
-    metadata.EntryPoint(name, f"{__package__}.{function}", GROUP)
-    for name, function in (
-        ("commonroad", "commonroad_xml:export"),
-        ("csv", "csv_table:export"),
-        ("mcap", "foxglove_mcap:export"),
-        ("xosc", "openscenario:export"),
-        ("xosc-1.0", "openscenario:export_1_0"),
-    )
+FORMATS: Mapping[str, str] = MappingProxyType(
+    {
+        "commonroad": "commonroad_xml:export",
+        "csv": "csv_table:export",
+        "mcap": "foxglove_mcap:export",
+        "xosc": "openscenario:export",
+        "xosc-1.0": "openscenario:export_1_0",
+    }
 )
-"""The entry points of this package's exporters. They replace exporters of other packages with the same names."""
+"""The module of this package, and the exporter in it, of each format."""
 
 EXTRAS: Mapping[str, str] = MappingProxyType(
     {"scenariogeneration": "export", "foxglove": "export", "commonroad": "commonroad"}
@@ -97,19 +93,21 @@ def exporter(name: str) -> Exporter:
     """Return the exporter for the name of a format.
 
     Raises:
-        ExportError: if the name is unknown, or if the exporter, or the library that it needs, cannot be imported.
+        ExportError: if the name is unknown, or if the library that the exporter needs cannot be imported.
     """
-    entries = {entry.name: entry for entry in (*metadata.entry_points(group=GROUP), *BUILT_IN)}
-    if name not in entries:
-        known, fix = ", ".join(sorted(entries)), "a package that registers it may not be installed here"
-        raise ExportError(field="--to", expected=f"one of {known}", received=repr(name), fix=fix)
+    if name not in FORMATS:
+        raise ExportError(field="--to", expected=f"one of {', '.join(FORMATS)}", received=repr(name))
+    module, _, function = FORMATS[name].partition(":")
     try:
-        made: Exporter = entries[name].load()
-    except Exception as error:
-        library = (getattr(error, "name", None) or "").partition(".")[0]
-        is_missing = isinstance(error, ModuleNotFoundError) and library in EXTRAS
-        fix = f"run `{install(EXTRAS[library])}`" if is_missing else ""
-        expected = f"the library {library}" if is_missing else f"that {entries[name].value} can be imported"
-        received = "a Python environment without it" if is_missing else f"{type(error).__name__}: {error}"
-        raise ExportError(field=f"--to {name}", expected=expected, received=received, fix=fix) from error
+        made: Exporter = getattr(import_module(f"{__package__}.{module}"), function)
+    except ModuleNotFoundError as error:
+        library = (error.name or "").partition(".")[0]
+        if library not in EXTRAS:
+            raise
+        raise ExportError(
+            field=f"--to {name}",
+            expected=f"the library {library}",
+            received="a Python environment without it",
+            fix=f"run `{install(EXTRAS[library])}`",
+        ) from error
     return made

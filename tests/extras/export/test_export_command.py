@@ -1,4 +1,4 @@
-"""The command from its arguments to its files, and formats that packages register."""
+"""The command from its arguments to its files, and its errors."""
 
 import json
 import shutil
@@ -11,7 +11,6 @@ from gymnasium.wrappers import FlattenObservation
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.extras.export.exporter import GROUP
 from pytest_pafot.support.files import write_whole
 from tests.extras.export.conftest import FILES
 from tests.findings.builders import plain_finding
@@ -90,14 +89,14 @@ def two_files(finding, trace):
     return {f"{finding.id}.a": b"a", f"{finding.id}.b": b"b"}
 
 
-def test_an_interrupt_leaves_all_files_or_none(register, tmp_path, monkeypatch, capsys):
+def test_an_interrupt_leaves_all_files_or_none(tmp_path, monkeypatch, capsys):
     def interrupted(path, content):
         signal.raise_signal(signal.SIGTERM)
         write_whole(path, content)
 
     monkeypatch.setattr("pytest_pafot.extras.export.export_command.write_whole", interrupted)
-    register(GROUP, two=f"{__name__}:two_files")
-    assert export(FILE, "--to", "two", "--ads", "constant_speed", "--out", tmp_path) == 128 + signal.SIGTERM
+    monkeypatch.setattr("pytest_pafot.extras.export.csv_table.export", two_files)
+    assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path) == 128 + signal.SIGTERM
     assert sorted(each.name for each in tmp_path.iterdir()) == ["collision-xfail.a", "collision-xfail.b"]
     assert capsys.readouterr().err == "\nexport: interrupted\n"
 
@@ -186,7 +185,7 @@ def raising():
         ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
          "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
         ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
-         "xosc-1.0, received 'xslx'; a package that registers it may not be installed here"),
+         "xosc-1.0, received 'xslx'"),
         (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
         ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
         ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "a scenario in which a process died"),
@@ -230,18 +229,3 @@ def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, n
         f"export: --to {name}: expected the library {library}, received a Python environment without it; "
         f"run `pip install 'pytest-pafot[{extra}]'`\n"
     )
-
-
-def test_package_adds_a_format_without_replacing_existing_ones(register, tmp_path, capsys):
-    register(GROUP, summary=f"{__name__}:summary", csv=f"{__name__}:summary")
-    for name in ("summary", "csv"):
-        assert export(FILE, "--to", name, "--ads", "constant_speed", "--out", tmp_path) == 0
-    assert json.loads((tmp_path / "collision-xfail.json").read_text()) == {"outcome": "collision", "ticks": 94}
-    assert capsys.readouterr().out.splitlines()[1] == str(tmp_path / "collision-xfail.csv")
-
-
-def test_broken_registered_exporter_is_reported_with_its_error(register, capsys):
-    register(GROUP, broken="no_such_package:export")
-    assert export(FILE, "--to", "broken", "--ads", "constant_speed") == 2
-    told = capsys.readouterr().err
-    assert "--to broken: expected that no_such_package:export can be imported, received ModuleNotFoundError" in told
