@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
-from pytest_pafot.plugin import fixtures, hookspecs
+from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK, is_driven
 from pytest_pafot.plugin.option_sources import add_options, resolve
@@ -38,11 +38,6 @@ from pytest_pafot.support.errors import RequestError, flag
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Declare the command-line options and ini keys."""
     add_options(parser)
-
-
-def pytest_addhooks(pluginmanager: pytest.PytestPluginManager) -> None:
-    """Declare the hooks by which other plugins follow searches."""
-    pluginmanager.add_hookspecs(hookspecs)
 
 
 def pytest_configure(config: pytest.Config) -> None:

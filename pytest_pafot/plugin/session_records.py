@@ -7,7 +7,6 @@ the file is written less often, so a killed session may leave it without its las
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
     from pytest_pafot.report.session_record import OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
-EVENTS = ("start", "progress", "finding", "search", "note", "warning", "compared")
-"""The kinds of messages that hooks of other plugins receive."""
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
 QUICK, REST = 0.1, 10
@@ -43,20 +40,18 @@ written again only after this time multiplied by the second number."""
 
 
 def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
-    """Return whether ``--pafot-json``, a CI job or a plugin wants a record."""
-    hooks = (config.hook.pytest_pafot_event, config.hook.pytest_pafot_record)
-    is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY) or any(map(_is_implemented, hooks)))
+    """Return whether ``--pafot-json`` or a CI job wants a record."""
+    is_wanted = bool(config.getoption(JSON.key) or environ.get(SUMMARY))
     return is_wanted and not config.getoption("collectonly", False)
 
 
 class Records:
-    """The writer of the record of the session as JSON, for hooks of other plugins, and as the summary of a CI job."""
+    """The writer of the record of the session as JSON and as the summary of a CI job."""
 
     def __init__(self, config: pytest.Config, record: Record, clock: Callable[[], float] = time.monotonic) -> None:
         self._config = config
         self._record = record
         self._clock = clock
-        self._is_refused = False  # whether a hook of another plugin has raised
         self._next = -math.inf  # when the JSON file may be written again [s]
         self._file: str | None = config.getoption(JSON.key)
         self._lines = config.stash[SUMMARY_LINES]
@@ -68,32 +63,18 @@ class Records:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Pass a message on to hooks of other plugins, and write the JSON file again if it says something new."""
+        """Write the JSON file again if a message says something new."""
         from pytest_pafot.findings.labels import Label  # noqa: PLC0415
 
         message, sighting = received(report), self._record.latest
         if message is None:
             return
-        if message.kind in EVENTS and _is_implemented(self._config.hook.pytest_pafot_event):
-            data = message.data
-            if message.kind in ("finding", "search"):  # without what is meant for the page and the terminal
-                from pytest_pafot.report.session_record import finding_entry  # noqa: PLC0415
-
-                is_new = sighting is not None and sighting.is_first
-                data = {} if sighting is None else {"record": finding_entry(sighting), "is_new": is_new}
-            self._call("pytest_pafot_event", node_id=report.nodeid, kind=message.kind, data=data)
         if message.kind == "search" or (sighting is not None and sighting.label is Label.NEW):
             self._write_json(None)
 
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the JSON file and the summary, even if the session was interrupted."""
-        if _is_implemented(self._config.hook.pytest_pafot_record):
-            from pytest_pafot.report.session_record import to_text  # noqa: PLC0415
-
-            self._call("pytest_pafot_record", record=json.loads(to_text(self._made(exit_code(session)))))
-        if self._is_refused and session.exitstatus == pytest.ExitCode.OK:  # a hook may be somebody's gate
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
         code = exit_code(session)
         self._write_json(code)
         path, record = os.environ.get(SUMMARY), self._record
@@ -110,13 +91,6 @@ class Records:
             problem = not_written(self._config, path, file.parent, lambda: append(file, text))
             if problem:
                 self._lines.problems.append(f"{SUMMARY}={path}: not written: {problem}")
-
-    def _call(self, hook: str, **given: Any) -> None:
-        """Call a hook of other plugins; what it raises costs nothing else, but the session does not pass."""
-        problems = len(self._lines.problems)
-        with self._lines.faults(f"a hook {hook}"):
-            getattr(self._config.hook, hook)(config=self._config, **given)
-        self._is_refused |= len(self._lines.problems) > problems
 
     def _made(self, code: int | None) -> SessionRecord:
         """Make the record of the session so far; ``code`` is its exit code, None before its end."""
@@ -201,7 +175,3 @@ class Records:
         if code is not None:  # A problem is reported once, at the end.
             lines = self._lines.problems if problem else self._lines.reports
             lines.append(f"{flag('json', self._file)}: not written: {problem}" if problem else f"json: {self._file}")
-
-
-def _is_implemented(hook: Any) -> bool:
-    return bool(hook.get_hookimpls())

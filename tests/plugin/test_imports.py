@@ -15,7 +15,7 @@ SOURCES = sorted(Path(pytest_pafot.plugin.__file__).parent.glob("*.py"))
 
 UNUSED = (
     "campaign", "campaign.options", "corpus", "corpus.layout", "corpus.saved", "support", "support.errors",
-    "support.isolation", "support.text", "plugin", "plugin.collection", "plugin.fixtures", "plugin.hookspecs",
+    "support.isolation", "support.text", "plugin", "plugin.collection", "plugin.fixtures",
     "plugin.marks", "plugin.node_ids", "plugin.option_sources", "plugin.session", "plugin.unrun",
     "plugin.uncollected",
 )  # fmt: skip
