@@ -1,23 +1,16 @@
-"""Reference drivers, which show whether a careful driver in the ego's place gets through the same scenario.
+"""The reference driver, which shows whether a careful driver in the ego's place gets through the same scenario.
 
-They are planners in SI units that decide at every physics tick and keep their lane. They know only what they see, and
-neither the NPCs' plans nor the future. Their sources:
+It is a planner in SI units that decides at every physics tick and keeps its lane. It knows only what it sees, and
+neither the NPCs' plans nor the future. It is ``careful-human``, the competent and careful human driver of UN Regulation
+No. 157, annex 4, appendix 3 (01 series: annex 3): risk perception 0.4 s, delay 0.75 s, 0.774 g reached within 0.6 s.
 
-- ``careful-human``: the competent and careful human driver of UN Regulation No. 157, annex 4, appendix 3 (01 series:
-  annex 3): risk perception 0.4 s, delay 0.75 s, 0.774 g reached within 0.6 s.
-- ``fuzzy-safety``: the Fuzzy Safety Model of the same regulation; Mattas et al., "Fuzzy Surrogate Safety Metrics for
-  real-time assessment of rear-end collision risk", Accident Analysis and Prevention 148, 2020.
-- ``idm-aeb``: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
-  simulations", Physical Review E 62, 2000, with emergency braking at a low time to collision.
-
-The regulation's models define reactions to danger. Without danger, the regulation only requires a distance to the
-vehicle ahead (5.2.3.3). The two drivers keep it by a headway of two seconds, and brake gently as long as gentle braking
+The regulation's model defines reactions to danger. Without danger, the regulation only requires a distance to the
+vehicle ahead (5.2.3.3). The driver keeps it by a headway of two seconds, and brakes gently as long as gentle braking
 suffices.
 
-At junctions, which none of the models covers, all three drivers give way by the same rules. They approach at a speed at
-which they can stop. They wait before the zone for each vehicle that would arrive after them by less than the critical
-headway of the Highway Capacity Manual (two-way stop, two-lane major road). For a vehicle that is in the way without
-priority, they brake as in the regulation.
+At junctions, which the model does not cover, the driver approaches at a speed at which it can stop. It waits before the
+zone for each vehicle that would arrive after it by less than the critical headway of the Highway Capacity Manual
+(two-way stop, two-lane major road). For a vehicle that is in the way without priority, it brakes as in the regulation.
 """
 
 from __future__ import annotations
@@ -39,7 +32,7 @@ from pytest_pafot.world.kernel.observation import Observation, VehicleState
 GRAVITY = 9.81
 """The gravitational acceleration [m/s^2]."""
 DELAY = 0.75
-"""The time from the perception of a risk until the brakes act (UN R157), and the fuzzy model's reaction time [s]."""
+"""The time from the perception of a risk until the brakes act (UN R157) [s]."""
 HARD_BRAKING = 0.774 * GRAVITY
 """The deceleration of hard braking (UN R157) [m/s^2]."""
 BUILD_UP = 0.6
@@ -50,7 +43,8 @@ HEADWAY = 2.0
 STANDSTILL_GAP = 3.0
 """The gap that a driver keeps to a standing vehicle ahead [m]."""
 GENTLE_BRAKING = 4.0
-"""The hardest braking that drivers call comfortable (Mattas et al. 2020) [m/s^2]."""
+"""The hardest braking that drivers call comfortable (Mattas et al., Accident Analysis and Prevention 148, 2020)
+[m/s^2]."""
 GENTLE_ACCELERATION = 1.5
 """The highest acceleration of a calm driver [m/s^2]."""
 GAP_GAIN = 0.25
@@ -318,126 +312,6 @@ class CarefulHuman(ReferenceDriver):
 
 
 @dataclass(slots=True)
-class FuzzySafety(ReferenceDriver):
-    """The Fuzzy Safety Model, which brakes early and comfortably if danger may arise, and harder in danger.
-
-    Two fuzzy measures from 0 to 1, proactive (PFS) and critical (CFS), determine the braking: PFS up to the comfortable
-    4 m/s^2, CFS from there to 6 m/s^2. The driver reacts to leaders, and to vehicles that will move into its way before
-    it has passed them. CFS assumes that a leader keeps its speed. Behind a leader that goes on braking hard, the driver
-    therefore brakes with only 4 m/s^2 until little time is left, and the published model hits some of these leaders.
-    """
-
-    COMFORTABLE = 4.0
-    HARDEST = 6.0
-    OTHERS = 7.0
-    """The hardest braking that the driver expects of other vehicles [m/s^2]."""
-    MARGIN = 2.0
-    """The safety margin of PFS [m]."""
-    ROUNDING = 0.5
-    """The safety margin of CFS [m]. The published model has no such margin and stops exactly at the other vehicle's
-    bumper. In discrete time that is a contact at 0.1 m/s."""
-
-    def wish(self, observation: Observation) -> float:
-        """Return the acceleration that the driver wants now [m/s^2]."""
-        ego = observation.ego
-        calm, hardest = self.cruise(ego.speed), 0.0
-        for index, other in enumerate(observation.others):
-            leader = self.ahead(observation, index)
-            if leader is not None and not self.will_be_in_the_way(ego, other, self.drifts[index], leader):
-                leader = None
-            needed = 0.0 if leader is None else self.braking(ego.speed, leader)
-            alert = self.held(f"alert {index}", needed > 0)
-            if leader is None:
-                continue
-            if alert >= DELAY - EPSILON:
-                hardest = max(hardest, needed)
-            calm = min(calm, max(self.follow(ego.speed, leader), 0.0))
-        return -hardest if hardest > 0 else calm
-
-    @staticmethod
-    def will_be_in_the_way(ego: VehicleState, other: VehicleState, drift: float, leader: Leader) -> bool:
-        """Return whether a vehicle is in the ego's way, or will move into it before the ego has passed."""
-        apart = _apart(ego, other)
-        if apart <= 0:
-            return True
-        sideways = drift if ego.y > other.y else -drift
-        if sideways <= 0:
-            return False
-        passing = (leader.gap + ego.length + other.length) / leader.closing if leader.closing > 0 else math.inf
-        return apart / sideways <= passing + 0.1
-
-    def braking(self, speed: float, leader: Leader) -> float:
-        """Return the deceleration that PFS and CFS require [m/s^2]."""
-        critical = self.critical(speed, leader)
-        if critical > 0:
-            return self.COMFORTABLE + critical * (self.HARDEST - self.COMFORTABLE)
-        return self.proactive(speed, leader) * self.COMFORTABLE
-
-    def proactive(self, speed: float, leader: Leader) -> float:
-        """Return PFS: 0 if gentle braking suffices behind a leader that brakes hard, 1 if even hard braking hits it."""
-        others = leader.speed**2 / (2 * self.OTHERS)
-        safe = speed * DELAY + speed**2 / (2 * self.COMFORTABLE) - others + self.MARGIN
-        unsafe = speed * DELAY + speed**2 / (2 * self.HARDEST) - others
-        return _fuzzy(leader.gap - self.MARGIN, safe, unsafe)
-
-    def critical(self, speed: float, leader: Leader) -> float:
-        """Return CFS: 0 if gentle braking avoids a leader that keeps its speed, 1 if even hard braking hits it."""
-        if leader.closing <= 0:
-            return 0.0
-        gap = leader.gap - self.ROUNDING
-        acceleration = max(self.acceleration, -self.COMFORTABLE)
-        later = speed + acceleration * DELAY
-        if later <= leader.speed:
-            return float(gap < leader.closing**2 / (2 * abs(acceleration)))
-        until = ((speed + later) / 2 - leader.speed) * DELAY
-        safe = until + (later - leader.speed) ** 2 / (2 * self.COMFORTABLE)
-        unsafe = until + (later - leader.speed) ** 2 / (2 * self.HARDEST)
-        return _fuzzy(gap, safe, unsafe)
-
-
-@dataclass(slots=True)
-class IdmAeb(ReferenceDriver):
-    """The Intelligent Driver Model behind vehicles in the way, with full braking at a low time to collision."""
-
-    HEADWAY = 1.5
-    """The desired headway [s]."""
-    STANDSTILL_GAP = 2.0
-    """The desired gap to a standing leader [m]."""
-    BRAKING = 2.0
-    """The comfortable braking [m/s^2]."""
-    HARDEST = 0.85 * GRAVITY
-    """The deceleration of emergency braking (UN R157, annex 4, appendix 3) [m/s^2]."""
-    JERK = HARDEST / BUILD_UP
-    TRIGGER = 1.5
-    """The time to collision below which the driver brakes fully [s]."""
-
-    braking: bool = False
-
-    def wish(self, observation: Observation) -> float:
-        """Return the acceleration that the driver wants now [m/s^2]."""
-        ego = observation.ego
-        leaders = [
-            leader
-            for index, other in enumerate(observation.others)
-            if (leader := self.ahead(observation, index)) is not None
-            and (_apart(ego, other) <= 0 or other.lane == self.lane)
-        ]
-        is_danger = any(leader.time_to_collision < self.TRIGGER for leader in leaders)
-        self.braking = is_danger or (self.braking and any(leader.closing > 0 for leader in leaders))
-        return -self.HARDEST if self.braking else self.idm(ego.speed, leaders)
-
-    def idm(self, speed: float, leaders: list[Leader]) -> float:
-        """Return the model's acceleration behind the leader that allows the lowest acceleration [m/s^2]."""
-        free = 1 - (speed / max(self.wanted or 0.0, 0.1)) ** 4
-        comfort = 2 * math.sqrt(GENTLE_ACCELERATION * self.BRAKING)
-        pressing = 0.0
-        for leader in leaders:
-            desired = self.STANDSTILL_GAP + max(speed * self.HEADWAY + speed * leader.closing / comfort, 0.0)
-            pressing = max(pressing, (desired / max(leader.gap, 0.1)) ** 2)
-        return GENTLE_ACCELERATION * (free - pressing)
-
-
-@dataclass(slots=True)
 class SteadyBraking(ReferenceDriver):
     """A driver that brakes with 6 m/s^2 to a standstill in the ego's lane, whatever happens."""
 
@@ -456,10 +330,8 @@ class SteadyBraking(ReferenceDriver):
         return math.inf
 
 
-REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
-    {"careful-human": CarefulHuman, "fuzzy-safety": FuzzySafety, "idm-aeb": IdmAeb}
-)
-"""The factories of the reference drivers by name; each can be the ADS of a search."""
+REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({"careful-human": CarefulHuman})
+"""The factory of the reference driver by its name; it can be the ADS of a search."""
 
 TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
     {**REFERENCES, STEADY_BRAKING: SteadyBraking}
@@ -499,10 +371,3 @@ def _half_width(vehicle: VehicleState) -> float:
 def _apart(ego: VehicleState, other: VehicleState) -> float:
     """Return the distance between the boxes across the road [m]; negative if they overlap."""
     return abs(ego.y - other.y) - _half_width(ego) - _half_width(other)
-
-
-def _fuzzy(distance: float, safe: float, unsafe: float) -> float:
-    """Return 1 below the unsafe distance, 0 above the safe distance, and a linear interpolation between them."""
-    if distance >= safe:
-        return 0.0
-    return 1.0 if distance <= unsafe else (safe - distance) / (safe - unsafe)

@@ -15,7 +15,6 @@ SAMPLE = {
     "idm-mobil": (3, 6),
     "careful-human": (3, 6),
     "fuzzy-safety": (0, 4),
-    "idm-aeb": (2, 6),
     "sound-lane-changer": (0, 6),
     "erratic": (50, 50),
     "stop-and-go": (30, 30),

@@ -18,7 +18,7 @@ from tests.helpers.tables import table
 
 SHORT = {"neighbours": 0, "generations": 4, "genes": 2, "gene_seconds": 5, "npcs": 1, "shrink_rollouts": 20, "seed": 2}
 ROAD = pafot.Highway(duration=10.0)
-CAREFUL = REFERENCES["idm-aeb"]
+CAREFUL = REFERENCES["careful-human"]
 
 
 def never_collides(run):
@@ -106,7 +106,7 @@ def test_finding_fails_with_policy_and_passes_with_reference():
     for finding in exploration.findings:
         assert finding.original is not None
         assert [collides(ads, finding.scenario) for ads in (constant_speed.make, CAREFUL)] == [True, False]
-        assert finding.expect.against == "pytest_pafot.world.reference_drivers:IdmAeb"
+        assert finding.expect.against == "pytest_pafot.world.reference_drivers:CarefulHuman"
 
 
 def test_reference_runs_only_where_the_policy_fails():

@@ -74,7 +74,7 @@ def test_replay_matches_until_the_policy_is_fixed(save):
 
 def test_a_replay_knows_its_world(save):
     run = save(finding_in(WORLD)).replay(keeps_its_speed)
-    assert "idm-aeb" in run.preventable_by
+    assert "careful-human" in run.preventable_by
     assert run.take_over is not None
 
 

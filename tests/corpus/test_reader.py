@@ -72,7 +72,7 @@ def fault(path, content):
     return caught.value
 
 
-DRIVERS = "reference_drivers: {careful-human: avoids, idm-aeb: avoids}"
+DRIVERS = "reference_drivers: {careful-human: avoids}"
 WORLD = TEXT[TEXT.index("world:") : TEXT.index("\nscenario:")]
 
 

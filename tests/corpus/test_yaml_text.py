@@ -36,7 +36,7 @@ scenario:
     - - {cell: 1, speed: 25.0}    # front-left
       - {cell: 2, speed: 8.0}     # front
 expect: {failure: AssertionError, assertion: not run.collision, outcome: collision, time: 12.4, npc: 0, cell: 2,
-         side: front, responsibility: ego, reference_drivers: {careful-human: avoids, idm-aeb: avoids}}
+         side: front, responsibility: ego, reference_drivers: {careful-human: avoids}}
 found: {seed: 1234, generation: 17, algorithm: pafot,
         versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}}
 # xfail: "reason"

@@ -55,7 +55,7 @@ def plain_finding(**changes):
             cell=Cell.FRONT,
             side="front",
             responsibility="ego",
-            reference_drivers={"careful-human": "avoids", "idm-aeb": "avoids"},
+            reference_drivers={"careful-human": "avoids"},
         ),
         "found": Found(seed=1234, generation=17, algorithm="pafot", versions=VERSIONS),
     }

@@ -49,7 +49,7 @@ def test_new_finding_is_named_by_signature_and_scenario():
 
 
 def test_it_expects_what_the_run_showed():
-    told = {"reference_drivers": {"idm-aeb": "avoids"}, "avoided_by": Avoidance(time=0.8, braking=6.0)}
+    told = {"reference_drivers": {"careful-human": "avoids"}, "avoided_by": Avoidance(time=0.8, braking=6.0)}
     expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, **told)
     assert expect == Expect(
         failure="AssertionError",

@@ -15,7 +15,8 @@ from example_ads import constant_speed, defects, idm_mobil
 from pytest_pafot import Highway, Scenario, Trace
 from pytest_pafot.model.instructions import Act
 from pytest_pafot.searching.space import Instructions, SearchSpace, sample, space_on
-from pytest_pafot.world.reference_drivers import REFERENCES
+from pytest_pafot.world.reference_drivers import CarefulHuman
+from tests.helpers.fuzzy_safety import FuzzySafety
 from tests.helpers.junctions import random_meeting
 from tests.helpers.road_cases import space_of, world_of
 from tests.helpers.sound_driver import SoundLaneChanger
@@ -116,7 +117,8 @@ ON_A_MOTORWAY: dict[str, Policy] = {
     "sound-lane-changer": lambda rng: SoundLaneChanger,
     "erratic": lambda rng: functools.partial(Erratic, random.Random(rng.random())),
     "stop-and-go": lambda rng: functools.partial(StopAndGo, random.Random(rng.random())),
-    **{name: lambda rng, name=name: REFERENCES[name] for name in REFERENCES},
+    "careful-human": lambda rng: CarefulHuman,
+    "fuzzy-safety": lambda rng: FuzzySafety,
     **{name: lambda rng, name=name: defects.make(name) for name in defects.POLICIES if name != "healthy"},
 }
 ON_OTHER_ROADS: dict[str, Policy] = {

@@ -321,7 +321,7 @@ def test_lanes_are_only_drawn_for_worlds_that_have_them(project, has_lanes):
 
 DRIVERS = """
 class Driven(Ring):
-    reference_drivers = ("calm", "idm-aeb")
+    reference_drivers = ("calm", "careful-human")
 
     def rollout(self, scenario, ads_factory GIVEN):
         return HIGHWAY.rollout(scenario, ads_factory PASSED)
@@ -352,14 +352,14 @@ def test_drivers_that_own_world_declares_are_tried(shrinking, project):
     driven(project)
     result = project.run("--pafot-runs=60", generations=None)
     expect = load(project.only_file).expect
-    assert set(expect.reference_drivers) == {"calm", "idm-aeb"}
+    assert set(expect.reference_drivers) == {"calm", "careful-human"}
     assert expect.avoided_by is None
     result.stdout.no_fnmatch_line("*note: the world*")
 
 
 LASTING = DRIVERS.replace("HIGHWAY.", "self.highway.").replace(
-    '("calm", "idm-aeb")',
-    """("calm", "idm-aeb")
+    '("calm", "careful-human")',
+    """("calm", "careful-human")
     highway = pafot.Highway(lanes=4, duration=20.0)
 
     def lasting(self, seconds):

@@ -142,8 +142,8 @@ def test_headline_and_prose_are_from_run_by_default():
 def test_reference_drivers_are_listed_with_their_results():
     trace = cut_in_trace()
     finding = finding_of(trace)
-    finding = replace(finding, expect=replace(finding.expect, reference_drivers={"idm-aeb": "fails"}))
-    assert words_of(view_of(trace, finding))[-1] == "Others: Not preventable by idm-aeb (fails too)."
+    finding = replace(finding, expect=replace(finding.expect, reference_drivers={"careful-human": "fails"}))
+    assert words_of(view_of(trace, finding))[-1] == "Others: Not preventable by careful-human (fails too)."
 
 
 def test_avoidance_is_above_picture_and_duty_below():

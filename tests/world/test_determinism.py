@@ -78,7 +78,7 @@ found["with the examples"] = imported("highway_env", "torch", "stable_baselines3
 
 world, scenario = Highway(), Scenario(npcs=[[PositionInstruction(2, 0.0)]])
 trace = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
-world.rollout_reference(scenario, "idm-aeb")
+world.rollout_reference(scenario, "careful-human")
 found["by the kernel"] = trace.outcome, imported("highway_env", "gymnasium", "pygame")
 
 from pytest_pafot.world.stock import observation

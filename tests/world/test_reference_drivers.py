@@ -16,10 +16,9 @@ from pytest_pafot.world.reference_drivers import (
     HARD_BRAKING,
     REFERENCES,
     CarefulHuman,
-    FuzzySafety,
-    IdmAeb,
     Leader,
 )
+from tests.helpers.fuzzy_safety import FuzzySafety
 
 HZ = 30
 NAMES = tuple(REFERENCES)
@@ -184,14 +183,6 @@ class TestFuzzySafety:
         gentle, hard = 10 * 0.75 + 100 / 8, 10 * 0.75 + 100 / 12
         assert model.critical(20.0, self.lead((gentle + hard) / 2 + 0.5, 10.0)) == pytest.approx(0.5)
 
-    def test_reacts_after_0_75_s(self):
-        rows = drive(FuzzySafety(), leader(30.0, 20.0, brakes_at=2.0, braking=7.0))
-        assert first(rows, lambda gap, speed, a: a < 0) == pytest.approx(0.75, abs=1.5 / HZ)
-
-    def test_fuzzy_driver_limits_braking_for_slow_cut_in(self):
-        rows = drive(FuzzySafety(), cut_in(20.0, 8.0, begins=1.0))
-        assert min(a for *_, a in rows) == -6.0
-
     def test_fuzzy_driver_hits_a_hard_braking_leader(self):
         """It assumes that the leader keeps its speed. It brakes with 4 m/s^2 until that is too weak; 6 is too late."""
         brakes = leader(24.0, 20.0, brakes_at=0.0, braking=6.0)
@@ -200,23 +191,6 @@ class TestFuzzySafety:
         assert sum(a == -4.0 for *_, a in approach) > 1.0 * HZ
         assert approach[-1][3] == -6.0
         assert min(gap for _, gap, *_ in drive(CarefulHuman(), brakes)) > 5.0
-
-    def test_fuzzy_driver_reacts_to_vehicle_about_to_enter(self):
-        other, ego = car(20.0, 0.8, 12.0), car(0.0)
-        side = 1.0 if ego.y > other.y else -1.0
-        assert FuzzySafety.will_be_in_the_way(ego, other, side * 1.8, self.lead(15.0, 12.0))
-        assert not FuzzySafety.will_be_in_the_way(ego, other, 0.0, self.lead(15.0, 12.0))
-
-
-class TestIdmAeb:
-    def test_follows_calmly(self):
-        rows = drive(IdmAeb(), leader(60.0, 15.0), seconds=60.0)
-        assert min(a for *_, a in rows) > -3.0
-        assert 1.5 * 15.0 < rows[-1][1] < 1.5 * 15.0 + 10.0
-
-    def test_aeb_brakes_hard_at_low_time_to_collision(self):
-        rows = drive(IdmAeb(), cut_in(20.0, 5.0, begins=1.0))
-        assert min(a for *_, a in rows) == pytest.approx(-0.85 * 9.81)
 
 
 def scenario(*speeds, cell=2, lane=1):
@@ -280,7 +254,7 @@ def test_careful_driver_avoids_what_constant_speed_ego_hits():
 
 
 def test_unknown_driver_is_refused_with_the_known_names():
-    with pytest.raises(WorldError, match="expected one of careful-human, fuzzy-safety, idm-aeb, received 'me'"):
+    with pytest.raises(WorldError, match="expected one of careful-human, received 'me'"):
         Highway().rollout_reference(BRAKES, "me")
 
 

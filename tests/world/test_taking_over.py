@@ -81,7 +81,7 @@ def test_new_driver_brakes_at_once_for_watched_leader():
     assert taken.ego[trace.ticks - 8, ACCELERATION] < -4.0
     left = HIGHWAY.rollout(BRAKES, changing_lanes)
     tick = next(tick for tick in range(left.ticks) if left.ego[tick, 6] != 1)
-    assert (HIGHWAY.take_over(left, tick + 15, "idm-aeb").ego[tick + 15 :, 6] == left.ego[tick + 15, 6]).all()
+    assert (HIGHWAY.take_over(left, tick + 15, "careful-human").ego[tick + 15 :, 6] == left.ego[tick + 15, 6]).all()
 
 
 def test_new_driver_wants_ego_speed_from_before_braking():
@@ -113,10 +113,15 @@ def test_taking_over_gives_the_same_run_each_time():
 @table(
     ("tick", "name", "world", "message"),
     [
-        (10, "me", HIGHWAY, "expected one of careful-human, fuzzy-safety, idm-aeb, steady-braking, received 'me'"),
-        (-1, "idm-aeb", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
-        (10**6, "idm-aeb", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
-        (10, "idm-aeb", Highway(physics_hz=30), "trace: expected a run in this world, with 30 ticks .* a run with 15"),
+        (10, "me", HIGHWAY, "expected one of careful-human, steady-braking, received 'me'"),
+        (-1, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
+        (10**6, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
+        (
+            10,
+            "careful-human",
+            Highway(physics_hz=30),
+            "trace: expected a run in this world, with 30 .* a run with 15",
+        ),
     ],
 )
 def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
@@ -160,7 +165,7 @@ class Takes(Own):
 
 
 class Declares(Takes):
-    reference_drivers = ("idm-aeb",)
+    reference_drivers = ("careful-human",)
 
 
 class Brakes(Declares):
@@ -174,14 +179,14 @@ class Both(Declares, Resumes):
 @table(
     ("world", "drivers"),
     [
-        (HIGHWAY, ("careful-human", "fuzzy-safety", "idm-aeb", "steady-braking")),
+        (HIGHWAY, ("careful-human", "steady-braking")),
         (Own(), None),
         (Takes(), None),
-        (Declares(), ("idm-aeb",)),
-        (Brakes(), ("idm-aeb", "steady-braking")),
+        (Declares(), ("careful-human",)),
+        (Brakes(), ("careful-human", "steady-braking")),
         (Resumes(), ("steady-braking",)),
         (PassesOn(), ("steady-braking",)),
-        (Both(), ("idm-aeb", "steady-braking")),
+        (Both(), ("careful-human", "steady-braking")),
     ],
 )
 def test_drivers_that_take_over_are_those_declared(world, drivers):
@@ -218,7 +223,7 @@ def test_abilities_for_a_replaced_rollout_are_not_used():
 def test_actions_without_si_units_are_not_continued(actions):
     trace = replace(HIGHWAY.rollout(BRAKES, changing_lanes), actions=actions)
     assert base_world(Resumes()).taking_over(trace) is None
-    assert base_world(Both()).taking_over(trace).drivers == ("idm-aeb",)
+    assert base_world(Both()).taking_over(trace).drivers == ("careful-human",)
 
 
 def test_braking_after_decisions_equals_the_braking_driver():
@@ -231,16 +236,16 @@ def test_braking_after_decisions_equals_the_braking_driver():
 @table(
     ("take_over", "error"),
     [
-        (lambda self, trace, tick, name: {}[name], "KeyError: 'idm-aeb'"),
+        (lambda self, trace, tick, name: {}[name], "KeyError: 'careful-human'"),
         (lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
     ],
 )
 def test_error_of_a_world_names_class_and_driver(take_over, error):
     world = type("Broken", (Declares,), {"take_over": take_over})()
     trace = HIGHWAY.rollout(BRAKES, weaving)
-    expected = f"^the world Broken could not run take_over with the driver 'idm-aeb': {error}$"
+    expected = f"^the world Broken could not run take_over with the driver 'careful-human': {error}$"
     with pytest.raises(DriverError, match=expected):
-        base_world(world).taking_over(trace)(trace, 3, "idm-aeb")
+        base_world(world).taking_over(trace)(trace, 3, "careful-human")
 
 
 def test_driver_that_takes_over_is_driven_on_in_the_longer_world():

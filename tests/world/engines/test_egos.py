@@ -149,14 +149,13 @@ def test_a_model_that_drives_otherwise_is_noticed(monkeypatch):
         assert differences(case.run(), case.run_in_gym()) != []
 
 
-@pytest.mark.parametrize("name", ["careful-human", "fuzzy-safety", "idm-aeb"])
-def test_reference_drivers_drive_exactly_as_by_env_step(name):
+def test_reference_driver_drives_exactly_as_by_env_step():
     for seed in range(5):
         case = Case.random(seed)
         every_tick = replace(case.world, ads_hz=case.world.physics_hz)
         with c_library():
-            own = case.world.rollout_reference(case.scenario, name)
-            assert differences(own, every_tick.rollout_in_gym(case.scenario, REFERENCES[name])) == []
+            own = case.world.rollout_reference(case.scenario, "careful-human")
+            assert differences(own, every_tick.rollout_in_gym(case.scenario, REFERENCES["careful-human"])) == []
 
 
 # --- which driver drives
@@ -217,6 +216,6 @@ def test_world_says_which_classes_the_compiled_model_drives():
 
 @pytest.mark.parametrize("world", [Highway(), World("highway-v0")])
 def test_reference_drivers_get_through_as_planners(world, drivers):
-    trace = world.rollout_reference(SCENARIO, "idm-aeb")
+    trace = world.rollout_reference(SCENARIO, "careful-human")
     assert trace.outcome is Outcome.SAFE
     assert drivers == [PlannerDriver]

@@ -349,7 +349,7 @@ def test_copied_vehicle_shares_its_way_with_the_original():
 
 def test_reference_drivers_follow_the_road():
     world = World("u-turn-v1")
-    trace = world.rollout_reference(hold(world, 4, speed=5.0), "idm-aeb")
+    trace = world.rollout_reference(hold(world, 4, speed=5.0), "careful-human")
     assert abs(trace.track[:, 0, OFFSET]).max() < 1.0
     assert trace.track[-1, 0, ALONG] > 120
     assert np.ptp(trace.track[:, 0, ACROSS]) < 1.0
