@@ -70,7 +70,7 @@ FENCE = re.compile(r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re
 NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 NUMBER = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
 WALL_CLOCK = re.compile(
-    r"\bin [\d.]+s(?= =|$)|\d (?:runs?|to shrink|of neighbours) in [\d.]+ s|neighbours? passed, in [\d.]+ s",
+    r"\bin [\d.]+s(?= =|$)|\d (?:runs?|to shrink|to find the moment) in [\d.]+ s",
     re.MULTILINE,
 )
 SUMMARY = re.compile(r"(?:=+ )?(\d+ [a-z]+(?:, \d+ [a-z]+)*) in [\d.]+s(?: =+)?")

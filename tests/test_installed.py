@@ -87,7 +87,7 @@ MARKED = """\
 import pytest_pafot as pafot
 from policy import make
 
-@pafot.search(ads=make, runs=8, seed=1, shrink_rollouts=20, neighbours=2)
+@pafot.search(ads=make, runs=8, seed=1, shrink_rollouts=20)
 def test_safe(run):
     assert not run.collision
 """
@@ -117,7 +117,7 @@ def test_core_without_extras_searches_and_replays(core):
     count = len([*here.rglob("*.pafot.yaml")])
     assert count > 0
     assert f"{count} still failing" in do("pytest", "--pafot-generations=0").stdout
-    quick = ("--", "--pafot-shrink-rollouts=0", "--pafot-neighbours=0")
+    quick = ("--", "--pafot-shrink-rollouts=0")
     done = do("pytest_pafot", "search", "policy:make", "--runs", "8", "--seed", "1", *quick)
     assert done.returncode == 1, done.stderr
     assert "new finding" in done.stdout

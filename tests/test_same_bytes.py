@@ -13,10 +13,8 @@ TREE = Path("/home/me/tree")
     [
         ("=== 3 failed in 1.23s ===", "== 3 failed in 61.23s (0:01:01) =="),
         ("  9 runs, 4 to shrink in 1.8 s, 2 failing", "  9 runs, 4 to shrink in 12.0 s, 2 failing"),
-        ("  5 neighbours passed, in 1.8 s (--pafot-replay-neighbours)",
-         "  5 neighbours passed, in 2.0 s (--pafot-replay-neighbours)"),
         ("pafot: test_it.py::test_batch[search] 4/9 runs, 1 failing, 1 new, 2/s\n", ""),
-        ("  170 decisions, 240 to shrink and 103 of neighbours\n", ""),
+        ("  170 decisions, 240 to shrink and 103 to find the moment\n", ""),
         ("test_it.py .FF\n", "test_it.py \npafot: test_it.py::test_batch[search] 4/9 runs\n.FF\n"),
         (f"{TREE}/pytest_pafot/support/interrupts.py:54: KeyboardInterrupt", "TREE/...: KeyboardInterrupt"),
     ],

@@ -100,14 +100,13 @@ OF_COMMANDS = {
     "corpus": ["commands/corpus_command.py"],
 }
 SHOWN_BY = {
-    "corpus": [["corpus", each] for each in ("list", "join", "prune", "nearby", "shrink", "accept")],
+    "corpus": [["corpus", each] for each in ("list", "join", "prune", "shrink", "accept")],
 }
 """The helps with the options of a command."""
 OF_PYTEST = {
     "--rootdir",
     "--collect-only",
     "--remove-orphans",
-    "--put-neighbours",
     "--shrink-saved",
     "--no-header",
     "--runxfail",
@@ -165,7 +164,6 @@ def idle(name):
     return lambda observation: 1
 """
 RUN_BY = {
-    "plugin/replay_item.py": "test_the_command_that_a_replay_names_puts_the_neighbour_into_the_file",
     "plugin/orphans.py": "test_the_command_that_a_summary_names_removes_the_files",
     "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
@@ -236,7 +234,7 @@ def test_session_of_search_names_commands_that_work_without_test_files(here):
 
 @pytest.mark.processes
 def test_options_that_a_session_of_search_names_repeat_it(here):
-    search = "python -m pytest_pafot search planner:Planner --runs 4 --pafot-shrink-rollouts=0 --pafot-neighbours=0"
+    search = "python -m pytest_pafot search planner:Planner --runs 4 --pafot-shrink-rollouts=0"
     told = ran(f"{search} --pafot-save=none --pafot-json=j.json")[1]
     seed, base = re.search(r"seed (\d+) from (--pafot-seed=\d+)", told).groups()
     again = ran(f"{search} {base}")[1]

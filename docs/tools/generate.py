@@ -37,7 +37,6 @@ from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_argu
 from pytest_pafot.extras.sweeps.maps import Sweep
 from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.finding import Expect, Finding, Found
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
@@ -169,15 +168,12 @@ FILE_TEXTS: Mapping[str, str] = {
     "tried.",
     "shrunk.speeds": "By `npc` and first `gene` of each instruction, the speeds from `low` to `high` [m/s] at which "
     "the scenario still fails; not all between were tried.",
-    "neighbours": "How many [neighbours](../explanation/findings.md#how-broad-it-is) failed in the same way: "
-    "`failing`, `of`.",
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
     "each with another seed, or of a flaky one with the same.",
     "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
     "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while). With `{reason: "
     "..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
     "expect.closing_speed": "Of the collision [m/s]; only a label.",
-    "expect.ego_mean_speed": "Of the ego until the event [m/s], by which neighbours are re-timed.",
     "expect.against": "The reference that passed, such as `module:factory`.",
     "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "
     "it names.",
@@ -198,7 +194,7 @@ RUN_INTERNALS = (
 )
 """Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""
 
-AT_THE_END = ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail")
+AT_THE_END = ("perception", "original", "shrunk", "rate", "flaky", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
 
 
@@ -502,7 +498,6 @@ def _example() -> Finding:
         ),
         original=Scenario(npcs=(as_found,), seed=7),
         shrunk=Shrunk(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
-        neighbours=Breadth(failing=28, of=40),
         found=Found(
             seed=1234,
             generation=17,

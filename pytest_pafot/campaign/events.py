@@ -122,9 +122,9 @@ class SearchSummary:
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number; one that a limit of time or findings cut is not counted.
         asked, budget: generations and runs after which it ends, those of earlier sessions included; null for no limit.
-        runs, shrink_runs, neighbour_runs: simulated scenarios; further runs to simplify findings; of their neighbours.
-        decisions, confirm_decisions, shrink_decisions, neighbour_decisions: decisions of the policy in this session's
-            `runs`, to confirm findings, in `shrink_runs` and in `neighbour_runs`, not in replays.
+        runs, shrink_runs, moment_runs: simulated scenarios; further runs to simplify findings; to find their moments.
+        decisions, confirm_decisions, shrink_decisions, moment_decisions: decisions of the policy in this session's
+            `runs`, to confirm findings, in `shrink_runs` and in `moment_runs`, not in replays.
         known_runs: scenarios not run
             again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in [the
@@ -160,11 +160,11 @@ class SearchSummary:
     budget: int | None = None
     runs: int = 0
     shrink_runs: int = 0
-    neighbour_runs: int = 0
+    moment_runs: int = 0
     decisions: int = 0
     confirm_decisions: int = 0
     shrink_decisions: int = 0
-    neighbour_decisions: int = 0
+    moment_decisions: int = 0
     known_runs: int = 0
     failing: int = 0
     invalid: int = 0

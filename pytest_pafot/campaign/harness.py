@@ -21,7 +21,6 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
 from pytest_pafot.findings.decisions import moved_over
-from pytest_pafot.findings.neighbours import Limits
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
@@ -329,18 +328,6 @@ def checked_factory(given: object, name: str) -> Callable[..., Any]:
             f"such as `return lambda: MyPlanner()`, received {given!r:.100}{f'. {hint}' if hint else ''}"
         )
     return given
-
-
-def limits_of(world: BaseWorld) -> Limits:
-    """Return the limits of a world, which neighbours of a scenario must fit."""
-
-    def fits(scenario: Scenario) -> bool:
-        with suppress(ScenarioError):
-            world.check_fits(scenario)
-            return True
-        return False
-
-    return Limits(fits=fits, top_speed=world.speed_limit, longest_run=world.longest_run)
 
 
 def is_same_run(a: Run, b: Run) -> bool:

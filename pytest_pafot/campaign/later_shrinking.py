@@ -38,7 +38,7 @@ class Later:
 def shrink_saved(
     parts: Prepared, saved: Saved, *, path: str, until: float = math.inf
 ) -> Generator[Phase | Later, None, None]:
-    """Shrink the scenario of a file further, from what it is now, and try drivers and neighbours in the result.
+    """Shrink the scenario of a file further, from what it is now, and try drivers in the result.
 
     Yield the work that goes on, often, and at last the result.
 
@@ -69,7 +69,6 @@ def shrink_saved(
         perception=None if sight is None else Perceived(sight=sight),
         original=None,
         shrunk=None,
-        neighbours=None,
     )
     # What a search knows of a finding that it has just confirmed. Without a file, nothing is written on the way.
     store.is_holding = False

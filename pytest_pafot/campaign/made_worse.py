@@ -1,8 +1,8 @@
 """Whether a change made a policy worse, or whether the policy only fails in other scenarios than its reference.
 
 A search looks for failures that the reference passes, so it finds some in any policy that drives a little differently,
-also in a safer one. Neighbours of such a finding do not settle it either: they were chosen for the failure of one side.
-So both policies drive the same random scenarios, and those in which only one of them fails are counted.
+also in a safer one. So both policies drive the same random scenarios, and those in which only one of them fails are
+counted.
 """
 
 from __future__ import annotations
@@ -80,14 +80,6 @@ class MadeWorse:
             self.store.dismissed.update(dict.fromkeys(self.store.unsaved, ""))
             self.store.unsaved.clear()
             yield from self._dismiss(self.store.findings.values())
-
-    def conclude(self) -> Iterator[SearchEvent]:
-        """Dismiss findings that are not broad, if the random scenarios hardly tell the two policies apart."""
-        if self.paired.is_worse is None and not self.paired.is_cut:
-            breadths = ((sighting, sighting.breadth) for sighting in self.store.findings.values())
-            yield from self._dismiss(
-                each for each, breadth in breadths if breadth is not None and breadth.word != "broad"
-            )
 
     def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""

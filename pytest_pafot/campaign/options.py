@@ -29,9 +29,6 @@ SEED_LIMIT = 2**63
 MOST_WORKERS = 1024
 """The largest number of processes that can be requested. More do not fit into the memory of any machine so far."""
 
-MOST_NEIGHBOURS = 1000
-"""The largest number of neighbours of a finding that can be requested."""
-
 MOST_OF_COMMIT = 100
 """The largest number of characters in the name of a commit."""
 
@@ -172,7 +169,7 @@ class Settings:
     max_time: float | None = option(
         "seconds",
         "Limit of wall-clock time of each search [s].",
-        "With shrinking and neighbours, for which a search with findings reserves at most a third. A run ends before "
+        "With the work on findings, for which a search with findings reserves at most a third. A run ends before "
         "its next decision. A search that is cut is not reproducible.",
     )
     total_time: float | None = option(
@@ -197,21 +194,6 @@ class Settings:
         "integer",
         "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
         "By default 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
-    )
-    neighbours: int = option(
-        "integer",
-        "Number of neighbours of each new finding that are run to say how broad the failure is; 0 for none.",
-        "[They differ a little](../explanation/findings.md#how-broad-it-is). 0 leaves out [answers and "
-        "moment](../explanation/findings.md#the-moment), too.",
-        default=40,
-        most=MOST_NEIGHBOURS,
-    )
-    replay_neighbours: int | None = option(
-        "integer",
-        "Number of neighbours of each saved scenario that passes to run, to see whether a fix holds; 0 for none.",
-        "By default 10 to 30, [the more the narrower the failure "
-        "was](../explanation/findings.md#what-else-a-replay-drives).",
-        most=MOST_NEIGHBOURS,
     )
     max_saved: int = option(
         "integer",

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, limits_of, refusals, with_drivers
+from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals, with_drivers
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -27,31 +25,27 @@ from pytest_pafot.findings.failure_rate import FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
     HAS_EVENT,
-    Expect,
     Finding,
     beyond_acceptance,
     ending,
     has_time,
     is_same_failure,
     of_failure,
-    pace,
     replay_label,
     unhandled,
 )
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
-from pytest_pafot.findings.neighbours import FEWEST, around
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
-from pytest_pafot.support.errors import OutOfTime, RequestError
-from pytest_pafot.support.text import one_line, plural
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 Sought = Callable[[Run, Failure], bool]
@@ -68,21 +62,6 @@ SOON = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
-    """The neighbours of a saved scenario that passes.
-
-    Attributes:
-        passing: the number of them that pass.
-        failing: the finding that one of them shows, with the id of the file, if that one fails as the file says.
-        seconds: the time that they took [s].
-    """
-
-    passing: int = 0
-    failing: Finding | None = None
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Replayed:
     """The result of a replay.
 
@@ -90,10 +69,9 @@ class Replayed:
         facts: what was observed, from which the label follows.
         run: the run that shows the failure; the first run if all of them pass.
         verdict: the verdict on that run.
-        note: a text on the time after the file's end, or on neighbours; empty if nothing is to be said.
+        note: a text on the time after the file's end; empty if nothing is to be said.
         is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
             drive on in its own process, and die.
-        around: the neighbours of the scenario.
         rate: how often it fails now; None unless the file has a rate.
     """
 
@@ -102,7 +80,6 @@ class Replayed:
     verdict: Verdict
     note: str = ""
     is_lost: bool = False
-    around: Around = Around()
     rate: FailureRate | None = None
 
     @property
@@ -117,7 +94,6 @@ class Replays:
 
     harness: Harness
     today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
-    clock: Callable[[], float] = time.perf_counter  # [s]
 
     def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
@@ -137,11 +113,10 @@ class Replays:
                 known.setdefault(finding.signature, each.id)
             with suppress(RequestError):
                 world = self.world_of(each)
-                shown, is_later, is_nearby = self._observed(each, world, owner)
+                shown, is_later = self._observed(each, world, owner)
                 # The reference is driven on if the ADS was. Otherwise it is judged as in a search.
                 sought = partial(is_same_failure, _finding(each)) if is_later else None
-                # The reference passes a neighbour that fails, or the neighbour would not count.
-                if shown is not None and (is_nearby or self.passes_reference(each, world, owner, sought) is not False):
+                if shown is not None and self.passes_reference(each, world, owner, sought) is not False:
                     known.setdefault(shown, each.id)
         return known
 
@@ -164,11 +139,8 @@ class Replays:
             return False
         return shown == _finding(saved).signature
 
-    def _observed(self, saved: Saved, world: BaseWorld, owner: str) -> tuple[Signature | None, bool, bool]:
-        """Return the failure that a saved scenario shows now.
-
-        The other values say whether a run that passes showed it when it was repeated, and whether only a neighbour did.
-        """
+    def _observed(self, saved: Saved, world: BaseWorld, owner: str) -> tuple[Signature | None, bool]:
+        """Return the failure that a saved scenario shows now, and whether only the repetition of a run showed it."""
         try:
             first = Replayed(Observed(), *self.tried(saved, world, owner))
             now = first
@@ -176,13 +148,11 @@ class Replays:
                 now = self._repeated(saved, world, owner, first)
             if _finding(saved).rate is not None and not first.verdict.discarded:
                 now = self._by_rate(saved, world, owner, now)
-            now = self._with_neighbours(saved, world, owner, now)
         except ProcessLostError as error:
-            return expectation(error).signature, False, False
+            return expectation(error).signature, False
         if not now.verdict.failed or now.verdict.failure is None:
-            return None, False, False
-        is_nearby = now.around.failing is not None
-        return of_failure(now.run, now.verdict.failure), now.run is not first.run and not is_nearby, is_nearby
+            return None, False
+        return of_failure(now.run, now.verdict.failure), now.run is not first.run
 
     def world_of(self, saved: Saved) -> BaseWorld:
         """Return the world in which to replay a file, and check that the scenario fits that world.
@@ -421,9 +391,6 @@ class Replays:
         then fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that
         time is only a text.
 
-        Then neighbours of a scenario that passes are run. If one of them fails as the file says, the replay is
-        ``still failing, nearby``, and has the neighbour's run.
-
         A file with a rate is run many times, and what the replay says of the change of its rate is a note. It fails if
         any of these runs does, and is ``fixed`` only if no run fails and so many are unlikely to be luck.
 
@@ -466,8 +433,7 @@ class Replays:
         now = replace(now, facts=facts, is_lost=now.is_lost or is_lost)
         if now.verdict.failed:
             return replace(now, verdict=replace(now.verdict, reference=reference))
-        facts = replace(facts, is_handled=not unhandled(finding, now.run))
-        return self._with_neighbours(saved, world, owner, replace(now, facts=facts))
+        return replace(now, facts=replace(facts, is_handled=not unhandled(finding, now.run)))
 
     def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
         """Run the scenario of a file with a rate with other seeds, or again and again, and compare how often it fails.
@@ -499,83 +465,6 @@ class Replays:
         facts = replace(shown.facts, is_as_often=then.change(rate) != "fixed")
         note = "; ".join(filter(None, [now.note, then.compared(rate, finding.drawn)]))
         return replace(shown, facts=facts, note=note, rate=rate)
-
-    def _with_neighbours(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
-        """Run neighbours of a scenario that passes; if one of them fails as the file says, the replay is that run.
-
-        The death of a process in a neighbour is no failure of the file, nor is an error of a user's world, which may
-        not expect scenarios other than those of a search. A note tells of both.
-        """
-        __tracebackhide__ = True
-        finding, began = _finding(saved), self.clock()
-        is_firm = finding.flaky is None and not finding.expect.is_crash and finding.signature.failure != SLOW_DECISION
-        is_asked = self._number(finding) and not self.sight_change(finding)
-        if now.facts.is_unsteady or not now.verdict.passes or not is_firm or not is_asked:
-            return now
-        note, is_lost, passing, failing = "", now.is_lost, 0, None
-        try:
-            for run, verdict in self._neighbours(saved, world, owner, now.run.trace):
-                passing += verdict.passes
-                failing = (run, verdict) if verdict.failed else None
-        except ProcessLostError as error:
-            note, is_lost = f"in a neighbour, the process {error.how}", True
-        except (OutOfTime, AgainstError):
-            raise
-        except Exception as error:
-            if is_interruption(error):
-                raise
-            note = f"not all neighbours were run: {type(error).__name__}: {one_line(str(error))}"
-        now = replace(now, note="; ".join(filter(None, [now.note, note])), is_lost=is_lost)
-        if failing is None or failing[1].failure is None:
-            return replace(now, around=Around(passing=passing, seconds=self.clock() - began))
-        run, verdict = failing
-        expect = Expect.of(run, failing[1].failure, against=finding.expect.against, root=str(self.harness.root))
-        found = replace(finding.found, versions=self.harness.versions)
-        shown = replace(
-            finding, scenario=run.scenario, expect=expect, found=found, original=None, shrunk=None, neighbours=None
-        )
-        its = Around(passing=passing, failing=shown, seconds=self.clock() - began)
-        if now.rate is not None:
-            now = replace(now, note=f"{now.note}; nearby in 1 of {plural(passing + 1, 'neighbour')}")
-        return replace(now, facts=replace(now.facts, is_nearby=True), run=run, verdict=verdict, around=its)
-
-    def _number(self, finding: Finding) -> int:
-        """Return how many neighbours of a file's scenario are run: the more, the narrower its failure was."""
-        asked, breadth = self.harness.request.settings.replay_neighbours, finding.neighbours
-        if asked is not None:
-            return asked
-        return FEWEST if breadth is None else breadth.needed
-
-    def _neighbours(self, saved: Saved, world: BaseWorld, owner: str, trace: Trace) -> Iterator[tuple[Run, Verdict]]:
-        """Yield the runs of neighbours with their verdicts, up to one that fails as the file says, and does so again.
-
-        ``trace`` is the run of the scenario itself, for which neighbours are re-timed. Neighbours that fail in another
-        way are left out. With a reference, only a failure that the reference passes counts.
-        """
-        __tracebackhide__ = True
-        finding, harness = _finding(saved), self.harness
-        job, isolate = harness.job(world, owner), self._is_apart(saved, owner)
-        drawn = around(finding.scenario, pace(finding.expect, trace), limits_of(world))
-        with ExitStack() as stack:
-            record = stack.enter_context(harness.recording(job))
-            runner = stack.enter_context(runner_for(job, record, isolate=isolate))
-            reference = harness.reference_runner(job, record, isolate=isolate)
-            if reference is not None:
-                stack.enter_context(reference)
-            for scenario in islice(drawn, self._number(finding)):
-                run = harness.run_of(runner.run(scenario), world)
-                verdict = harness.judge(run)
-                failure = verdict.failure
-                if verdict.passes:
-                    yield run, verdict
-                    continue
-                if failure is None or not (has_time(run, failure) and is_same_failure(finding, run, failure)):
-                    continue
-                again = harness.run_of(runner.run(scenario), world)
-                is_firm = is_same_run(run, again) and harness.judge(again).failed
-                if is_firm and (reference is None or harness.judge_reference(reference, scenario, world).passes):
-                    yield run, verdict
-                    return
 
     def world_changes(self, finding: Finding) -> list[str]:
         """Return how the file's world differs from the test's world, or how the file's world cuts the run."""

@@ -105,8 +105,6 @@ class SearchArguments(TypedDict, total=False):
     resume: str
     stop_after: int
     shrink_rollouts: int
-    neighbours: int
-    replay_neighbours: int
     max_saved: int
     corpus: str
     save: str

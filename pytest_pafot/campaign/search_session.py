@@ -66,7 +66,7 @@ from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.limits import CONNECTED
 
 FOR_SIMPLIFYING = 1 / 3
-"""The largest share of a search's time limit that is reserved to shrink findings and to look at their neighbours."""
+"""The largest share of a search's time limit that is reserved to shrink findings and to find their moments."""
 
 MAX_UNLIKE = 3
 """The largest number of scenarios that are named because they fail like a saved scenario in another manner."""
@@ -416,15 +416,13 @@ class SearchSession:
             self.state.verdicts["failed"] += 1
 
     def _refine(self, reason: Ending) -> Iterator[SearchEvent]:
-        """Shrink the findings, and look at their neighbours and at decisions."""
+        """Shrink the findings, and look at the decisions that led to them."""
         __tracebackhide__ = True
         state = self.state
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
         try:
             with GENERATORS.held():
                 yield from self._events(refine(state, self.bench, self.store, until=self.limit.end, way_on=way_on))
-                if self._worse is not None:
-                    yield from self._events(self._worse.conclude())
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
@@ -666,11 +664,11 @@ class SearchSession:
             finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
             unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=state.shrink_runs,
-            neighbour_runs=state.neighbour_runs,
-            decisions=self.bench.decisions - state.shrink_decisions - state.neighbour_decisions,
+            moment_runs=state.moment_runs,
+            decisions=self.bench.decisions - state.shrink_decisions - state.moment_decisions,
             confirm_decisions=self.bench.confirm_decisions,
             shrink_decisions=state.shrink_decisions,
-            neighbour_decisions=state.neighbour_decisions,
+            moment_decisions=state.moment_decisions,
             known=dict(state.covered + state.found_before(self.store)),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},

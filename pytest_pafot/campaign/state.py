@@ -162,8 +162,8 @@ class State:
     refined: set[str] = field(init=False, default_factory=set)  # ids of findings for which no step is left to do
     shrink_runs: int = field(init=False, default=0)  # number of attempts to shrink findings, and of runs for rates
     shrink_decisions: int = field(init=False, default=0)  # that the ADS made in these
-    neighbour_runs: int = field(init=False, default=0)  # number of runs of neighbours, and of the ADS beside a run
-    neighbour_decisions: int = field(init=False, default=0)  # that the ADS made in these
+    moment_runs: int = field(init=False, default=0)  # number of runs in which the ADS is asked again beside a run
+    moment_decisions: int = field(init=False, default=0)  # that the ADS made in these
     uncounted: list[events.Evaluated] = field(init=False, default_factory=list)
     generation: int = field(init=False, default=0)  # generation of the main search, from 0
     finished: events.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan

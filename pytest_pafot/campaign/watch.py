@@ -22,6 +22,9 @@ RUNS_TO_CONFIRM = 4
 The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
 """
 
+RUNS_FOR_MOMENT = 40
+"""About how many runs it takes to find the moment of a finding."""
+
 LEAST = 2.0
 """The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
 is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
@@ -134,7 +137,7 @@ class TimedWatch(Watch):
         settings, firm = harness.request.settings, self.store.firm
         if self.limit.end == math.inf:
             return self.earliest_end
-        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + settings.neighbours
+        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT
         to_compare = 0 if harness.against is None else 2 * settings.pairs
         run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
         seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds

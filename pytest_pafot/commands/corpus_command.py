@@ -1,9 +1,8 @@
 """``python -m pytest_pafot corpus``: list the saved scenarios in folders, for people or programs.
 
 It changes files only with ``join --write``, which leaves one file of each kind of failure in a folder, or adds the
-files of other corpora, with ``prune --write``, which removes the files of tests that are gone, with ``nearby --write``,
-which puts a neighbour that fails in place of a scenario that passes, with ``shrink``, which puts a simpler scenario
-into a file, and with ``accept``, which writes one line of each.
+files of other corpora, with ``prune --write``, which removes the files of tests that are gone, with ``shrink``, which
+puts a simpler scenario into a file, and with ``accept``, which writes one line of each.
 """
 
 from __future__ import annotations
@@ -95,13 +94,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "remove saved scenarios whose test is gone; pytest collects the tests for that, and runs none"
     pruning = kind("prune", about)
     pruning.add_argument("--write", action="store_true", help="remove the files; without it, only list them")
-    about = "replay saved scenarios, and list neighbours that fail although a saved scenario passes"
-    nearing = kind("nearby", about)
-    nearing.add_argument("--write", action="store_true", help="put each of them in place of its saved scenario")
     about = "shrink a saved scenario further than the time of its search allowed, and rewrite its file"
     shrinking = kind("shrink", about)
     shrinking.add_argument("file", metavar="FILE", help="the saved scenario: its file, or its id")
-    for each in (pruning, nearing, shrinking):
+    for each in (pruning, shrinking):
         each.add_argument("arguments", nargs="*", metavar="ARG", help="an argument of pytest; options come after --")
     about = "accept the failures of saved scenarios, so that they are expected to fail, for good or up to a day"
     accepting = kind("accept", about)
@@ -122,7 +118,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise RequestError("expected a last day with --flaky, received none; add --until=YYYY-MM-DD")
     if arguments.what == "shrink":
         return _shrink(arguments)
-    if arguments.what in ("prune", "nearby"):
+    if arguments.what == "prune":
         return subprocess.run(session_of(arguments), check=False).returncode  # noqa: S603
     sources = arguments.sources if arguments.what == "join" else []
     if sources and len(arguments.folders) > 1:
@@ -196,10 +192,8 @@ def session_of(arguments: argparse.Namespace) -> list[str]:
     """Return the session of pytest for what needs the tests: to collect them, or to replay their saved scenarios."""
     if arguments.what == "shrink":
         plugin, how, write = "shrinking", ["--no-header", "--tb=short", "-rN", "--runxfail", "--shrink-saved"], ""
-    elif arguments.what == "prune":
-        plugin, how, write = "pruning", ["--collect-only", "-qq"], "--remove-orphans"
     else:
-        plugin, how, write = "nearing", [flag("generations", 0), "-q", "--tb=no", "-rN"], "--put-neighbours"
+        plugin, how, write = "pruning", ["--collect-only", "-qq"], "--remove-orphans"
     plugins = ["-p", "pafot", "-p", f"pytest_pafot.plugin.{plugin}"]
     given = [write] if getattr(arguments, "write", False) else []
     return [sys.executable, "-m", "pytest", *plugins, *how, *given, *arguments.arguments]

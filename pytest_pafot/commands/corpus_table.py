@@ -22,12 +22,12 @@ from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import ascii_text, wrapped_to
 
-COLUMNS = ("id", "test", "what", "severity", "breadth", "who", "state", "since")
+COLUMNS = ("id", "test", "what", "severity", "who", "state", "since")
 
 GAP = "  "
 """The space between two columns of text."""
 
-BELOW = ("what", "test", "since", "who", "breadth", "state", "severity")
+BELOW = ("what", "test", "since", "who", "state", "severity")
 """The columns that move to a line of their own below a row that is too wide. Those at the end stay if they fit."""
 
 
@@ -51,13 +51,11 @@ class Row:
     def cells(self) -> dict[str, str]:
         """The texts of the row, by column."""
         finding = self.saved.finding
-        broad = None if finding is None else finding.neighbours
         return {
             "id": self.saved.id,
             "test": "" if finding is None else finding.test.partition("::")[2],
             "what": self.saved.error if finding is None else finding.expect.brief,
             "severity": "" if self.severity is None else str(self.severity),
-            "breadth": "" if broad is None else broad.word,
             "who": "" if finding is None else finding.expect.responsibility,
             "state": self.state,
             "since": "" if self.since is None else " ".join(self.since),
@@ -68,8 +66,8 @@ class Row:
         """The key that sorts rows: the worst first, and files that cannot be read last."""
         finding, names = self.saved.finding, (self.saved.id, self.saved.path.as_posix())
         if finding is None:
-            return True, *Severity.worst_first("none", None, None), *names
-        return False, *Severity.worst_first(finding.expect.responsibility, self.severity, finding.neighbours), *names
+            return True, *Severity.worst_first("none", None), *names
+        return False, *Severity.worst_first(finding.expect.responsibility, self.severity), *names
 
     @property
     def data(self) -> dict[str, Any]:
@@ -86,7 +84,7 @@ def data_of(saved: Saved) -> dict[str, Any]:
     finding, file = saved.finding, saved.path.as_posix()
     if finding is None:
         return {"file": file, "id": saved.id, "error": saved.error}
-    expect, broad = finding.expect, finding.neighbours
+    expect = finding.expect
     return {
         "file": file,
         "id": finding.id,
@@ -100,7 +98,6 @@ def data_of(saved: Saved) -> dict[str, Any]:
         "responsibility": expect.responsibility,
         "preventable_by": list(expect.preventable_by),
         "size": size_of(finding.scenario, finding.longest_run),
-        "neighbours": None if broad is None else {"failing": broad.failing, "of": broad.of},
         "algorithm": finding.found.algorithm,
         "seed": finding.found.seed,
         "flaky": finding.flaky,

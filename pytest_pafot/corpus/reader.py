@@ -30,7 +30,6 @@ from pytest_pafot.findings.finding import (
     check_plain,
     is_id,
 )
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
@@ -57,7 +56,7 @@ DEFAULT_GENE_SECONDS = 10.0
 
 FILE = Keys(
     ("pafot", "test", "world", "scenario", "expect", "found"),
-    ("perception", "original", "shrunk", "neighbours", "rate", "flaky", "xfail"),
+    ("perception", "original", "shrunk", "rate", "flaky", "xfail"),
 )
 
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
@@ -83,9 +82,6 @@ EGO = Keys(("lane", "speed"))
 XFAIL = Keys(("reason",), ("until", "flaky"))
 """The keys of ``xfail``, if it is not just a reason."""
 
-MOST_NEIGHBOURS = 1000
-"""The largest number of neighbours in a file. No search examines more."""
-
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal", "speeds"), Traffic: ("style",)}
 )
@@ -94,7 +90,7 @@ required, too, and any other field may be left out."""
 
 SIGNED = frozenset({
     "slot", "value", "at_most", "at_least", "ahead", "lane", "npc_enters", "ego_enters", "ego_speed", "npc_speed",
-    "ego_mean_speed", "beside", "gap", "headway", "recorded_gap", "offset", "later", "shift",
+    "beside", "gap", "headway", "recorded_gap", "offset", "later", "shift",
 })  # fmt: skip
 """The fields of dataclasses whose numbers may be negative."""
 
@@ -159,7 +155,6 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         perception=_given(fields, "perception", _perceived),
         original=_given(fields, "original", _scenario),
         shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario, npc)),
-        neighbours=_given(fields, "neighbours", _neighbours),
         rate=_given(fields, "rate", _rate),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
         xfail=reason,
@@ -424,12 +419,6 @@ def _xfail(field: Field) -> Acceptance:
     if is_flaky and until is None:
         raise fields["flaky"].error("a last day with flaky", "add the day, as in until: 2027-01-31", "none")
     return reason, until, is_flaky
-
-
-def _neighbours(field: Field) -> Breadth:
-    fields = field.mapping(Keys(("failing", "of")))
-    of = fields["of"].whole(1, MOST_NEIGHBOURS)
-    return Breadth(failing=fields["failing"].whole(0, of), of=of)
 
 
 def _rate(field: Field) -> FailureRate:

@@ -126,7 +126,7 @@ def text_of(finding: Finding) -> str:
         reason, until = _quoted(finding.xfail), finding.xfail_until
         is_flaky = ", flaky: true" if finding.xfail_flaky else ""
         xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}{is_flaky}}}"
-    broad, rate = finding.neighbours, finding.rate
+    rate = finding.rate
     lines = [
         f"{f'pafot: {VERSION}':30}# format version",
         f"test: {test}",
@@ -137,7 +137,6 @@ def text_of(finding: Finding) -> str:
         *([] if finding.perception is None else _filled("perception: ", perceived)),
         *([] if finding.original is None else scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
-        *([] if broad is None else [f"neighbours: {{failing: {broad.failing}, of: {broad.of}}}"]),
         *([] if rate is None else [f"rate: {{failing: {rate.failing}, runs: {rate.runs}}}"]),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         xfail,

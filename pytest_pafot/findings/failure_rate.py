@@ -90,7 +90,7 @@ class FailureRate:
         change = self.change(now)
         chance = now._chance(self) if change == "worse" else self._chance(now)
         sure = {
-            # The label of the replay says whether that is a fix: a neighbour may fail.
+            # The label of the replay says whether that is a fix.
             "fixed": f"here in less than {percent(upper_bound(0, now.runs, CONFIDENCE))} of all, 95 % sure",
             "as before": f"as before, {now.in_general}",
         }.get(change, f"{change}, {now.in_general}, by chance with p = {chance:.2g}")

@@ -23,7 +23,6 @@ from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality.asked import Departure, departures
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.labels import Label, RunLabel
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
     AT_ZONES,
@@ -39,7 +38,7 @@ from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, mi
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import SPEED, Outcome, Side, Trace, Y
+from pytest_pafot.model.trace import Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, with_avoidance
 from pytest_pafot.support.errors import plain_number
@@ -81,9 +80,6 @@ MAX_KEY = 64
 MAX_DEPTH = 16
 MAX_NUMBER = 1e9
 
-SLOWEST, FASTEST = 0.4, 2.5
-"""The limits of :func:`pace`."""
-
 _TOOK = re.compile(r"took [\d.]+ s")
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
@@ -121,8 +117,6 @@ class Expect:
             it. It is only a label: no replay is compared with it.
         situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
             up. None if no NPC was involved, and in files from older versions.
-        ego_mean_speed: mean speed of the ego until the event [m/s]; None in files that do not store it. Neighbours of
-            the scenario are re-timed to an ego that drives faster or slower.
         responsibility: who is responsible for the collision.
         fault: rule by which the ego is responsible.
         mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
@@ -149,7 +143,6 @@ class Expect:
     zone: str | None = None
     side: Side | None = None
     closing_speed: float | None = None
-    ego_mean_speed: float | None = None
     responsibility: Responsibility = "none"
     fault: Fault | None = None
     mistake: Mistake | None = None
@@ -264,7 +257,6 @@ class Expect:
             zone=event.zone,
             side=None if hit is None else hit.side,
             closing_speed=None if hit is None else _rounded(hit.closing_speed, 3),
-            ego_mean_speed=mean_speed(trace, event.time),
             situation=situation_of(run, failure, event.time),
             departure=min(departures(trace), key=lambda each: (each.npc != event.npc, each.time), default=None),
             responsibility=run.attribution.responsibility,
@@ -347,8 +339,6 @@ class Finding:
         perception: sight of an ADS that sees imperfectly; None for perfect sight.
         original: the scenario as first found, if shrinking has replaced it by a simpler scenario; otherwise None.
         shrunk: the result of shrinking; None if the scenario was not shrunk.
-        neighbours: how many neighbours of the scenario failed in the same way when it was found; None if that was not
-            examined. A replay takes from it how many neighbours it drives.
         rate: how many runs of the scenario fail, with other seeds, or of a flaky one with the same; None for a policy
             that draws no random numbers.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
@@ -372,7 +362,6 @@ class Finding:
     perception: Perceived | None = None
     original: Scenario | None = None
     shrunk: Shrunk | None = None
-    neighbours: Breadth | None = None
     rate: FailureRate | None = None
     flaky: str | None = None
     xfail: str | None = None
@@ -485,21 +474,6 @@ def event_of(run: Run, failure: Failure | None) -> FailureEvent:
     if zone is not None and (cell is None or run.attribution.fault in AT_ZONES):
         return FailureEvent(time=time, npc=npc, cell=cell, zone=zone_in_words(zone))
     return FailureEvent(time=time, npc=None if cell is None else npc, cell=cell)
-
-
-def mean_speed(trace: Trace, seconds: float) -> float | None:
-    """Return the mean speed of the ego in the first seconds of a run [m/s]; None if it is not finite."""
-    mean = float(trace.ego[: max(1, round(seconds * trace.physics_hz)), SPEED].mean())
-    return round(mean, 2) if abs(mean) <= MAX_NUMBER else None
-
-
-def pace(expect: Expect, trace: Trace) -> float:
-    """Return how many times as fast as the ego of a file the ego of a run drives, until the time of the file's event.
-
-    It is 1 if the file does not store its ego's speed, or if that ego hardly moved.
-    """
-    then, now = expect.ego_mean_speed, mean_speed(trace, expect.time)
-    return 1.0 if then is None or now is None or then < 1.0 else min(max(now / then, SLOWEST), FASTEST)
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

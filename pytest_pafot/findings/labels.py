@@ -20,7 +20,6 @@ class Label(StrEnum):
     NO_WORSE = "no worse", "New, but no worse: the reference fails as often, elsewhere"
     ERROR = "error", "Could not be read or run"
     STILL_FAILING = "still failing", "Known, still failing"
-    NEARBY = "still failing, nearby", "Still failing nearby: the saved scenario passes, a neighbour of it does not"
     ELSEWHERE = (
         "still failing elsewhere",
         "Still failing elsewhere: the saved scenario passes, the search found the same failure",
@@ -63,7 +62,6 @@ class Observed:
         is_as_often: True if a failure that occurs by chance may still occur as often as the file says.
         is_hit: True if the NPC of the file's collision hits the ego soon after the end of a run that passes.
         is_handled: True if the situation of the file came up, and the ego handled it.
-        is_nearby: True if it passes, but a neighbour of it fails as the file says.
         reference_passes: whether the reference passes the same scenario; None without a reference.
     """
 
@@ -74,7 +72,6 @@ class Observed:
     is_as_often: bool = False
     is_hit: bool = False
     is_handled: bool = True
-    is_nearby: bool = False
     reference_passes: bool | None = None
 
     @property
@@ -86,8 +83,6 @@ class Observed:
             return Label.INTRODUCED if self.reference_passes else Label.COMMON
         if self.fails:
             return self.shows
-        if self.is_nearby:
-            return Label.NEARBY
         if self.reference_passes is False and self.is_handled and not self.is_hit:
             # Also elsewhere, and in a run that does not show it: both policies drove the same scenario.
             return Label.FIXED

@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import ClassVar, Literal
 
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
@@ -83,17 +82,15 @@ class Severity:
         )
 
     @staticmethod
-    def worst_first(responsible: str, severity: Severity | None, breadth: Breadth | None) -> tuple[float, ...]:
+    def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:
         """Return a sort key for findings: collisions that the ego is responsible for first, then other failures.
 
-        Each group is sorted from the worst, failures without a measure are last, and of equally bad ones the broadest
-        is first. Callers put more important criteria before this key, and tie-breakers after it. ``responsible`` is
-        ``ego``, ``npc``, ``both`` or ``none``.
+        Each group is sorted from the worst, and failures without a measure are last. Callers put more important
+        criteria before this key, and tie-breakers after it. ``responsible`` is ``ego``, ``npc``, ``both`` or ``none``.
         """
-        broad = 0.0 if breadth is None else -breadth.rank
         if severity is None:
-            return 1, 0, 0.0, 0.0, broad
-        return not severity.is_fault(responsible), *(-each for each in severity.figures), broad
+            return 1, 0, 0.0, 0.0
+        return not severity.is_fault(responsible), *(-each for each in severity.figures)
 
     def __lt__(self, other: Severity) -> bool:
         return (self.figures, self.name, self.unit) < (other.figures, other.name, other.unit)

@@ -9,7 +9,6 @@ from pytest_pafot.findings.decisions import Answers, Moment
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import IN_MEMORY, Finding
 from pytest_pafot.findings.labels import PASSING, Label
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.text import ascii_text, plural
@@ -20,11 +19,10 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 """How the difference begins of a policy that drives the same scenario in different ways."""
 
 
-def passing(neighbours: int, searched: int) -> str:
-    """Say what passes: a saved scenario, a number of its neighbours, and a number of runs of the search of its test."""
-    others = f", and so {'does' if neighbours == 1 else 'do'} {plural(neighbours, 'neighbour')}" if neighbours else ""
+def passing(searched: int) -> str:
+    """Say what passes: a saved scenario, and a number of runs of the search of its test."""
     runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
-    return f"{Label.PASSES}{others}{runs}"
+    return f"{Label.PASSES}{runs}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,12 +33,12 @@ class Sighting:
     the last event of a finding is valid. The last attributes, from ``is_first`` on, stay in the process of the item.
 
     Attributes:
-        finding: the content of its file; of a replay whose neighbour fails, what the file would be with the neighbour.
+        finding: the content of its file.
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         test: node id of the test of a replayed one, as it is in this session.
         label: ``new``, or ``no worse`` if it is new and does not count in a comparison; of a replay ``fixed``, ``still
-            failing``, ``still failing, nearby``, ``drifted``, ``flaky``; in a comparison with a reference also
-            ``introduced``, ``common`` or ``fixed before``. The search of the test may make it ``still failing
+            failing``, ``drifted``, ``flaky``; in a comparison with a reference also ``introduced``, ``common`` or
+            ``fixed before``. The search of the test may make it ``still failing
             elsewhere``, see :func:`~pytest_pafot.campaign.events.concluded`.
         headline: how the run failed; empty if it passes.
         path: path of its file; empty if a new finding has none.
@@ -50,10 +48,8 @@ class Sighting:
         rate_now: how often it fails in a replay; None for a new finding, and without a rate.
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
-        breadth: how many neighbours of a new finding fail in the same way; None if that was not examined.
         answers: how many decisions depend on the vehicle of a new finding; None if that was not examined.
         moment: the last decision that could have avoided it; None if that was not examined, or none is known.
-        neighbours: number of neighbours of a replayed scenario that were driven and pass.
         searched: number of runs of the search of its test that found no such failure, if a replay passes and that
             search ran to its end in this session; otherwise 0.
         elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
@@ -86,10 +82,8 @@ class Sighting:
     rate_now: FailureRate | None = None
     is_timed: bool = False
     unshrunk: str = ""
-    breadth: Breadth | None = None
     answers: Answers | None = None
     moment: Moment | None = None
-    neighbours: int = 0
     searched: int = 0
     elsewhere: str = ""
     severity: Severity | None = None
@@ -167,15 +161,14 @@ class Sighting:
     @property
     def driven(self) -> str:
         """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
-        return passing(self.neighbours, self.searched) if self.label in PASSING else ""
+        return passing(self.searched) if self.label in PASSING else ""
 
     @property
     def remark(self) -> str:
-        """Remarks on the finding, such as that it is flaky, or how broad it is; empty if there are none."""
+        """Remarks on the finding, such as that it is flaky; empty if there are none."""
         flaky = f"flaky: {self.difference}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
-        breadth = "" if self.breadth is None else str(self.breadth)
-        return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk, breadth]))
+        return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))
 
     def on_decisions(self, most: float = CONDITIONS) -> list[str]:
         """Return lines on the policy's decisions, each with a title of ten letters at most, or indented below one.

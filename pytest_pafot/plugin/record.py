@@ -36,7 +36,6 @@ class Record:
         self.sightings: dict[str, Sighting] = {}  # what is known now of each finding, new or replayed
         self.unread: dict[str, Mapping[str, str]] = {}  # the entries of saved scenarios that could not be read or run
         self.new: dict[str, Sighting] = {}  # the new findings of searches that have ended, which count their runs
-        self.neighbour_seconds = 0.0  # the time that neighbours of replayed scenarios took [s]
         self.results: dict[str, list[str]] = {}  # of the phases
         self.reasons: dict[str, str] = {}  # the line of the short summary, or the first line of the text
         self.incomparable: dict[str, None] = {}  # items whose policy could not be compared with its reference
@@ -78,7 +77,6 @@ class Record:
                 # A search whose new file this session replays as well may have left it unshrunk.
                 left = "" if earlier is None or sighting.label is Label.NEW else earlier.unshrunk
                 self.sightings[sighting.node_id] = replace(sighting, unshrunk=left) if left else sighting
-                self.neighbour_seconds += data.get("seconds", 0.0)
                 return sighting
             case "search":
                 self.running.pop(node_id, None)

@@ -8,15 +8,13 @@ from typing import NoReturn
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.campaign.replays import Around, Replayed, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import Replayed, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
 from pytest_pafot.campaign.verdict import Verdict, headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.corpus.writer import scenario_lines
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.finding import Finding, of_failure, unhandled
@@ -31,11 +29,8 @@ from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.search_item import harness_of, shown
 from pytest_pafot.plugin.session import SHARED
-from pytest_pafot.support.errors import command, flag
+from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
-
-NEARBY_SHOWN = pytest.StashKey[Finding]()
-"""The finding that a neighbour of a saved scenario shows, for the command that puts it into the file."""
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
 """The node id of the item that has explained an error of the set-up, by test and cause."""
@@ -68,18 +63,14 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         leftover.discard()  # The item reports its result now.
     if lost is not None:
         _conclude_lost(item, replays, saved, finding, lost, facts)
-    label, run, verdict, note, nearby = now.label, now.run, now.verdict, now.note, now.around.failing
-    if nearby is None:
-        _check_set_up(item, replays, saved, run, verdict)
+    label, run, verdict, note = now.label, now.run, now.verdict, now.note
+    _check_set_up(item, replays, saved, run, verdict)
     worse = verdict.worsening if label is Label.COMMON else ""
     # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
     beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
-    nearby_only = ""
-    if label is Label.NEARBY:
-        nearby_only = "the saved scenario passes, but a neighbour of it fails in the same way"
-    notes = [note, nearby_only, _against(replays), f"worse: {worse}" if worse else ""]
+    notes = [note, _against(replays), f"worse: {worse}" if worse else ""]
     notes += replays.setting_changes(finding)
     detail = "; ".join(filter(None, notes))
     item.stash[REPLAYED] = True
@@ -90,14 +81,10 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     line = headline(run, verdict) if verdict.failed else ""
     sighting = _send(item, replays, saved, label, now, headline=line, detail=detail)
     item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
-    if nearby is not None:
-        item.stash[NEARBY_SHOWN] = nearby
     if finding.xfail is not None and not verdict.failed:
         _explain_pass(item, finding, sighting, path, is_accepted=replays.accepts(finding))
-    lines = [] if nearby is None else _nearby_lines(item, nearby, path)
-    if beyond:
-        lines.append(_beyond(finding, path, beyond))
-    _conclude(item, run, verdict, label, detail, lines, is_strict=request.settings.strict_drift)
+    more = [_beyond(finding, path, beyond)] if beyond else []
+    _conclude(item, run, verdict, label, detail, more, is_strict=request.settings.strict_drift)
 
 
 def _beyond(finding: Finding, path: str, how: str) -> str:
@@ -106,16 +93,6 @@ def _beyond(finding: Finding, path: str, how: str) -> str:
         f"not accepted: the line `xfail:` of {path} accepts {visible(finding.expect.brief)}, received {visible(how)}; "
         "correct the policy, or delete the file, search again and accept what is found then"
     )
-
-
-def _nearby_lines(item: pytest.Item, nearby: Finding, path: str) -> list[str]:
-    """Return the scenario that fails near a saved one, as its file would have it, and how it gets there."""
-    options = [BY_NAME[name] for name in ("corpus", "replay_neighbours")]
-    given = [(option.flag, item.config.getoption(option.key)) for option in options]
-    more = [f"{option}={value}" for option, value in given if value is not None]
-    write = command("pytest_pafot", "corpus", "nearby", "--write", path, *(["--", *more] if more else ()))
-    lines = scenario_lines("scenario", nearby.scenario)
-    return ["the neighbour that fails:", *lines, f"put it into the file with: {write}"]
 
 
 def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
@@ -194,7 +171,7 @@ def _send(
     finding, path = saved.finding, relative(saved.path, replays.harness.root)
     if finding is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
-    verdict, around = (None, Around()) if now is None else (now.verdict, now.around)
+    verdict = None if now is None else now.verdict
     today = date.fromisoformat(item.config.stash[SHARED].today)
     failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
@@ -203,9 +180,8 @@ def _send(
     may_pass = finding.xfail_flaky and is_accepted
     if may_pass:
         detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
-    # If a neighbour fails in place of the scenario, the report is about the neighbour.
     sighting = Sighting(
-        finding=around.failing or finding,
+        finding=finding,
         node_id=item.nodeid,
         test=node_ids.base_id(item),
         label=label,
@@ -217,7 +193,6 @@ def _send(
         against=replays.harness.against_name,
         is_accepted=is_accepted,
         may_pass=may_pass,
-        neighbours=around.passing,
         rate_now=None if now is None else now.rate,
         run=None if now is None else now.run,
         is_first=False,
@@ -232,14 +207,8 @@ def _send(
         )
         messages.send(item, "warning", {"text": over})
     check = None if failure is None else failure.check
-    send_sighting(
-        item,
-        replays.harness.request.settings,
-        sighting,
-        check=check,
-        note="" if now is None else now.note,
-        seconds=around.seconds,
-    )
+    note = "" if now is None else now.note
+    send_sighting(item, replays.harness.request.settings, sighting, check=check, note=note)
     item.user_properties.append(("pafot", sighting.heading))
     set_properties(item.user_properties, detail=detail)
     return sighting

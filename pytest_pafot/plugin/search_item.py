@@ -415,8 +415,7 @@ def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, An
     report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(sighting.run, report.user_properties)
     properties = of_findings([sighting])
-    breadth = None if sighting.breadth is None else sighting.breadth.word
-    set_properties(report.user_properties, **properties, breadth=breadth)
+    set_properties(report.user_properties, **properties)
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
 

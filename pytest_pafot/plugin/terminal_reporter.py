@@ -203,7 +203,6 @@ class Reporter:
         session = terminal.SessionSummary(
             searches=[*record.searches.values()],
             replays=record.replays,
-            neighbour_seconds=record.neighbour_seconds,
             orphans=[(relative(each, root), [file.name for file in files], why) for each, why, files in left if files],
             strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
             way_out=orphans.advice(self._config),
@@ -249,7 +248,7 @@ class Reporter:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         if sighting.node_id not in self._expanded:
-            rank = Severity.worst_first(sighting.responsible, sighting.severity, sighting.breadth)
+            rank = Severity.worst_first(sighting.responsible, sighting.severity)
             pending = data["report"], getattr(report, "node", None), rank
             self._pending.setdefault(report.nodeid, {})[sighting.node_id] = pending
         self._live.erase_progress()

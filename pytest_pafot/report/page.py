@@ -551,10 +551,10 @@ def _as_row(finding: RunView) -> RunView:
 
 def _rank(finding: RunView) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
-    severity, breadth = None, None
+    severity = None
     if finding.sighting is not None:
-        severity, breadth = finding.sighting.severity, finding.sighting.breadth
-    worst = Severity.worst_first(finding.responsibility, severity, breadth)
+        severity = finding.sighting.severity
+    worst = Severity.worst_first(finding.responsibility, severity)
     return not finding.label.startswith(Label.NEW), *worst, -finding.runs, finding.node_id
 
 

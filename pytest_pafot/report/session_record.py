@@ -20,7 +20,6 @@ from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.finding import Finding, portable
 from pytest_pafot.findings.labels import PASSING, Label
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
@@ -149,10 +148,6 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "that no time was left to confirm it, or to shrink it fully.",
         "", lambda seen: seen.unshrunk,
     ),
-    "breadth": Key(
-        "of a new finding: `failing` of `of` neighbours fail so, or null.",
-        None, lambda seen: _data(seen.breadth),
-    ),
     "answers": Key(
         "of a new finding: how many decisions depend on `npc`, `depending` of the `decisions` from `since` [s], when "
         "the danger began, to the failure; `unseen`, true if no observation had it; `masking`, another NPC with which "
@@ -167,9 +162,6 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "nothing is known) and of those that it evaluated, first those that come out otherwise with that change. "
         "Or null.",
         None, lambda seen: _data(seen.moment),
-    ),
-    "neighbours": Key(
-        "number of neighbours of a replay that pass.", 0, lambda seen: seen.neighbours,
     ),
     "searched": Key(
         "number of runs of its test's search without such a failure, if `fixed` or `fixed before`.",
@@ -358,22 +350,20 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
 def _rank(entry: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
     severity = None if entry["severity"] is None else Severity(**entry["severity"])
-    breadth = None if entry["breadth"] is None else Breadth(**entry["breadth"])
-    return *Severity.worst_first(entry["responsible"], severity, breadth), -entry["runs"], entry["node_id"]
+    return *Severity.worst_first(entry["responsible"], severity), -entry["runs"], entry["node_id"]
 
 
 def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
     elsewhere = f"{plain(entry['elsewhere'])} fails in the same way" if entry["elsewhere"] else ""
     is_pass = entry["status"] in (Label.PASSES, *PASSING)
-    passes = passing(entry["neighbours"], entry["searched"]) if is_pass else ""
+    passes = passing(entry["searched"]) if is_pass else ""
     parts = [passes, plain(entry["headline"] or elsewhere or entry["detail"])]
     if entry["severity"] is not None and entry["severity_before"] is not None:
         worse = worsening(Severity(**entry["severity"]), Severity(**entry["severity_before"]))
         parts += [f"worse: {plain(worse)}"] if worse else []
     parts += [f"flaky: {plain(entry['flaky'])}"] if entry["flaky"] else []
     parts += [plain(entry["unshrunk"])] if entry["unshrunk"] else []
-    parts += [] if entry["breadth"] is None else [str(Breadth(**entry["breadth"]))]
     xfail = entry["xfail"]
     if xfail is not None and entry["result"] == "xfailed":
         flaky = " as flaky" if xfail.get("flaky") else ""

@@ -65,7 +65,6 @@ class SessionSummary:
 
     Attributes:
         searches, replays: in the order in which they ended.
-        neighbour_seconds: the time that neighbours of replayed scenarios took [s].
         orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
         way_out: what the user can do about all orphans.
         strays: saved scenarios that no test can replay, and marked tests that are not collected, each with the reason.
@@ -77,7 +76,6 @@ class SessionSummary:
 
     searches: Sequence[SearchSummary] = ()
     replays: Sequence[Sighting] = ()
-    neighbour_seconds: float = 0.0
     orphans: Sequence[tuple[str, Sequence[str], str]] = ()
     way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
@@ -248,7 +246,7 @@ def _worst_first(finds: Iterable[Sighting]) -> list[Sighting]:
     return sorted(
         finds,
         key=lambda each: (
-            *Severity.worst_first(each.responsible, each.severity, each.breadth),
+            *Severity.worst_first(each.responsible, each.severity),
             -each.repeats,
             each.node_id,
         ),
@@ -333,16 +331,16 @@ def _figures(search: SearchSummary) -> str:
     parts += [] if search.reached is None else [f"NPCs reached {search.reached:.0%} of their goals"]
     several = [plural(search.runs, "run")]
     several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
-    several += [f"{search.neighbour_runs} of neighbours"] if search.neighbour_runs else []
+    several += [f"{search.moment_runs} to find the moment"] if search.moment_runs else []
     return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *parts])
 
 
 def _decisions(search: SearchSummary) -> list[str]:
     """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
-    counts = (search.decisions, search.confirm_decisions, search.shrink_decisions, search.neighbour_decisions)
+    counts = (search.decisions, search.confirm_decisions, search.shrink_decisions, search.moment_decisions)
     if not sum(counts) or search.seconds < max(MINUTE, EXPENSIVE * sum(counts)):
         return []
-    purposes = ("decisions", "to confirm", "to shrink", "of neighbours")
+    purposes = ("decisions", "to confirm", "to shrink", "to find the moment")
     made = listed([f"{number:,} {purpose}" for purpose, number in zip(purposes, counts, strict=True) if number])
     return [made]
 
@@ -374,19 +372,13 @@ def _unsaved_lines(search: SearchSummary) -> list[str]:
     return [f"  {len(names)} of them not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
-def replay_lines(replays: Sequence[Sighting], width: int = WIDTH, *, seconds: float = 0.0) -> list[str]:
-    """Return the lines on all replays: a count by label, then the replays that a reader should look at.
-
-    ``seconds`` is the time that neighbours of saved scenarios that pass took [s].
-    """
+def replay_lines(replays: Sequence[Sighting], width: int = WIDTH) -> list[str]:
+    """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
     if not replays:
         return []
     counts = sorted(Counter(replay.result for replay in replays).items())
     figures = ", ".join(f"{count} {result}" for result, count in counts)
-    several = sum(replay.neighbours for replay in replays)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
-    if several:
-        lines.append(f"  {plural(several, 'neighbour')} passed, in {seconds:.1f} s ({flag('replay_neighbours')})")
     shown = [replay for replay in replays if replay.may_pass or replay.label not in (Label.STILL_FAILING, Label.COMMON)]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(f"  {replay.heading}: {replay.node_id}")
@@ -430,7 +422,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     listed = sorted(
         (
             each.label not in (Label.NEW, Label.INTRODUCED),
-            *Severity.worst_first(each.responsible, each.severity, each.breadth),
+            *Severity.worst_first(each.responsible, each.severity),
             -each.repeats,
             each.node_id,
             _measured(each),
@@ -527,7 +519,7 @@ def session_lines(session: SessionSummary, *, verbose: bool = False, width: int 
     lines = _lines_of_searches(session, verbose=verbose, width=width)
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
-    lines += replay_lines(session.replays, width, seconds=session.neighbour_seconds)
+    lines += replay_lines(session.replays, width)
     lines += [*parameter_lines(session.searches, width), *against_lines(session, width), *worst_lines(session, width)]
     for folder, names, expected in session.orphans:
         lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")

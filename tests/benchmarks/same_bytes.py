@@ -33,7 +33,6 @@ ROOT = Path(__file__).parents[2]
 MASKS: Mapping[str, tuple[str, str]] = {
     "seconds of a session, in its last line": (r"^=+ (.* in )[\d.]+s(?: \(\d+:\d\d:\d\d\))? =+$", r"\1..."),
     "seconds of a search, after its runs": (r"^(  \d+ runs?\b.* in )\d+\.\d( s, \d+ failing)", r"\1...\2"),
-    "seconds of the neighbours of replays": (r"^(  \d+ neighbours? passed, in )\d+\.\d( s \()", r"\1...\2"),
     "decisions of a search of more than a minute; the JSON always has them": (r"^  [\d,]+ decisions\b.*\n", ""),
     "progress, each ten seconds": (r"^pafot: test_it\.py::\w+\[search\] .*\n", ""),
     "line break before the results, which progress adds": (r"^(test_it\.py )(?=[.Fs]+$)", "\\1\n"),
@@ -150,7 +149,7 @@ SESSIONS: Mapping[str, Session] = {
     "vehicle-isolated-workers": Session("vehicle", always=f"--pafot-isolate {TWO}"),
 }
 ALWAYS = (
-    "-p pytest_pafot.plugin --pafot-seed=3 --pafot-runs=24 --pafot-shrink-rollouts=16 --pafot-neighbours=4 "
+    "-p pytest_pafot.plugin --pafot-seed=3 --pafot-runs=24 --pafot-shrink-rollouts=16 "
     "--pafot-pairs=50 --pafot-today=2026-01-01 -o console_output_style=classic"
 )
 SETTINGS = ("CI", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "BUILD_NUMBER", "COLUMNS", "PYTEST_ADDOPTS", "PYTHONPATH")

@@ -18,7 +18,7 @@ from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.findings.failure_rate import FEW_RUNS, ODDS, FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 
-SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22, "replay_neighbours": 0}
+SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22}
 NODE_ID = "test_it.py::test_brakes"
 
 
@@ -48,7 +48,7 @@ class Unrepeatable(Brakes):
 
 def found(ads, folder, **settings):
     OWN.seed(3)
-    options = SHORT | {"shrink_rollouts": 12, "neighbours": 0, "stop_after": 1, "runs": 40} | settings
+    options = SHORT | {"shrink_rollouts": 12, "stop_after": 1, "runs": 40} | settings
     result = pafot.explore(ads, holds=never_brakes, node_id=NODE_ID, corpus=str(folder), **options)
     (told,) = result.sightings
     assert load(told.file) == replace(told.finding, trace=None)
@@ -190,7 +190,7 @@ def test_a_finding_whose_time_ended_at_nothing_that_fails_as_often_is_not_done(t
 
 def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, monkeypatch):
     def session(name):
-        options = SHORT | {"shrink_rollouts": 5, "neighbours": 0, "stop_after": 1, "runs": 40}
+        options = SHORT | {"shrink_rollouts": 5, "stop_after": 1, "runs": 40}
         resume, corpus = str(tmp_path / f"{name} states"), str(tmp_path / name)
         result = pafot.explore(Brakes, holds=never_brakes, node_id=NODE_ID, corpus=corpus, resume=resume, **options)
         return result.summary.shrink_runs, result.sightings[0].file.read_text()
@@ -211,7 +211,7 @@ def test_a_later_session_goes_on_measuring_how_often_a_finding_fails(tmp_path, m
 def test_a_file_whose_rate_is_of_many_runs_is_shrunk(tmp_path):
     told = found(Brakes, tmp_path, shrink_rollouts=0)
     rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=60, runs=100)))
-    replays, saved = saved_with(Brakes, tmp_path, shrink_rollouts=12, neighbours=0)
+    replays, saved = saved_with(Brakes, tmp_path, shrink_rollouts=12)
     with prepared(replays.harness) as parts:
         *_, later = shrink_saved(parts, saved, path="")
     assert len(later.finding.scenario.npcs) == 1
@@ -235,24 +235,6 @@ def test_a_replay_compares_rates(tmp_path, ads, then, share, label, note):
     assert note in now.note
     assert now.verdict.failed == (label != "fixed")
     assert now.rate.runs == (59 if label == "fixed" else 20)
-
-
-def test_a_replay_that_fails_only_nearby_says_how_often_here_and_nearby(tmp_path):
-    class Raises(Brakes):
-        raises_here = True
-
-        def __call__(self, seen):
-            self.is_elsewhere = getattr(self, "is_elsewhere", seen.ego.speed != SHORT["ego_speed"])
-            if self.acceleration and seen.time > 1 and (self.raises_here or self.is_elsewhere):
-                raise LookupError
-            return 0.0, 0.0
-
-    told = found(Raises, tmp_path, shrink_rollouts=0)
-    rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=12, runs=20)))
-    now = replayed(type("Mended", (Raises,), {"raises_here": False}), tmp_path, replay_neighbours=30)
-    assert now.label == "still failing, nearby"
-    here = "fails in none of 59 seeds, 12 of 20 when it was found: here in less than 5.0 % of all, 95 % sure"
-    assert f"; {now.note}".endswith(f"; {here}; nearby in 1 of {now.around.passing + 1} neighbours")
 
 
 def test_other_draws_are_no_fix(tmp_path):

@@ -9,7 +9,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import MOST_ON_GRID
 from tests.helpers.road_cases import world_of
 
-RUNS = {"neighbours": 0, "runs": 16, "seed": 0, "blame": "ego", "shrink_rollouts": 8}
+RUNS = {"runs": 16, "seed": 0, "blame": "ego", "shrink_rollouts": 8}
 
 
 class Steady:

@@ -62,7 +62,7 @@ def searched(tmp_path, monkeypatch):
     def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, **settings):
         monkeypatch.setattr(blocks, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
         monkeypatch.setattr(blocks, "FED_SECONDS", 0.0)
-        settings = SPACE | {"population": 4, "shrink_rollouts": 0, "neighbours": 0} | settings
+        settings = SPACE | {"population": 4, "shrink_rollouts": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
         found = explore.explore(lambda: ads, holds=test, corpus=str(corpus) if saves else None, **own, **settings)

@@ -32,7 +32,7 @@ from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
-SHORT = {"neighbours": 0, "generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
+SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
 
 
 class Bare:
@@ -77,7 +77,8 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
 
     given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 6, "vehicles": "car"}
     cut = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
-    assert cut.summary.decisions + cut.summary.confirm_decisions + cut.summary.shrink_decisions == asked[0]
+    told = ("decisions", "confirm_decisions", "shrink_decisions", "moment_decisions")
+    assert sum(getattr(cut.summary, name) for name in told) == asked[0]
     monkeypatch.setattr(simplest, "LATER", 1000.0)
     whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
@@ -332,7 +333,7 @@ class Braked(gymnasium.Wrapper):
         return first
 
 
-FIRST = {"stop_after": 1, "neighbours": 0, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
+FIRST = {"stop_after": 1, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
 """A search that ends with the first finding of an environment's policy."""
 
 

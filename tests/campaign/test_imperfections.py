@@ -84,7 +84,7 @@ def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfect
         "vehicles": "car",
     }
     factory = pafot.Perception(planner, **imperfections)
-    found = pafot.explore(factory, **common, neighbours=0, stop_after=1, corpus=str(tmp_path))
+    found = pafot.explore(factory, **common, stop_after=1, corpus=str(tmp_path))
     (finding,) = found.findings
     assert finding.perception.sentence == sentence
     assert found.summary.finds[0].headline.endswith(f", {sentence}")
@@ -107,7 +107,5 @@ def test_search_names_the_imperfections_a_failure_needs(planner, seed, imperfect
 )
 def test_run_is_reused_unless_perception_is_random(sight, are_reused):
     common = {"holds": no_collision, "world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1}
-    found = pafot.explore(
-        pafot.Perception(Careful, **sight), **common, neighbours=0, seed=9, runs=60 if are_reused else 30
-    )
+    found = pafot.explore(pafot.Perception(Careful, **sight), **common, seed=9, runs=60 if are_reused else 30)
     assert bool(found.summary.known_runs) is are_reused

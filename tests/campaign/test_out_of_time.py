@@ -26,7 +26,6 @@ from pytest_pafot.world.guard.own_worlds import rollout_of
 
 NODE_ID = "test_it.py::test_it"
 SHORT = {
-    "neighbours": 0,
     "population": 4,
     "genes": 2,
     "gene_seconds": 2,
@@ -165,10 +164,10 @@ def test_search_with_finding_leaves_third_for_shrinking(clock):
 
 
 def test_search_with_findings_goes_on_until_these_need_the_rest_of_its_time(clock):
-    result = searched(clock, fails_in_three_ways, runs=1000, max_time=300)
+    result = searched(clock, fails_in_three_ways, runs=1000, max_time=600)
     assert len(result.findings) == 3
-    to_simplify = 3 * (15 + watch.RUNS_TO_CONFIRM)  # a run takes a second
-    assert 300 - to_simplify - 3 <= result.summary.runs <= 300 - to_simplify
+    to_simplify = 3 * (15 + watch.RUNS_TO_CONFIRM + watch.RUNS_FOR_MOMENT)  # a run takes a second
+    assert 600 - to_simplify - 3 <= result.summary.runs <= 600 - to_simplify
     assert not any(unshrunk(result))
 
 
@@ -192,7 +191,7 @@ def test_several_findings_share_the_remaining_time(clock, limit):
 
 
 def test_unused_share_of_time_goes_to_other_findings(clock):
-    given = {"runs": 20, "max_time": 140, "shrink_rollouts": 40, "seed": 1, "neighbours": 0}
+    given = {"runs": 20, "max_time": 140, "shrink_rollouts": 40, "seed": 1}
     result = searched(clock, fails_in_three_ways, **given)
     assert unshrunk(result) == ["", "", ""]
     assert max(attempts(result).values()) > 100 / 3

@@ -47,7 +47,6 @@ def test_search_learns_the_same_wherever_runs_are_read(monkeypatch, settings):
             runs=8,
             workers=workers,
             shrink_rollouts=0,
-            neighbours=0,
             **settings,
         )
         return [each for each in found.events if isinstance(each, Evaluated)], [each.id for each in found.findings]

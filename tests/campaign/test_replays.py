@@ -63,7 +63,7 @@ class Told(Replays):
 
 
 def harness_of(ends):
-    request = SimpleNamespace(settings=SimpleNamespace(replay_neighbours=0, isolate=True))
+    request = SimpleNamespace(settings=SimpleNamespace(isolate=True))
     return SimpleNamespace(saved_node_id=str, ends=ends, judge=lambda run: PASSED, request=request)
 
 

@@ -22,7 +22,6 @@ from pytest_pafot.support.errors import RequestError
 from tests.helpers.stages import mostly_oracle
 
 SHORT = {
-    "neighbours": 0,
     "population": 4,
     "genes": 2,
     "gene_seconds": 5,
@@ -214,15 +213,15 @@ def test_an_interrupt_is_not_held_back_after_a_listener_has_raised(search):
         assert signal.getsignal(signal.SIGINT) is before, raised.tb
 
 
-def test_session_interrupted_while_it_runs_neighbours_is_continued_with_them(search, tmp_path):
+def test_session_interrupted_while_it_examines_a_finding_is_continued_with_it(search, tmp_path):
     def interrupted(event):
-        if isinstance(event, Sighting) and event.breadth is not None:
+        if isinstance(event, Sighting) and event.answers is not None:
             raise KeyboardInterrupt
 
-    whole = search("whole", resume=None, runs=24, neighbours=2)
+    whole = search("whole", resume=None, runs=24)
     with pytest.raises(KeyboardInterrupt):
-        search(runs=20, neighbours=2, on_event=interrupted)
-    search(runs=4, neighbours=2)
+        search(runs=20, on_event=interrupted)
+    search(runs=4)
     assert files(tmp_path / "corpus") == files(tmp_path / "whole")
     assert len(whole.findings) > 1
 

@@ -76,7 +76,7 @@ def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
     monkeypatch.setattr(steps, "with_drivers", lambda sighting, *given: _as_it_is(sighting))
     search = {"world": pafot.Highway(), **SEARCHES[name]}
-    found = pafot.explore(**search, holds=never_collides, runs=16, seed=5, shrink_rollouts=0, neighbours=0)
+    found = pafot.explore(**search, holds=never_collides, runs=16, seed=5, shrink_rollouts=0)
     assert len(found.runs) >= 16
     fitness = resolve("default")
     for row in through_csv(found.runs):

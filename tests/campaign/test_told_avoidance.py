@@ -31,7 +31,6 @@ def first(calls=None):
         genes=2,
         blame="ego",
         shrink_rollouts=0,
-        neighbours=0,
     )
     return next(told for told in found.sightings if told.finding.expect.avoided_by is not None)
 

@@ -18,7 +18,6 @@ from pytest_pafot.commands import corpus_command
 from pytest_pafot.commands.corpus_table import BELOW, COLUMNS, text_of_table
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Bounded
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.session_record import SessionRecord, finding_entry, markdown
 from pytest_pafot.report.terminal import annotation_lines
@@ -35,12 +34,9 @@ def wide_terminal(monkeypatch):
     monkeypatch.setenv("COLUMNS", "999")
 
 
-def finding(id_, broad=None, test="test_it.py::test_x", xfail=None, **expect):
-    """Return a finding; ``broad`` is how many of forty neighbours fail, and ``xfail`` the fields of its acceptance."""
-    breadth = None if broad is None else Breadth(failing=broad, of=40)
-    return plain_finding(
-        id=id_, test=test, expect=replace(plain_finding().expect, **expect), neighbours=breadth, **(xfail or {})
-    )
+def finding(id_, test="test_it.py::test_x", xfail=None, **expect):
+    """Return a finding; ``xfail`` has the fields of its acceptance."""
+    return plain_finding(id=id_, test=test, expect=replace(plain_finding().expect, **expect), **(xfail or {}))
 
 
 def save(root, *findings, test="test_x"):
@@ -113,17 +109,15 @@ def test_the_worst_rows_are_first(here, capsys):
     save(
         here,
         finding("a-unknown"),
-        finding("b-slow", broad=9, closing_speed=3.0),
-        finding("c-narrow", broad=1, closing_speed=8.0),
-        finding("d-broad", broad=39, closing_speed=8.0),
+        finding("b-slow", closing_speed=3.0),
+        finding("c-worst", closing_speed=8.0),
         finding("e-npc", closing_speed=20.0, responsibility="npc"),
         finding("f-check", check=Bounded(value=1.0, at_least=10.0, unit="m"), **check),
         finding("g-worse", check=Bounded(value=9.0, at_most=2.0, unit="m"), **check),
     )
     (here / "pafot_corpus" / "test_it" / "test_x" / "0-broken.pafot.yaml").write_text("pafot: 99\n")
     rows = listed(capsys, code=1)
-    assert ids(rows) == ["d-broad", "c-narrow", "b-slow", "e-npc", "g-worse", "f-check", "a-unknown", "0-broken"]
-    assert [row["breadth"] for row in rows] == ["broad", "narrow", "narrow", *[""] * 5]
+    assert ids(rows) == ["c-worst", "b-slow", "e-npc", "g-worse", "f-check", "a-unknown", "0-broken"]
     assert (rows[-1]["state"], rows[0]["state"]) == ("broken", "open")
     assert "expected the format version 2, received 99" in rows[-1]["what"]
     assert ids(json.loads(_printed(capsys, "--json", code=1))) == ids(rows)
@@ -194,11 +188,10 @@ def test_files_that_are_no_results_are_refused(here, capsys, content):
 
 
 def test_rows_are_filtered_by_texts_in_cells(here, capsys):
-    save(here, finding("aa", broad=3, closing_speed=8.0), finding("ab"), finding("bb", responsibility="npc"))
+    save(here, finding("aa", closing_speed=8.0), finding("ab"), finding("bb", responsibility="npc"))
     assert ids(listed(capsys, "--where=id=A")) == ["aa", "ab"]
     assert ids(listed(capsys, "--where", "severity=")) == ["ab", "bb"]
     assert ids(listed(capsys, "--where=severity=", "--where=who=EGO")) == ["ab"]
-    assert ids(listed(capsys, "--where=breadth=narrow")) == ["aa"]
     assert _printed(capsys, "--where=since=May") == "no saved scenarios\n"
 
 
@@ -238,7 +231,7 @@ def test_files_of_tests_that_are_gone_are_orphaned(here, capsys):
     assert (row["state"], gone["state"]) == ("open", "orphaned")
     assert main(["corpus", "list", "--json", "--where=id=a"]) == 0
     (data,) = json.loads(capsys.readouterr().out)
-    assert (data["severity"], data["neighbours"], data["since"], data["xfail_flaky"]) == (None, None, None, False)
+    assert (data["severity"], data["since"], data["xfail_flaky"]) == (None, None, False)
 
 
 @pytest.mark.processes
@@ -363,9 +356,9 @@ def rows_for(*cells):
 
 
 LONG = ("leader-unanswered-b7c133", "test_it[a]", "collision after 6.3 s: NPC 0 in cell 2 (front)",
-        "hits at 7.5 m/s", "broad", "ego", "still failing, accepted until 2027-01-31",
+        "hits at 7.5 m/s", "ego", "still failing, accepted until 2027-01-31",
         "1a2b3c4 2026-10-01")  # fmt: skip
-SHORT = ("a", "test_x", "gap 1 < 2 m", "", "", "none", "open", "")
+SHORT = ("a", "test_x", "gap 1 < 2 m", "", "none", "open", "")
 
 
 def test_a_wide_text_has_a_line_for_each_row():
@@ -441,7 +434,7 @@ def test_a_link_that_leads_out_is_broken(here, capsys, tmp_path_factory):
 
 
 def test_the_terminal_decides_the_width(here, capsys, monkeypatch):
-    save(here, finding("a", broad=3, closing_speed=8.0))
+    save(here, finding("a", closing_speed=8.0))
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "60")
     lines = _printed(capsys).splitlines()

@@ -71,7 +71,6 @@ def outside_of_ci(monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
-    monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
 
 
 def test_in_ci_the_end_of_a_process_is_a_finding_of_a_search(tmp_path, monkeypatch):

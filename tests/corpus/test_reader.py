@@ -13,7 +13,6 @@ from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import Perceived
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
@@ -232,15 +231,6 @@ def test_error_gives_place_expected_value_and_remedy(path):
         ('# xfail: "reason"', "xfail: {reason: slow, until: 2027-01-31, flaky: 2027-01-31}", 17, "xfail.flaky"),
         ('# xfail: "reason"', "xfail: {reason: slow, flaky: true}", 17, "xfail.flaky"),
         ('# xfail: "reason"', "xfail: {until: 2027-01-31, flaky: true}", 17, "xfail"),
-        ('# xfail: "reason"', "neighbours: {failing: 3}", 17, "neighbours"),
-        ('# xfail: "reason"', "neighbours: 3", 17, "neighbours"),
-        ('# xfail: "reason"', "neighbours: {failing: 3, of: 2}", 17, "neighbours.failing"),
-        ('# xfail: "reason"', "neighbours: {failing: -1, of: 2}", 17, "neighbours.failing"),
-        ('# xfail: "reason"', "neighbours: {failing: 1.5, of: 2}", 17, "neighbours.failing"),
-        ('# xfail: "reason"', "neighbours: {failing: true, of: 2}", 17, "neighbours.failing"),
-        ('# xfail: "reason"', "neighbours: {failing: 0, of: 0}", 17, "neighbours.of"),
-        ('# xfail: "reason"', "neighbours: {failing: 0, of: 1001}", 17, "neighbours.of"),
-        ('# xfail: "reason"', "neighbours: {failing: 0, of: 40, share: 1.0}", 17, "neighbours.share"),
         ("side: front", "side: front, closing_speed: -1.0", 14, "expect.closing_speed"),
         ("side: front", "side: front, closing_speed: .nan", 14, "expect.closing_speed"),
         ("side: front", "side: front, closing_speed: .inf", 14, "expect.closing_speed"),
@@ -309,12 +299,6 @@ def test_last_xfail_day_is_read_quoted_or_unquoted(path, day):
     finding = load(path)
     assert (finding.xfail, finding.xfail_until) == ("issue 12", date(2027, 1, 31))
     assert finding.accepted == "issue 12, until 2027-01-31"
-
-
-@table("of", [1, 1000])
-def test_neighbours_are_read_up_to_both_limits(path, of):
-    path.write_text(swapped('# xfail: "reason"', f"neighbours: {{failing: {of}, of: {of}}}"))
-    assert load(path).neighbours == Breadth(failing=of, of=of)
 
 
 def test_invalid_xfail_day_error_shows_the_correct_format(path):

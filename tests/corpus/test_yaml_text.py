@@ -11,7 +11,6 @@ from pytest_pafot.corpus.reader import load, parsed
 from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.corpus.yaml_document import parse
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
@@ -80,12 +79,9 @@ def test_what_is_accepted_as_flaky_says_so_in_its_line():
     assert text.endswith('\nxfail: {reason: "issue 12", until: 2027-01-31, flaky: true}\n')
 
 
-def test_speed_and_breadth_are_written_as_labels():
-    finding = plain_finding(
-        expect=replace(plain_finding().expect, closing_speed=7.533), neighbours=Breadth(failing=28, of=40)
-    )
+def test_the_closing_speed_is_written_as_a_label():
+    finding = plain_finding(expect=replace(plain_finding().expect, closing_speed=7.533))
     assert "side: front, closing_speed: 7.533, responsibility" in text_of(finding).replace("\n        ", "")
-    assert '\nneighbours: {failing: 28, of: 40}\n# xfail: "reason"\n' in text_of(finding)
 
 
 def test_gene_duration_is_written_unless_default():

@@ -217,7 +217,6 @@ def test_search_finds_and_names_the_planted_fault(name, seed, fault, npcs):
         genes=4,
         vehicles="car",
         shrink_rollouts=15,
-        neighbours=0,
     ).findings
     assert [finding.expect.signature.slug for finding in found] == [fault]
     assert len(found[0].scenario.npcs) == npcs

@@ -337,7 +337,7 @@ def never_collides(run):
 
 
 def test_a_search_with_drivers_of_sumo_saves_what_a_replay_repeats(tmp_path):
-    asked = {"holds": never_collides, "world": pafot.sumo(duration=15.0), "runs": 12, "seed": 2, "neighbours": 0}
+    asked = {"holds": never_collides, "world": pafot.sumo(duration=15.0), "runs": 12, "seed": 2}
     found = pafot.explore(
         brakes_late, drivers=["sumo-krauss", "sumo-idm"], shrink_rollouts=20, corpus=str(tmp_path), **asked
     )

@@ -12,7 +12,6 @@ from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.labels import Label
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import ZONES
@@ -217,11 +216,6 @@ def rates():
     )
 
 
-def breadths():
-    counts = st.tuples(st.integers(1, 1000), st.floats(0, 1))
-    return counts.map(lambda each: Breadth(failing=int(each[0] * each[1]), of=each[0]))
-
-
 @st.composite
 def perceptions(draw):
     numbers = st.floats(0, 1e6)
@@ -260,7 +254,6 @@ def findings(draw):
         perception=draw(st.none() | perceptions()),
         original=draw(st.one_of(st.none(), scenarios())),
         shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
-        neighbours=draw(st.none() | breadths()),
         rate=draw(st.none() | rates()),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
         xfail=reason,

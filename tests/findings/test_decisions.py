@@ -413,7 +413,7 @@ def test_the_moment_of_a_needless_braking_is_about_the_vehicle_that_it_depends_o
         assert run.attribution.fault != "braked-for-nothing"
 
     found = []
-    small = {"runs": 40, "npcs": 2, "genes": 2, "gene_seconds": 5, "neighbours": 1, "shrink_rollouts": 20}
+    small = {"runs": 40, "npcs": 2, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 20}
     pafot.explore(Timid, holds=holds, seed=3, stop_after=1, instructions="cells", on_event=found.append, **small)
     (find,) = {each.id: each for each in found if isinstance(each, Sighting) and each.moment is not None}.values()
     assert str(find.answers).startswith("0 of its ")

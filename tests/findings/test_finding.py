@@ -57,7 +57,6 @@ def test_it_expects_what_the_run_showed():
         outcome=Outcome.COLLISION,
         time=2.0,
         npc=0,
-        ego_mean_speed=20.0,
         cell=Cell.FRONT,
         side="front",
         closing_speed=10.0,

@@ -220,9 +220,6 @@ def holds(finding: Finding) -> dict[str, Any]:
             "is_minimal": shrunk.is_minimal,
             "speeds": [{name: getattr(each, name) for name in each.__slots__} for each in shrunk.speeds],
         },
-        "neighbours": None
-        if finding.neighbours is None
-        else {"failing": finding.neighbours.failing, "of": finding.neighbours.of},
         "rate": None if finding.rate is None else asdict(finding.rate),
         "flaky": finding.flaky,
         "xfail": _accepted(finding),

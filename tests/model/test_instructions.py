@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from inspect import isfunction
-from itertools import islice
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,7 +22,6 @@ from pytest_pafot.campaign.request import build_space
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.extending import WithStart, register
-from pytest_pafot.findings.neighbours import Limits, neighbours
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.instructions import (
     GROUP,
@@ -198,13 +196,6 @@ def test_shrinking_rounds_its_numbers():
 
     simplest, how = shrink(drifting(0.8, 21.3, seed=5), fails, rollouts=1000, top_speed=26.8)
     assert (simplest.npcs, simplest.seed, how.is_minimal) == (drifting(1.0, 20.0).npcs, 0, True)
-
-
-def test_neighbours_move_it():
-    limits = Limits(fits=lambda scenario: True, top_speed=26.8, longest_run=60.0)
-    moved = {each.npcs[0][0] for each in islice(neighbours(drifting(), 1.0, limits), 10)}
-    assert {type(each) for each in moved} == {Drift}
-    assert len(moved) > 5
 
 
 def test_run_coverage_and_reports_show_it():

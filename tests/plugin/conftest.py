@@ -13,6 +13,7 @@ import pytest_pafot
 import pytest_pafot.strategies
 from pytest_pafot.campaign import bench
 from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.refine import steps
 from pytest_pafot.execution.crash_records import CrashRecord, records_of
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
@@ -23,6 +24,7 @@ from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
 imported(*CORE)
 
+EXAMINATIONS = steps.EXAMINATIONS
 DIFFERENCE_IN_GYM = bench._difference_in_gym
 REFERENCE_OUTCOMES = Harness.reference_outcomes
 
@@ -198,7 +200,7 @@ def found():
 def project(request, pytester, monkeypatch, found, tmp_path_factory):
     """Return a project whose sessions omit slow steps unless a test requests them.
 
-    Findings are saved without neighbours, without shrinking, without reference drivers, without a second run in
+    Findings are saved without shrinking, without moments, without reference drivers, without a second run in
     highway-env's own environment, and in CI without isolation. Tests of several processes have whole sessions: what one
     process does, the others must do as well.
     """
@@ -207,7 +209,7 @@ def project(request, pytester, monkeypatch, found, tmp_path_factory):
         remember_reference_runs(monkeypatch)
     else:
         omit_slow_steps(monkeypatch)
-    monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
+    monkeypatch.setattr(steps, "EXAMINATIONS", {})
     for name in (
         "CI",
         "BUILD_NUMBER",
@@ -241,6 +243,12 @@ def quick(project, monkeypatch):
     """Return a project whose sessions omit slow steps, also those of tests of several processes."""
     omit_slow_steps(monkeypatch)
     return project
+
+
+@pytest.fixture
+def examined(project, monkeypatch):
+    """Let sessions also examine the decisions that led to each finding, as users' sessions do."""
+    monkeypatch.setattr(steps, "EXAMINATIONS", EXAMINATIONS)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ KEEPS = DRIVES.format("return 0.0, 0.0")
 TEST = """
 import planner
 
-@pafot.search(npcs=2, genes=2, gene_seconds=10, ads=planner.make, shrink_rollouts=0, stop_after=1, neighbours=0)
+@pafot.search(npcs=2, genes=2, gene_seconds=10, ads=planner.make, shrink_rollouts=0, stop_after=1)
 def test_never_collides(run):
     assert not run.collision
     assert run.duration > 0
@@ -36,7 +36,7 @@ def edited(project, old, new):
 def replayed(project, body="return 0.0, 0.0", *args):
     """Replay the file with a policy; return the session's result and what it recorded of the file."""
     project.pytester.makepyfile(planner=DRIVES.format(body))
-    result = project.run("--pafot-json=pafot.json", "--pafot-replay-neighbours=0", *args, generations=0)
+    result = project.run("--pafot-json=pafot.json", *args, generations=0)
     (finding,) = json.loads((project.path / "pafot.json").read_text())["findings"]
     return result, finding
 

@@ -90,7 +90,6 @@ HIT = Failure(kind="AssertionError", assertion="assert not run.collision")
 
 def filed(project, world, failure=HIT, expect=None):
     """Save a failure of the fast ego, by default its collision, in a file that names a world."""
-    project.pytester.makeini("[pytest]\npafot_replay_neighbours = 0\n")  # they would show the same failure
     namespace = {}
     exec(POLICIES, namespace)
     run = pafot.Run(pafot.Highway(lanes=3).rollout(SCENARIO, namespace["fast"]))

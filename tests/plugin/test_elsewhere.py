@@ -4,9 +4,43 @@ import json
 
 import pytest
 
-from tests.plugin.test_nearby import TEST, fixed
+import pytest_pafot as pafot
+from tests.plugin.test_driving_on import filed
 
-SEARCHED = ("--pafot-replay-neighbours=0", "--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-rollouts=0")
+POLICIES = """
+import os
+import pytest_pafot as pafot
+
+def cruising(top):
+    return lambda: lambda seen: (min(max(top - seen.ego.speed, -1.0), 1.0), 0.0)
+
+fast = cruising(30.0)
+
+def braking():
+    return lambda seen: (-4.0 if seen.ego.speed > 4.0 else 0.0, 0.0)
+
+def careful():
+    def decide(seen):
+        ahead = [other for other in seen.others if other.lane == seen.ego.lane and other.x > seen.ego.x]
+        return (-7.0 if ahead else -4.0) if seen.ego.speed > 0.5 else 0.0, 0.0
+    return decide
+"""
+TEST = """
+import policies
+
+@pafot.search(world=pafot.Highway(lanes=3), blame="ego", npcs=1, ads=policies.POLICY)
+def test_gap(run):
+    assert not run.collision
+"""
+SEARCHED = ("--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-rollouts=0")
+
+
+def fixed(project, policy, **more):
+    project.write(TEST.replace("POLICY", policy))
+    project.pytester.makepyfile(policies=POLICIES)
+    filed(project, pafot.Highway(lanes=3).to_dict(), **more)
+    project.pytester.makeini("[pytest]\n")
+    return project
 
 
 def searched(project, *args, runs="30", **options):
@@ -77,6 +111,6 @@ def test_the_job_summary_names_what_fails_elsewhere(project, monkeypatch):
 def test_a_replay_without_a_search_claims_no_fix(project):
     fixed(project, "braking")
     project.write(TEST.replace("POLICY", "braking"))
-    result = project.run("-v", project.files[0], "--pafot-replay-neighbours=0", generations=None)
+    result = project.run("-v", project.files[0], generations=None)
     result.stdout.fnmatch_lines(["*PASSED (passes)*", "replayed 1 saved scenario: 1 passes", "  passes: *"])
     result.stdout.no_fnmatch_line("*fixed*")

@@ -18,7 +18,6 @@ def test_explore():
         holds=holds,
         generations=3,
         seed=1,
-        neighbours=0,  # like the sessions of these tests
         node_id="test_it.py::test_drive",
         corpus="elsewhere",
         **ARGUMENTS,

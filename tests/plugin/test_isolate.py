@@ -247,9 +247,9 @@ def test_profile_of_ci_isolates_unless_somebody_says_otherwise(isolated, monkeyp
 
 def test_profile_of_ci_finds_and_explains_the_same_as_the_session_does(isolated, monkeypatch):
     project = isolated("drive", TURNS)
-    here, contents = session(project, "--pafot-seed=0", "--pafot-neighbours=10")
+    here, contents = session(project, "--pafot-seed=0")
     monkeypatch.setenv("CI", "true")
-    apart, same = session(project, "--pafot-seed=0", "--pafot-neighbours=10")
+    apart, same = session(project, "--pafot-seed=0")
     assert same == contents
     told = [[line for line in result.outlines if line.startswith(("answers ", "moment "))] for result in (here, apart)]
     assert told[0] == told[1]

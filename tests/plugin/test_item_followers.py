@@ -39,7 +39,7 @@ import pytest_pafot as pafot
 
 
 {mark}
-@pafot.search(ads=lambda: lambda seen: (0.0, 0.0), blame="ego", stop_after=1, shrink_rollouts=30, neighbours=0)
+@pafot.search(ads=lambda: lambda seen: (0.0, 0.0), blame="ego", stop_after=1, shrink_rollouts=30)
 def test_a(run):
     assert not run.collision, run.explain()
 """

@@ -49,7 +49,7 @@ def called(project, monkeypatch, *args):
 
 def test_file_has_what_the_search_would_have_written_with_more_time(unshrunk):
     before, name = load(unshrunk.only_file), unshrunk.files[0]
-    result = shrink(unshrunk, "--pafot-neighbours=5")
+    result = shrink(unshrunk)
     assert result.ret == 0
     result.stdout.re_match_lines(
         [
@@ -59,11 +59,10 @@ def test_file_has_what_the_search_would_have_written_with_more_time(unshrunk):
     )
     now = load(unshrunk.only_file)
     unshrunk.forget()
-    unshrunk.run_once("--pafot-neighbours=5", generations=10, seed=2)
+    unshrunk.run_once(generations=10, seed=2)
     assert now == load(unshrunk.only_file)
     assert (now.original, now.id) == (before.scenario, before.id)
     assert now.shrunk.is_minimal
-    assert now.neighbours.of == 5
     assert now.expect.reference_drivers
     assert now.expect.avoided_by is not None
 
@@ -72,7 +71,7 @@ def test_file_is_left_to_the_last_byte_if_nothing_is_simpler(unshrunk):
     before, tries = {}, 0
     while unshrunk.contents != before:  # from a simpler scenario, other simpler ones can be reached
         before, tries = unshrunk.contents, tries + 1
-        result = shrink(unshrunk, "--pafot-neighbours=0")
+        result = shrink(unshrunk)
     assert 2 <= tries <= 5
     assert result.ret == 0
     result.stdout.re_match_lines([rf"{re.escape(unshrunk.files[0])}: nothing simpler was found in \d+ runs"])
@@ -81,7 +80,7 @@ def test_file_is_left_to_the_last_byte_if_nothing_is_simpler(unshrunk):
 def test_limited_runs_go_on_from_what_is_there_and_are_added(unshrunk):
     found, sizes, runs = load(unshrunk.only_file).scenario, [], []
     for _ in range(2):
-        result = shrink(unshrunk, "--pafot-neighbours=0", "--pafot-shrink-rollouts=12")
+        result = shrink(unshrunk, "--pafot-shrink-rollouts=12")
         finding = load(unshrunk.only_file)
         sizes.append(sort_key(finding.scenario))
         runs.append(finding.shrunk.rollouts)
@@ -102,7 +101,7 @@ def test_time_that_is_over_leaves_the_file_and_says_so(unshrunk):
 def test_accepted_file_is_shrunk_and_stays_accepted(unshrunk):
     file = unshrunk.only_file
     file.write_text(file.read_text().replace('# xfail: "reason"', 'xfail: "issue 12"'))
-    result = shrink(unshrunk, "--pafot-neighbours=0")
+    result = shrink(unshrunk)
     assert result.ret == 0
     assert load(file).xfail == "issue 12"
     assert load(file).original is not None
@@ -122,7 +121,7 @@ def test_scenario_that_passes_now_is_not_shrunk(unshrunk):
 def test_scenario_that_does_not_repeat_is_not_shrunk(unshrunk, monkeypatch):
     before = unshrunk.contents
     monkeypatch.setattr("pytest_pafot.campaign.bench.Bench.confirm", lambda *_: "another run")
-    result = shrink(unshrunk, "--pafot-neighbours=0")
+    result = shrink(unshrunk)
     assert result.ret == 1
     result.stdout.fnmatch_lines(["*: it is flaky: another run; the file is left as it is"])
     assert unshrunk.contents == before
@@ -135,7 +134,7 @@ def test_file_that_cannot_be_written_stays_and_is_named(unshrunk, monkeypatch):
         raise CorpusWriteError(path, "Read-only file system", "mount it")
 
     monkeypatch.setattr("pytest_pafot.corpus.writer.rewrite", refuse)
-    result = shrink(unshrunk, "--pafot-neighbours=0")
+    result = shrink(unshrunk)
     assert result.ret == 1
     result.stdout.fnmatch_lines(["*Read-only file system*"])
     assert unshrunk.contents == before
@@ -143,14 +142,14 @@ def test_file_that_cannot_be_written_stays_and_is_named(unshrunk, monkeypatch):
 
 def test_searches_and_other_files_are_left_out(unshrunk):
     unshrunk.write(COLLIDES + "\ndef test_other():\n    assert False\n")
-    result = shrink(unshrunk, "--pafot-neighbours=0")
+    result = shrink(unshrunk)
     result.assert_outcomes(passed=1, deselected=2)
 
 
 @pytest.mark.parametrize("how", ["file", "id"])
 def test_command_takes_a_file_or_an_id(unshrunk, monkeypatch, how):
     given = unshrunk.files[0] if how == "file" else unshrunk.only_id
-    assert called(unshrunk, monkeypatch, given, "--", "--pafot-neighbours=0") == 0
+    assert called(unshrunk, monkeypatch, given, "--") == 0
     assert load(unshrunk.only_file).shrunk.is_minimal
 
 
@@ -225,7 +224,7 @@ def test_finding_that_was_not_shrunk_names_the_command(project):
             "goes on",
         ]
     )
-    assert shrink(project, "--pafot-neighbours=0").ret == 0
+    assert shrink(project).ret == 0
     assert load(project.only_file).original is not None
 
 
@@ -240,13 +239,13 @@ def test_commands_name_the_corpus_of_the_command_line(project):
             f"shrink it  python -m pytest_pafot corpus shrink {name} -- --pafot-corpus=other",
         ]
     )
-    assert shrink(project, "--pafot-corpus=other", "--pafot-neighbours=0").ret == 0
+    assert shrink(project, "--pafot-corpus=other").ret == 0
     assert load(project.only_file).original is not None
 
 
 @pytest.mark.processes
 def test_worker_shrinks_as_well(unshrunk):
     pytest.importorskip("xdist")
-    result = shrink(unshrunk, "-n1", "--pafot-neighbours=0")
+    result = shrink(unshrunk, "-n1")
     assert result.ret == 0
     result.stdout.fnmatch_lines([f"{unshrunk.files[0]}: shrunk from *"])

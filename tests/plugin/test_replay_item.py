@@ -451,6 +451,4 @@ def test_replay_mentions_weights_that_have_changed(project):
     project.write(TRAINED.replace("LIMIT", "1").replace("sha256:1", "sha256:2"))
     project.run(generations=0).stdout.fnmatch_lines(["replay: still failing, found with other weights"])
     project.write(TRAINED.replace("LIMIT", "100").replace("sha256:1", "sha256:2"))
-    project.run(generations=0).stdout.fnmatch_lines(
-        ["  passes, and so do 10 neighbours: *", "    found with other weights"]
-    )
+    project.run(generations=0).stdout.fnmatch_lines(["  passes: *", "    found with other weights"])

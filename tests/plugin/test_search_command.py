@@ -43,7 +43,6 @@ def here(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(subprocess, "Popen", Copy)
     monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
-    monkeypatch.setenv("PAFOT_NEIGHBOURS", "0")
     return tmp_path
 
 
@@ -54,8 +53,7 @@ def python(*arguments):
 
 @pytest.mark.processes
 def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
-    for name in ("PAFOT_SHRINK_ROLLOUTS", "PAFOT_NEIGHBOURS"):
-        monkeypatch.delenv(name)
+    monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS")
     code, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2", "--", "-q")
     assert code == 1
     assert "leader-unanswered" in told

@@ -240,7 +240,7 @@ def pytest_runtest_logfinish():
 def test_no_session_passes_whose_failures_a_hook_calls_passed(project):
     (project.path / "conftest.py").write_text(SWALLOWS)
     project.write(ALWAYS)
-    project.run("--pafot-shrink-rollouts=0", "--pafot-neighbours=0").assert_outcomes(failed=2)
+    project.run("--pafot-shrink-rollouts=0").assert_outcomes(failed=2)
     result = project.run("--pafot-generations=0")
     result.assert_outcomes(failed=1, skipped=1)
     assert "a hook pytest_runtest_makereport called this failure passed; use the mark xfail" in text_of(result)
@@ -251,7 +251,7 @@ def test_no_session_on_ci_passes_that_ends_in_time_after_a_failure(project, monk
     monkeypatch.setenv("CI", ci)
     (project.path / "conftest.py").write_text(LEAVES)
     project.write(ALWAYS)
-    result = project.run("--pafot-shrink-rollouts=0", "--pafot-neighbours=0")
+    result = project.run("--pafot-shrink-rollouts=0")
     assert result.ret == code
     assert ("problem: 2 items failed, test_it.py::test_fails[s" in text_of(result)) is bool(code)
 

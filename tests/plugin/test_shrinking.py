@@ -391,10 +391,9 @@ def ads(pytestconfig):
 """
 
 
-@pytest.mark.parametrize("neighbours", [0, 5])
-def test_log_has_one_line_for_all_the_work_on_a_finding(collides, neighbours):
+def test_log_has_one_line_for_all_the_work_on_a_finding(collides):
     collides.pytester.makeconftest(IMPATIENT)
-    result = run(collides, f"--pafot-neighbours={neighbours}")
+    result = run(collides)
     begins = re.compile("pafot: (?!found )")
     lines = [line for line in result.outlines if collides.only_id in line and begins.match(line)]
     (line,) = [line for line in lines if not line.endswith(f"found {collides.only_id}, running it again")]
@@ -405,7 +404,7 @@ def test_log_has_one_line_for_each_finding(project):
     project.pytester.makeconftest(IMPATIENT)
     gap = '    pafot.check(run.min_distance, name="gap", at_least=12.0)\n'
     project.write(COLLIDES.replace(", stop_after=1", "") + gap)
-    result = run(project, "--pafot-neighbours=0")
+    result = run(project)
     told = [line.partition("[search] shrinking ")[2] for line in result.outlines if "[search] shrinking " in line]
     assert len(project.files) == len(told) == 2
     assert [f"{line.partition(',')[0]}.pafot.yaml" in "".join(project.files) for line in told] == [True, True]

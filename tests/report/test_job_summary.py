@@ -35,7 +35,7 @@ def test_findings_are_counted_and_listed_with_replay_command():
     record = SessionRecord(
         searches=[search(finds=["a"])],
         findings=[
-            finding("c", "fixed", headline="", neighbours=10, searched=40),
+            finding("c", "fixed", headline="", searched=40),
             finding("b", "still failing"),
             finding(),
         ],
@@ -59,7 +59,7 @@ def test_findings_are_counted_and_listed_with_replay_command():
 
 **Fixed**
 
-- `test_it.py::x`: passes, and so do 10 neighbours; no such failure in 40 runs of the search
+- `test_it.py::x`: passes; no such failure in 40 runs of the search
   <br>`python -m pytest corpus/c.pafot.yaml`
 """
     )

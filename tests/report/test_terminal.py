@@ -359,7 +359,7 @@ def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, field
 
 
 def test_decisions_are_counted_where_they_take_the_time():
-    search = replace(SEARCH, seconds=99.0, decisions=3923, shrink_decisions=8357, neighbour_decisions=0)
+    search = replace(SEARCH, seconds=99.0, decisions=3923, shrink_decisions=8357, moment_decisions=0)
     assert "  3,923 decisions and 8,357 to shrink" in terminal.search_lines(search)
     confirmed = replace(search, confirm_decisions=198)
     assert "  3,923 decisions, 198 to confirm and 8,357 to shrink" in terminal.search_lines(confirmed)
@@ -386,16 +386,16 @@ def test_finding_has_remark_when_reader_needs_it(flags, remark):
 
 
 def test_a_replay_says_what_was_driven_and_what_the_search_found():
-    passes = replace(sighting("saved-a", label="fixed"), test="t", neighbours=10)
+    passes = replace(sighting("saved-a", label="fixed"), test="t")
     searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, runs=300, invalid=1)}
     other = {"t": replace(searches["t"], failures={passes.finding.signature.text: "hit-2", "miss": "miss-1"})}
     cut = {"t": replace(searches["t"], reason=Ending.INTERRUPTED)}
-    told = [terminal.replay_lines([concluded(passes, each)])[2:] for each in ({}, searches, other, cut)]
-    alone = ["  passes, and so do 10 neighbours: t[saved-a]"]
+    told = [terminal.replay_lines([concluded(passes, each)])[1:] for each in ({}, searches, other, cut)]
+    alone = ["  passes: t[saved-a]"]
     assert told == [
         alone,
-        ["  fixed: t[saved-a]", "    passes, and so do 10 neighbours; no such failure in 297 runs of the search"],
-        ["  still failing elsewhere: hit-2: t[saved-a]", "    passes, and so do 10 neighbours"],
+        ["  fixed: t[saved-a]", "    passes; no such failure in 297 runs of the search"],
+        ["  still failing elsewhere: hit-2: t[saved-a]", "    passes"],
         alone,
     ]
     failing = replace(passes, label="still failing")

@@ -1,7 +1,6 @@
 """Searches with free NPCs: starts at which no two vehicles touch, and only the drivers of the mark."""
 
 from functools import partial
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import pytest_pafot as pafot
 from pytest_pafot import Drive, Free, Highway, Manoeuvre, Scenario, World
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space
-from pytest_pafot.findings.neighbours import Limits, neighbours
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import RequestError
@@ -124,15 +122,6 @@ def test_without_drivers_the_space_is_as_before():
     assert not any(free_of(sample(usual, np.random.default_rng(seed))) for seed in range(20))
 
 
-def test_neighbours_move_speed_and_start():
-    scenario = Scenario(npcs=((Free(beside=0, ahead=30.0, speed=20.0, driver="idm"),),))
-    limits = Limits(fits=lambda scenario: True, top_speed=26.8, longest_run=60.0)
-    moved = {each.npcs[0][0] for each in islice(neighbours(scenario, 1.0, limits), 20)}
-    assert {each.driver for each in moved} == {"idm"}
-    assert len({each.ahead for each in moved}) > 3
-    assert all(27.0 <= each.ahead <= 30.0 for each in moved)
-
-
 @table(
     ("is_needed", "simplest"),
     [
@@ -181,7 +170,7 @@ def test_search_among_crossing_and_free_npcs_is_the_same_with_other_processes():
     one, two = (
         pafot.explore(
             lambda: keeping, holds=no_collision, world=world, drivers={"policy": "policy", "mobil": "mobil"},
-            workers=workers, runs=20, seed=5, neighbours=0, shrink_rollouts=0,
+            workers=workers, runs=20, seed=5, shrink_rollouts=0,
         )
         for workers in (1, 2)
     )  # fmt: skip
@@ -229,9 +218,7 @@ def test_search_that_can_have_no_free_npcs_is_refused(world, more, message):
 
 
 SHORT = Highway(duration=12.0)
-explored = partial(
-    pafot.explore, lambda: following, world=SHORT, runs=100, seed=5, blame="ego", neighbours=5, shrink_rollouts=40
-)
+explored = partial(pafot.explore, lambda: following, world=SHORT, runs=100, seed=5, blame="ego", shrink_rollouts=40)
 
 
 def no_collision(run):

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.neighbours import Breadth
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
@@ -178,9 +177,7 @@ def test_infinite_and_nan_numbers_are_stored_as_text(text, number):
 
 @given(findings(), texts)
 def test_a_sighting_is_read_as_it_was_sent_without_what_stays_in_its_process(finding, text):
-    seen = Sighting(
-        finding=replace(finding, trace=None), node_id=text, sentences=(text,), breadth=Breadth(failing=1, of=2)
-    )
+    seen = Sighting(finding=replace(finding, trace=None), node_id=text, sentences=(text,))
     here = replace(seen, exception=ValueError(text), origin=text, number=3)
     assert unpacked(Sighting, packed(here)) == seen
     assert packed(here).isascii()

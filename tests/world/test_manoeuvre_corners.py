@@ -1,12 +1,9 @@
 """Corners of manoeuvres: starts beside others, lanes and speeds that do not exist, long explanations."""
 
-from itertools import islice
-
 import numpy as np
 import pytest
 
 from pytest_pafot import Highway, World
-from pytest_pafot.findings.neighbours import Limits, neighbours
 from pytest_pafot.model.instructions import LaneInstruction, Manoeuvre, PositionInstruction, ScenarioError, Step
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y
@@ -25,13 +22,6 @@ def drive(*npcs, world=None, ads=idle, **fields):
     chains = [(npc,) if isinstance(npc, Manoeuvre) else npc for npc in npcs]
     world = world or Highway(duration=12.0)
     return world.rollout(Scenario(npcs=chains, **({"ego_speed": 20.0} | fields)), ads)
-
-
-@pytest.mark.parametrize("step", [{"gap": 490.0}, {"gap": -500.0}, {"headway": 20.0}])
-def test_neighbours_of_a_far_trigger_are_valid(step):
-    limits = Limits(fits=lambda each: True, top_speed=26.8, longest_run=1e9)
-    scenario = Scenario(npcs=[[ahead(Step(**step))]])
-    assert len(list(islice(neighbours(scenario, 1.0, limits), 40))) == 40
 
 
 @pytest.mark.parametrize("name", ["after", "offset", "lateral_speed", "acceleration"])

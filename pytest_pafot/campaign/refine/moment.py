@@ -210,7 +210,7 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
     """Return the first decision that differs from the one of the reference in the same scenario."""
     harness, isolate = bench.harness, bench.harness.request.settings.isolate
     check_time(bench)
-    state.neighbour_runs += 1
+    state.moment_runs += 1
     with harness.reference_runner(harness.job(), bench.record, isolate=isolate) or nullcontext() as runner:
         run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
     bench.record.clear()
@@ -228,7 +228,7 @@ def _decided_aside(
     """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
     check_time(bench)
     yield Phase(f"asking the policy of {trace.executed.id} again", sighting.id)
-    state.neighbour_runs += 1
+    state.moment_runs += 1
     from pytest_pafot.world.driving.policy_driver import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
     harness, record, scenario = bench.harness, bench.record, trace.executed

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import count, islice
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
-from pytest_pafot.campaign.harness import limits_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict
@@ -77,10 +77,12 @@ def announce(ahead: Ahead, state: State, bench: Bench) -> None:
     """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
     if number_ahead(bench) < 2:
         return
-    fits = limits_of(bench.harness.world).fits
-    bench.runner.announce(
-        [each for each in ahead.candidates if fits(each) and each not in state.fatal], more=ahead.more
-    )
+    fitting = list[Scenario]()
+    for each in ahead.candidates:
+        with suppress(ScenarioError):
+            bench.harness.world.check_fits(each)
+            fitting.append(each)
+    bench.runner.announce([each for each in fitting if each not in state.fatal], more=ahead.more)
 
 
 def check_time(bench: Bench) -> None:

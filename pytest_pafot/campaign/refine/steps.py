@@ -10,7 +10,6 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Refining
-from pytest_pafot.campaign.refine.breadth import with_breadth
 from pytest_pafot.campaign.refine.confirming import confirm_simplest
 from pytest_pafot.campaign.refine.drivers import with_drivers
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
@@ -26,7 +25,7 @@ from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
-EXAMINATIONS = {"neighbours": with_breadth, "decisions": with_moment, "conditions": with_conditions}
+EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
 """The steps that examine the simplest scenario of a finding, by what they are about. The first one that finds no time,
 or raises an error, ends them for this finding."""
 
@@ -36,7 +35,7 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf,
 
     First each is shrunk, confirmed and tried with other drivers, in turns. This leaves out findings that cannot be
     shrunk, since they depend on wall-clock time, are crashes, or are flaky in another way than by chance. Then those
-    whose runs are the same each time are examined: their neighbours, and the decisions that led to them.
+    whose runs are the same each time are examined: the decisions that led to them.
 
     Args:
         state, bench, store: the parts of the search. What is done is counted in the state, at once.
@@ -54,12 +53,12 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf,
         finally:
             state.shrink_decisions = bench.decisions - before
         try:
-            for sighting in list(store.findings.values()) if bench.harness.request.settings.neighbours else ():
+            for sighting in list(store.findings.values()):
                 if sighting.is_firm and sighting.id in refined:
                     yield from _examined(sighting, state, bench, store)
                     state.refined.add(sighting.id)
         finally:
-            state.neighbour_decisions = bench.decisions - before - state.shrink_decisions
+            state.moment_decisions = bench.decisions - before - state.shrink_decisions
 
 
 def _in_turns(state: State, bench: Bench, store: Store, way_on: str) -> Refining[set[str]]:
@@ -75,8 +74,6 @@ def _in_turns(state: State, bench: Bench, store: Store, way_on: str) -> Refining
         for number, id_ in enumerate(round_):
             if (yield from _turn(store.findings[id_], state, bench, store, sharing=len(round_) - number)):
                 done.add(id_)
-                if not bench.harness.request.settings.neighbours:
-                    state.refined.add(id_)
         waiting = [id_ for id_ in round_ if id_ not in done]
     for sighting in [store.findings[id_] for id_ in waiting]:
         cut = "not shrunk: out of time" if sighting.finding.shrunk is None else "shrunk in part: out of time"
@@ -157,16 +154,18 @@ def _examined(sighting: Sighting, state: State, bench: Bench, store: Store) -> R
     No error ends the search here, because a user's world may not expect scenarios other than those of a search.
     """
     __tracebackhide__ = True
-    sighting, about = replace(sighting, is_first=False), "neighbours"
-    try:
-        check_time(bench)
-        with runs_end_in(bench.refining_end - bench.clock()):
-            for about, step in EXAMINATIONS.items():  # noqa: B007  (a note names it)
+    sighting = replace(sighting, is_first=False)
+    for about, step in EXAMINATIONS.items():
+        try:
+            check_time(bench)
+            with runs_end_in(bench.refining_end - bench.clock()):
                 sighting = yield from step(sighting, state, bench, store)
                 yield from store.publish(sighting)
-    except OutOfTime:
-        yield Note(f"no {about} of saved-{sighting.id}: out of time")
-    except Exception as error:
-        if is_interruption(error):
-            raise
-        yield Note(f"no {about} of saved-{sighting.id}: {type(error).__name__}: {one_line(str(error))}")
+        except OutOfTime:
+            yield Note(f"no {about} of saved-{sighting.id}: out of time")
+            return
+        except Exception as error:
+            if is_interruption(error):
+                raise
+            yield Note(f"no {about} of saved-{sighting.id}: {type(error).__name__}: {one_line(str(error))}")
+            return

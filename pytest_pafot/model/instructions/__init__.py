@@ -19,14 +19,12 @@ from pytest_pafot.model.instructions.crossing import (
 )
 from pytest_pafot.model.instructions.free import BUILT_IN_DRIVERS, Free, checked_driver, random_free
 from pytest_pafot.model.instructions.instruction import (
-    LARGEST_SPEED_STEP,
     MAX_SPEED,
     SPEED_BIN,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
     Key,
-    Nudge,
     ScenarioError,
     known,
     roughness,
@@ -36,9 +34,9 @@ from pytest_pafot.model.instructions.manoeuvre import MOST_STEPS, Manoeuvre, Ste
 from pytest_pafot.model.instructions.recorded import Recorded, Track
 
 __all__ = [
-    "ACTS", "BUILT_IN_DRIVERS", "LANE_STARTS", "LARGEST_SLOT", "LARGEST_SPEED_STEP", "MAX_SPEED", "MOST_STEPS",
+    "ACTS", "BUILT_IN_DRIVERS", "LANE_STARTS", "LARGEST_SLOT", "MAX_SPEED", "MOST_STEPS",
     "SHIFTS", "SLOTS", "SLOT_STEPS_PER_SECOND", "SPEED_BIN", "SPEED_STEPS_PER_MPS", "Act", "Choices",
-    "CrossingInstruction", "Free", "Instruction", "Key", "LaneInstruction", "Manoeuvre", "Nudge", "PositionInstruction",
+    "CrossingInstruction", "Free", "Instruction", "Key", "LaneInstruction", "Manoeuvre", "PositionInstruction",
     "Recorded", "ScenarioError", "Step", "Track", "checked_driver", "known", "random_free", "random_lanes",
     "random_manoeuvre", "random_position", "roughness",
 ]  # fmt: skip

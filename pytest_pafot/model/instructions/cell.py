@@ -6,7 +6,7 @@ Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ from pytest_pafot.model.instructions.instruction import (
     SPEED_BIN,
     Choices,
     Key,
-    Nudge,
     ScenarioError,
     Space,
     TimedInstruction,
@@ -102,10 +101,6 @@ class PositionInstruction(TimedInstruction):
     def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[PositionInstruction]:
         """Return all cells at all speeds."""
         return [PositionInstruction(cell, speed) for cell in Cell for speed in speeds]
-
-    def changed(self, nudge: Nudge) -> PositionInstruction:
-        """Return the instruction for a neighbour of its cell."""
-        return replace(self, cell=self.cell.neighbours[int(2 * nudge.draw())])
 
     def beginning(self, seconds: float) -> str:
         """Return when the NPC drives into the cell."""

@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from pytest_pafot.model.instructions.instruction import (
-    LARGEST_SPEED_STEP,
     SPEED_BIN,
     Instruction,
     Key,
-    Nudge,
     ScenarioError,
     Space,
     checked_number,
@@ -48,9 +46,6 @@ SECOND, HALF = SLOT_STEPS_PER_SECOND, SLOT_STEPS_PER_SECOND // 2
 
 SMALL_SLOTS = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0)
 """Slots of NPCs that cross in small scenarios [s]."""
-
-SLOT = 0.5
-"""The largest step of a slot from a scenario to its neighbour [s]."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -207,16 +202,6 @@ class CrossingInstruction(Instruction):
         """Return few slots in the zones of the finding, at round speeds next to those there."""
         places = dict.fromkeys((each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in found)
         return [cls(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in places if speed > 0]
-
-    def paced(self, speed: float, factor: float | None, nudge: Nudge) -> CrossingInstruction:
-        """Return the instruction at another speed."""
-        return replace(self, speed=nudge.speed(speed, self.least_speed))
-
-    def moved(self, nudge: Nudge) -> CrossingInstruction:
-        """Return the instruction at a slightly different speed, with a slightly different slot."""
-        moved = self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
-        slot = round(moved.slot + nudge.step(SLOT), 1)
-        return replace(moved, slot=min(max(slot, -LARGEST_SLOT), LARGEST_SLOT))
 
     @property
     def slot_asked(self) -> float | None:

@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pytest_pafot.model.instructions.instruction import (
-    LARGEST_SPEED_STEP,
     MOST_BESIDE,
     NEAR,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
     Key,
-    Nudge,
     ScenarioError,
     Space,
     WithStart,
@@ -135,11 +133,6 @@ class Free(WithStart):
         for unit in (5, 1):
             with suppress(ScenarioError):  # in the ego's lane, none starts level with it
                 yield replace(self, ahead=float(round(self.ahead / unit) * unit))
-
-    def moved(self, nudge: Nudge) -> Free:
-        """Return the NPC with a slightly different speed and distance at the start."""
-        speed = nudge.speed(self.speed + nudge.step(LARGEST_SPEED_STEP), 0.0)
-        return replace(self, speed=speed, ahead=_toward(self.ahead, abs(nudge.step(JUMP))))
 
 
 def _toward(ahead: float, share: float) -> float:

@@ -13,7 +13,7 @@ import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import MISSING, Field, fields, replace
 from functools import lru_cache
 from itertools import count
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
@@ -43,9 +43,6 @@ CODES_PER_TARGET = 10_000
 
 SPEED_BIN = 5.0
 """The width of a bin of target speeds in coverage [m/s]."""
-
-LARGEST_SPEED_STEP = 1.5
-"""The largest step of a single speed from a scenario to its neighbour [m/s]."""
 
 # The starts that a search samples where no other NPC starts.
 
@@ -124,30 +121,6 @@ class Space(Protocol):
     @property
     def around(self) -> Any:
         """The scenario of recorded NPCs that all scenarios are changes of; None if there is none."""
-
-
-@dataclass(frozen=True, slots=True)
-class Nudge:
-    """The size of the steps from a scenario to its neighbour.
-
-    Attributes:
-        share: the size of all steps as a share of the largest ones.
-        top_speed, least_speed: bounds of the speeds of NPCs [m/s].
-        draw: returns a random number from 0 to 1.
-    """
-
-    share: float
-    top_speed: float
-    least_speed: float
-    draw: Callable[[], float]
-
-    def step(self, largest: float) -> float:
-        """Draw a step to either side."""
-        return largest * self.share * (2 * self.draw() - 1)
-
-    def speed(self, speed: float, least: float) -> float:
-        """Return a speed within ``least`` and the top speed, in steps of 0.1 m/s."""
-        return round(min(max(speed, least), self.top_speed), 1)
 
 
 class Instruction(Pasteable, ABC):
@@ -333,23 +306,6 @@ class Instruction(Pasteable, ABC):
     def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[Instruction]:
         """Return the instructions of small scenarios for a finding with instructions ``found`` of this kind."""
         return ()
-
-    # Neighbours.
-
-    def paced(self, speed: float, factor: float | None, nudge: Nudge) -> Instruction:
-        """Return the instruction at another speed, which the traffic allows unless it did not allow the own one.
-
-        If all speeds of the scenario change, it is by the ``factor``.
-        """
-        return self.with_speed(nudge.speed(speed, min(nudge.least_speed, self.speed)))
-
-    def moved(self, nudge: Nudge) -> Instruction:
-        """Return an instruction whose numbers are a little different."""
-        return self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
-
-    def changed(self, nudge: Nudge) -> Instruction:
-        """Return an instruction with a target next to its own, or else one that is only moved."""
-        return self.moved(nudge)
 
     # What it asks for, and reports.
 

@@ -16,7 +16,6 @@ from pytest_pafot.model.instructions.instruction import (
     SPEED_STEPS_PER_MPS,
     Choices,
     Key,
-    Nudge,
     ScenarioError,
     Space,
     TimedInstruction,
@@ -114,11 +113,6 @@ class LaneInstruction(TimedInstruction):
     def small(cls, found: Sequence[Any], speeds: Sequence[float]) -> Sequence[LaneInstruction]:
         """Return all lanes at all speeds."""
         return [LaneInstruction(lane, speed) for lane in SHIFTS for speed in speeds]
-
-    def changed(self, nudge: Nudge) -> LaneInstruction:
-        """Return the instruction for a different lane."""
-        others = [lane for lane in SHIFTS if lane != self.lane]
-        return replace(self, lane=others[int(2 * nudge.draw())])
 
     def words(self, apart: float) -> str:
         """Return the change of lanes as seen from the ego: ``from the left into the ego's lane``."""

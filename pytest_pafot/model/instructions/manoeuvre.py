@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.instructions.instruction import (
     FARTHEST,
-    LARGEST_SPEED_STEP,
     MAX_SPEED,
     MOST_BESIDE,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
-    Nudge,
     ScenarioError,
     Space,
     WithStart,
@@ -41,9 +39,6 @@ FASTEST_ASIDE = 5.0
 
 MOST_STEPS = 16
 """The largest number of steps of a manoeuvre."""
-
-DISTANCE = 0.1
-"""The largest step of a distance that begins a step, from a scenario to its neighbour, as a share of the distance."""
 
 PLAIN_OF_STEPS = ("lane", "lateral_speed", "offset", "speed", "acceleration")
 """What of a step is simplest at its default."""
@@ -284,39 +279,6 @@ class Manoeuvre(WithStart):
         for unit in (5, 1):
             with suppress(ScenarioError):  # in the ego's lane, no manoeuvre starts level with it
                 yield replace(self, ahead=float(round(self.ahead / unit) * unit))
-
-    def paced(self, speed: float, factor: float | None, nudge: Nudge) -> Manoeuvre:
-        """Return the manoeuvre at another speed.
-
-        The speeds of its steps change by the same factor, or without one by the same difference, but a step to a
-        standstill stays one.
-        """
-        steps = []
-        for step in self.steps:
-            if step.speed:
-                wanted = step.speed + speed - self.speed if factor is None else factor * step.speed
-                step = replace(step, speed=nudge.speed(wanted, 0.0))  # noqa: PLW2901
-            steps.append(step)
-        return replace(self, speed=nudge.speed(speed, 0.0), steps=tuple(steps))
-
-    def moved(self, nudge: Nudge) -> Manoeuvre:
-        """Return the manoeuvre at slightly different speeds, with steps at slightly different distances or times."""
-        moved = self.paced(self.speed + nudge.step(LARGEST_SPEED_STEP), None, nudge)
-        return replace(moved, steps=tuple(_nudged(step, nudge) for step in moved.steps))
-
-
-def _nudged(step: Step, nudge: Nudge) -> Step:
-    """Return a step that begins at a slightly different distance or time."""
-    longer = 1 + nudge.step(DISTANCE)
-    if step.gap is not None:
-        return replace(step, gap=_within(step.gap * longer, FARTHEST))
-    if step.headway is not None:
-        return replace(step, headway=_within(step.headway * longer, LONGEST_HEADWAY))
-    return replace(step, after=_within(step.after * longer, LATEST))
-
-
-def _within(value: float, most: float) -> float:
-    return round(min(max(value, -most), most), 1)
 
 
 def random_manoeuvre(choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Manoeuvre:

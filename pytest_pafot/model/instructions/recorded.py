@@ -12,7 +12,6 @@ from pytest_pafot.model.instructions.instruction import (
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
-    Nudge,
     ScenarioError,
     Space,
     checked_number,
@@ -50,8 +49,6 @@ LATEST, SLOWEST, FASTEST, SHIFTED = 5.0, 0.8, 1.2, 30.0
 factor of 1.2 makes accelerations 1.44 times as large, which a car can do that has not braked hard before."""
 VARIED_TIME, VARIED_PLACE = 2.0, 15.0
 """How far a search changes it [s, m]; any change of the speed is allowed up to the limit of the road."""
-NUDGED_TIME, NUDGED_PLACE = 0.3, 2.0
-"""The largest steps from a scenario to its neighbour [s, m]."""
 
 
 class _Parsed(Pasteable):
@@ -343,15 +340,6 @@ class Recorded(Instruction):
             changes: list[dict[str, Any]] = [{name: getattr(DEFAULT_STEP, name)} for name in PLAIN_OF_STEPS]
             for each in ((), *((replace(step, **change),) for change in changes)):
                 yield replace(self, steps=(*self.steps[:number], *each, *self.steps[number + 1 :]))
-
-    def moved(self, nudge: Nudge) -> Recorded:
-        """Return the instruction at a slightly different time and place."""
-        later, shift = self.later + nudge.step(NUDGED_TIME), self.shift + nudge.step(NUDGED_PLACE)
-        return replace(
-            self,
-            later=round(min(max(later, -LATEST), LATEST), 1),
-            shift=round(min(max(shift, -SHIFTED), SHIFTED), 1),
-        )
 
 
 def _pace(factor: float) -> float:

@@ -1,4 +1,4 @@
-"""The option `neighbours`: how broad each new finding is."""
+"""What is found out about the decisions that led to a finding."""
 
 import json
 import re
@@ -6,22 +6,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from pytest_pafot.findings.neighbours import Breadth
-from pytest_pafot.findings.shrink import Ahead
+from pytest_pafot.campaign.refine import steps
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.driving.conditions import NOBODY
 
-COLLIDES = """
-@pafot.search(SHORT, stop_after=1)
-def test_collides(run):
-    assert not run.collision
-"""
-TEXT = r"note +(.*; )?(broad|narrow|knife edge): \D* scenarios fail the same way\D*"
-
-
-@pytest.fixture
-def collides(project):
-    project.write(COLLIDES)
-    return project
+pytestmark = pytest.mark.usefixtures("examined")
 
 
 def run(project, *args, **options):
@@ -34,101 +23,20 @@ def run(project, *args, **options):
     return result, record, project.contents
 
 
-def labelled(contents, record):
-    """Return the contents of the one file of a finding with the label that says how broad the finding is."""
-    ((name, text),) = contents.items()
-    breadth = record["breadth"]
-    label = f"neighbours: {{failing: {breadth['failing']}, of: {breadth['of']}}}"
-    return {name: text.replace('# xfail: "reason"', f'{label}\n# xfail: "reason"')}
+@pytest.mark.parametrize(
+    ("error", "told"), [(OutOfTime(), "out of time"), (IndexError("not here"), "IndexError: not here")]
+)
+def test_an_examination_without_time_or_with_an_error_loses_no_finding(project, monkeypatch, error, told):
+    def fails(*_):
+        raise error
+        yield
 
-
-def test_how_broad_a_finding_is_stands_in_the_report_in_json_and_in_its_file(collides):
-    plain, record, contents = run(collides)
-    assert record["breadth"] is None
-    assert "neighbours" not in plain.stdout.str()
-    result, record, same = run(collides, "--pafot-neighbours=8")
+    monkeypatch.setattr(steps, "EXAMINATIONS", {"decisions": fails})
+    project.write(HIDES.replace("ADS", "def make():\n    return lambda seen: 1"))
+    result, record, contents = run(project)
     result.assert_outcomes(failed=2)
-    result.stdout.re_match_lines([TEXT, r"  \d+ runs and \d+ of neighbours in .*"])
-    assert (record["breadth"]["failing"], record["breadth"]["of"]) == (5, 6)  # of 8: that is clear
-    assert same == labelled(contents, record)
-
-
-@pytest.mark.processes
-def test_it_is_the_same_with_workers_and_on_each_run(collides):
-    told = [run(collides, "--pafot-neighbours=8", *more)[1:] for more in ((), (), ("--pafot-workers=2",))]
-    assert told[0] == told[1] == told[2]
-    assert "neighbours: {failing: " in str(told[0][1])
-
-
-def test_what_is_found_out_about_a_finding_is_on_the_page_in_junit_and_in_a_job(collides, monkeypatch):
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(collides.path / "summary.md"))
-    monkeypatch.setenv("GITHUB_ACTIONS", "true")
-    result, record, _ = run(collides, "--pafot-neighbours=8", "--pafot-report=out.html", "--junitxml=out.xml")
-    breadth = Breadth(**record["breadth"])
-    assert f'name="pafot_breadth" value="{breadth.word}"' in (collides.path / "out.xml").read_text()
-    for name in ("out.html", "summary.md"):
-        assert str(breadth) in (collides.path / name).read_text()
-    result.stdout.re_match_lines([rf"::error file=test_it.py,title={record['id']}::collision after .*%0A.*"])
-
-
-@pytest.mark.parametrize("source", ["marker", "ini"])
-def test_the_number_may_be_argument_or_ini_key(project, source, monkeypatch):
-    argument = ", neighbours=3" if source == "marker" else ""
-    project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
-    monkeypatch.delenv("PAFOT_NEIGHBOURS")
-    if source == "ini":
-        project.pytester.makeini("[pytest]\npafot_neighbours = 3\n")
-    assert run(project)[1]["breadth"]["of"] == 2  # of 3: that is clear
-
-
-def test_neighbours_that_the_time_does_not_allow_are_not_counted_in_part(collides, monkeypatch):
-    monkeypatch.setattr("pytest_pafot.campaign.refine.breadth.breadth_of", ends)
-    result, record, contents = run(collides, "--pafot-neighbours=8")
-    assert record["breadth"] is None
-    assert len(contents) == 1
-    result.stdout.fnmatch_lines([f"*no neighbours of saved-{record['id']}: out of time*"])
-
-
-OWN = """
-class Road:
-    speed_limit, longest_run = 26.8, 10.0
-
-    def to_dict(self):
-        return {"kind": "own"}
-
-    def rollout(self, scenario, ads):
-        if scenario.ego_speed != 22:
-            raise IndexError(f"not at {scenario.ego_speed}")
-        return pafot.Highway().rollout(scenario, ads)
-
-@pafot.search(SHORT, stop_after=1, world=Road(), shrink_rollouts=0)
-def test_collides(run):
-    assert not run.collision
-"""
-
-
-def test_a_world_that_raises_in_a_neighbour_loses_no_finding(project):
-    project.write(OWN)
-    result, record, contents = run(project, "--pafot-neighbours=8")
-    result.assert_outcomes(failed=2)
-    assert record["breadth"] is None
-    assert len(contents) == 1
-    result.stdout.fnmatch_lines([f"*no neighbours of saved-{record['id']}: IndexError: not at *"])
-
-
-def ends(scenario, *_):
-    answer = yield scenario, Ahead((), more=False)
-    assert answer is None  # it is the finding's own run
-    from pytest_pafot.support.errors import OutOfTime
-
-    raise OutOfTime
-
-
-@pytest.mark.parametrize("value", ["-1", "1001", "many"])
-def test_a_wrong_number_is_a_usage_error(collides, value):
-    result = collides.run(f"--pafot-neighbours={value}")
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines([f"*--pafot-neighbours*expected a whole number*received '{value}'*"])
+    assert (record["answers"], len(contents)) == (None, 1)
+    result.stdout.fnmatch_lines([f"*no decisions of saved-{record['id']}: {told}*"])
 
 
 HIDES = """
@@ -143,14 +51,14 @@ def test_collides(run):
 
 def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
     project.write(HIDES.replace("ADS", "def make():\n    return lambda seen: 1"))
-    result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
+    result, record, _ = run(project, "--pafot-shrink-rollouts=0")
     answers, moment = record["answers"], record["moment"]
     assert (answers["npc"], answers["depending"], answers["unseen"]) == (0, 0, False)
     assert answers["decisions"] > 0
     if moment is not None:
         assert (moment["action"], moment["hidden"], moment["otherwise"]) == ("1", "", None)
     result.stdout.re_match_lines([r"answers +0 of its \d+ decisions from \d+\.\d s on depend on NPC 0"])
-    apart = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]
+    apart = run(project, "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]
     assert (apart["answers"], apart["moment"]) == (answers, moment)
 
 
@@ -164,7 +72,7 @@ def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
 )
 def test_nothing_is_said_of_a_policy_that_sees_more(project, ads):
     project.write(HIDES.replace("ADS", ads))
-    answers = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0")[1]["answers"]
+    answers = run(project, "--pafot-shrink-rollouts=0")[1]["answers"]
     assert (answers is None) == ("env" in ads)
 
 
@@ -181,7 +89,7 @@ def test_collides(run):
     assert not run.collision
 """
     )
-    result, record, _ = run(project, "--pafot-neighbours=8", "--pafot-runs=60")
+    result, record, _ = run(project, "--pafot-runs=60")
     moment = record["moment"]
     assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
     result.stdout.re_match_lines([r"moment +\d+\.\d s, the first that differs: acceleration 0\.0 m/s\^2; .*"])
@@ -211,7 +119,7 @@ def test_conditions_of_two_vehicles_are_told_apart(project):
     more = "        if max(o.x for o in seen.others) < 0.0: return 0.0, 0.0\n"
     decides = "        return self.braking("
     project.write(READS.replace("npcs=1", "npcs=2").replace(decides, f"{more}{decides}"))
-    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
+    moment = run(project, "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
     groups = {row.partition(": ")[2].partition(" <")[0]: whom for whom, rows in moment["conditions"] for row in rows}
     assert set(groups) == {"gap", "max((o.x for o in seen.others))"}
     assert set(groups.values()) == {"NPC 0", "NPC 1"}
@@ -223,7 +131,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     line = 1 + (project.path / "test_it.py").read_text().splitlines().index(
         "        return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5"
     )
-    options = ("--pafot-neighbours=8", "--pafot-shrink-rollouts=0")
+    options = ("--pafot-shrink-rollouts=0",)
     result, record, _ = run(project, *options, "--pafot-report=out.html", generations=20)
     ((whom, (row,)),) = record["moment"]["conditions"]
     assert whom == f"NPC {record['moment']['npc']}"
@@ -282,7 +190,7 @@ def test_of_a_change_of_lanes_the_condition_that_let_it_pass_is_told_first(proje
     project.write(WEAVES.replace("REAR", rear))
     lines = (project.path / "test_it.py").read_text().splitlines()
     line = 1 + lines.index(f"            if other.lane == lane and {rear}:")
-    options = ("--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-runs=400")
+    options = ("--pafot-shrink-rollouts=0", "--pafot-runs=400")
     moment = run(project, *options, generations=50)[1]["moment"]
     whom, rows = moment["conditions"][0]
     assert whom == f"NPC {moment['npc']}"
@@ -302,9 +210,7 @@ def test_never_moves_over_at_fault(run):
     assert not (run.collision and run.attribution.fault == "entered-lane")
 """
     )
-    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", "--pafot-runs=400", generations=50)[1][
-        "moment"
-    ]
+    moment = run(project, "--pafot-shrink-rollouts=0", "--pafot-runs=400", generations=50)[1]["moment"]
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
     ((whom, rows),) = moment["conditions"]
     assert whom == NOBODY
@@ -314,7 +220,7 @@ def test_never_moves_over_at_fault(run):
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.refine.moment.Conditions", lambda *_: Otherwise())
     project.write(READS)
-    moment = run(project, "--pafot-neighbours=8", "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
+    moment = run(project, "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
     assert moment["action"]
     assert moment["conditions"] == []
 
