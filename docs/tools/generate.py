@@ -184,7 +184,6 @@ FILE_TEXTS: Mapping[str, str] = {
     "found.seed": "Of the search; no value for `--pafot-seed`.",
     "found.generation": "Counted from 0.",
     "found.versions": "Of the packages that the run depends on, and of the rules of verdicts.",
-    "found.weights": "`sha256:` and a hash of the policy, if its factory provides one; a replay reports a difference.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 

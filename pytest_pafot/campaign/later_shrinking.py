@@ -65,7 +65,7 @@ def shrink_saved(
     # What was measured in the file's scenario says nothing of a simpler one.
     start = replace(
         before,
-        found=replace(before.found, versions=harness.versions, weights=harness.policy.weights),
+        found=replace(before.found, versions=harness.versions),
         perception=None if sight is None else Perceived(sight=sight),
         original=None,
         shrunk=None,

@@ -481,18 +481,13 @@ class Replays:
         then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
         if now is not None and Traffic.of(now) != then:
             told.append(f"run in the traffic of the file, which is not the test's: {then} there, {Traffic.of(now)} now")
-        return [*self.world_changes(finding), *told, *self.ads_changes(finding)]
+        return [*self.world_changes(finding), *told, *self.sight_change(finding)]
 
     def sight_change(self, finding: Finding) -> list[str]:
         """Return how the ADS's sight in the file and now differ; empty if they are the same."""
         then = Sight() if finding.perception is None else finding.perception.sight
         now = self.harness.policy.sight or Sight()
         return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
-
-    def ads_changes(self, finding: Finding) -> list[str]:
-        """Return how the ADS in a file differs from the present ADS: its sight, and its weights if both are known."""
-        then, now = finding.found.weights, self.harness.policy.weights
-        return [*self.sight_change(finding), *(["found with other weights"] if then and now and then != now else [])]
 
     def changes(self, finding: Finding, now: str) -> str:
         """Return the differences between a file and its replay in words; ``now`` is what happened in the replay."""

@@ -453,7 +453,6 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "against": None if harness.against is None else harness.against.shown,
         "drivers": dict.fromkeys(harness.drivers, ""),
         "sight": None if sight is None else asdict(sight),
-        "weights": harness.policy.weights,
         "versions": harness.versions,
         "code": _code(harness),
     }

@@ -295,7 +295,6 @@ class Store:
             generation=generation,
             algorithm=algorithm,
             versions=self.harness.versions,
-            weights=self.harness.policy.weights,
         )
 
     def _origin(self, generation: int, number: int) -> str:

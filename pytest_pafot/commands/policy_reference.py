@@ -14,7 +14,6 @@ from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.references import PLANNER, factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import meant
-from pytest_pafot.world.driving.policy import Policy
 
 BAD_USE = 2
 """The exit code for wrong arguments, which argparse uses as well."""
@@ -138,30 +137,24 @@ def check_function(reference: str) -> Callable[..., Any]:
 
 
 def identity(reference: str) -> dict[str, Any]:
-    """Return what identifies a policy and its version: the hashes of its weights and of its source files.
+    """Return what identifies a policy and its version: the hashes of its source files.
 
     The source files are those of the user, with all that they import. The code of an example policy that is installed
     with this package has the version of this package.
 
     Raises:
         RequestError: if there is no policy of the given name.
-        AdsFactoryError: if the weights cannot be read.
     """
     factory = ads_factory(reference)
     code = source_digests(importlib.import_module(whole_name(reference).partition(":")[0]), factory, here=Path.cwd())
-    return {"weights": Policy(factory).weights, "code": code}
+    return {"code": code}
 
 
-def caution(references: Iterable[str]) -> str:
-    """Return a warning about policies whose weights have no hash, so that changes may go unnoticed; or empty."""
-    names = [each for each in references if not Policy(ads_factory(each)).weights]
-    if not names:
-        return ""
-    return (
-        f"{' and '.join(names)} provide{'s' if len(names) == 1 else ''} no hash of weights, so only the source "
-        "files are known to be the same: if the policy was trained since then, or reads a file that has changed, give "
-        "another --out"
-    )
+CAUTION = (
+    "only the source files of the policies are known to be the same: if a policy was trained since then, or reads a "
+    "file that has changed, give another --out"
+)
+"""The warning of a command that continues earlier results."""
 
 
 def config_of(text: str | None) -> dict[str, Any] | None:

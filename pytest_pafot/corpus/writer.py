@@ -116,7 +116,6 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 def text_of(finding: Finding) -> str:
     """Return the text of the corpus file of a finding, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
-    found = {key: value for key, value in asdict(finding.found).items() if value or key != "weights"}
     perceived: dict[str, Any] = {}
     if finding.perception is not None:
         needed = finding.perception.needed
@@ -133,7 +132,7 @@ def text_of(finding: Finding) -> str:
         *_filled("world: ", finding.world),
         *scenario_lines("scenario", finding.scenario),
         *_expect_lines(finding.expect),
-        *_filled("found: ", found),
+        *_filled("found: ", asdict(finding.found)),
         *([] if finding.perception is None else _filled("perception: ", perceived)),
         *([] if finding.original is None else scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),

@@ -282,15 +282,12 @@ class Found:
         generation: generation of the search that found it, counted from 0.
         algorithm: name of the search.
         versions: versions of the packages that the run depends on.
-        weights: ``sha256:`` and a hash of the policy, if its factory provides one (``pafot.policies``). A replay
-            reports a difference.
     """
 
     seed: int
     generation: int
     algorithm: str
     versions: Mapping[str, str] = field(default_factory=dict)
-    weights: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,9 +39,8 @@ class Record:
         self.results: dict[str, list[str]] = {}  # of the phases
         self.reasons: dict[str, str] = {}  # the line of the short summary, or the first line of the text
         self.incomparable: dict[str, None] = {}  # items whose policy could not be compared with its reference
-        self.compared: list[str] = []
         self.warnings: list[str] = []
-        self.notes: dict[str, None] = {}  # with what was compared, in the order in which they came
+        self.notes: dict[str, None] = {}  # in the order in which they came
 
     @property
     def replays(self) -> list[Sighting]:
@@ -87,9 +86,8 @@ class Record:
                 self.incomparable[node_id] = None
             case "warning":
                 self.warnings.append(data["text"])
-            case "note" | "compared":
+            case "note":
                 self.notes[data["text"]] = None
-                self.compared += [data["text"]] if message.kind == "compared" else []
             case "done":
                 self._lines.reports.append(data["text"])
             case "problem":

@@ -53,7 +53,7 @@ class Pages:
             with lines.faults(f"{flag('report', draft.target)}: not written"):
                 self._write(path, draft, is_interrupted=is_interrupted)
         asked, is_listed = self._config.getoption(BY_NAME["report"].key), self._config.getoption("collectonly", False)
-        if asked and not (self._drafts or self._record.compared or is_listed):
+        if asked and not (self._drafts or is_listed):
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, message: Message) -> None:

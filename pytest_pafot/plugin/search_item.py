@@ -61,7 +61,6 @@ from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
-from pytest_pafot.support.source_files import files_line, source_digests
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
@@ -236,10 +235,6 @@ def run_search(item: pytest.Function, request: Request) -> None:
     now = time.monotonic()
     limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
     harness = harness_of(item, request)
-    if harness.against is not None and settings.is_search:
-        policies = harness.against.policy, harness.policy
-        before, after = (source_digests(each.factory, here=harness.root) for each in policies)
-        messages.send(item, "compared", {"text": files_line(harness.against.shown, before, "now", after)})
     replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)

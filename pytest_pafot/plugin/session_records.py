@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pytest_pafot.report.session_record import OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
+EVENTS = ("start", "progress", "finding", "search", "note", "warning")
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
 QUICK, REST = 0.1, 10
@@ -79,8 +80,8 @@ class Records:
         self._write_json(code)
         path, record = os.environ.get(SUMMARY), self._record
         orphans, searches = self._config.stash[UNRUN].orphans, (record.searches, record.running, record.unbegun)
-        findings, texts = (record.sightings, record.unread), (record.warnings, record.compared)
-        if not path or not any((*searches, *findings, *texts, orphans, self._lines.problems)):
+        findings, problems = (record.sightings, record.unread), (record.warnings, self._lines.problems)
+        if not path or not any((*searches, *findings, *problems, orphans)):
             return  # A session without anything to report imports nothing for it.
         with self._lines.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
@@ -135,7 +136,6 @@ class Records:
                 for node_id, search in sorted(searches.items())
             ],
             findings=findings,
-            compared=list(dict.fromkeys(record.compared)),
             orphans=self._orphans() if code is not None else [],
             warnings=sorted([*record.warnings, *self._lines.warnings]),
             problems=list(self._lines.problems),

@@ -224,7 +224,6 @@ class SessionRecord:
         commit, day: values of `--pafot-commit` and `--pafot-today`, or null.
         versions: of the packages on which a run depends.
         searches, findings: in the order of node ids; `findings` are new or replayed.
-        compared: lines on what was compared with a reference, or why nothing was.
         orphans: folders of saved scenarios without a test.
         warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
     """
@@ -235,7 +234,6 @@ class SessionRecord:
     versions: Mapping[str, str] = field(default_factory=dict)
     searches: list[SearchSummary] = field(default_factory=list)
     findings: list[dict[str, Any]] = field(default_factory=list)
-    compared: list[str] = field(default_factory=list)
     orphans: list[OrphanRecord] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -243,7 +241,7 @@ class SessionRecord:
     @property
     def is_empty(self) -> bool:
         """True if nothing in the session concerned this plugin."""
-        parts = (self.searches, self.findings, self.compared, self.orphans, self.problems)
+        parts = (self.searches, self.findings, self.orphans, self.problems)
         return not any(parts)
 
 
@@ -315,7 +313,6 @@ def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
     failed = [each for each in record.searches if each.result in FAILED]
     faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
-    yield from _listed("Compared", [plain(each) for each in record.compared])
     lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]
     yield from _listed("Saved scenarios whose test is gone", lost)
     yield from _listed("Warnings", [plain(each) for each in record.warnings])
@@ -326,8 +323,7 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
     """Yield a line with the number of searches and runs, and with the options that repeat them."""
     ran = [search for search in record.searches if search.began]
     if not ran:
-        idle = "No search ran." if record.compared else "No search was requested."
-        yield "No search ran to its end." if record.searches else idle
+        yield "No search ran to its end." if record.searches else "No search was requested."
         return
     options = " or ".join(code(options) for options in dict.fromkeys(search.options for search in ran))
     count = "1 search" if len(ran) == 1 else f"{len(ran)} searches"

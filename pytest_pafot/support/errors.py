@@ -70,6 +70,11 @@ def sentence(field: str, expected: str, received: str, fix: str) -> str:
     return f"{place}expected {expected}, received {received}{way_out}"
 
 
+def refused_policy(expected: str, received: str, fix: str) -> AdsFactoryError:
+    """Return the error for a policy that cannot drive; its message has all three arguments."""
+    return AdsFactoryError(sentence("ads", expected, received, fix))
+
+
 POSITIVE = math.ulp(0.0)
 """The smallest positive float: used as the lower limit of a number, it excludes zero."""
 

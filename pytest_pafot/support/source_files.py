@@ -14,19 +14,14 @@ import importlib.util
 import inspect
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib.machinery import PathFinder
 from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
 from typing import NamedTuple
 
-from pytest_pafot.support.text import plural, visible
-
 INSTALLED = ("site-packages", "dist-packages")
 """The names of folders with installed packages, of which no file is the user's."""
-
-SHOWN = 5
-"""The largest number of files that are named in a line."""
 
 
 class _Source(NamedTuple):
@@ -41,18 +36,6 @@ def source_digests(*values: object, here: Path) -> dict[str, str]:
     """
     files = source_files(*values).items()
     return dict(sorted((_key(name, file, here.resolve()), digest) for file, (name, digest) in files))
-
-
-def files_line(old: str, before: Mapping[str, str], new: str, now: Mapping[str, str]) -> str:
-    """Return a line with the names of both sides, how many of their files differ, and the first of these.
-
-    ``before`` and ``now`` have the hashes of the files.
-    """
-    names = sorted({**before, **now})
-    differ = [name for name in names if before.get(name) != now.get(name)]
-    more = [f"{len(differ) - SHOWN} more"] if len(differ) > SHOWN else []
-    which = f": {', '.join([*map(visible, differ[:SHOWN]), *more])}" if differ else ""
-    return f"{old} and {new}: {len(differ)} of {plural(len(names), 'file')} of the policy differ{which}"
 
 
 def source_files(*values: object) -> dict[Path, tuple[str, str]]:

@@ -249,7 +249,6 @@ def findings(draw):
             generation=draw(st.integers(0, 10**6)),
             algorithm=draw(texts()),
             versions=draw(st.dictionaries(keys(), texts(), max_size=4)),
-            weights=draw(texts()),
         ),
         perception=draw(st.none() | perceptions()),
         original=draw(st.one_of(st.none(), scenarios())),

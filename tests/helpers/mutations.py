@@ -262,7 +262,6 @@ DEFAULTS: Mapping[str, Any] = {
     "assertion": "",
     "message": "",
     "against": "",
-    "weights": "",
     "traceback": "",
     "act": "pass",
     "steps": [],

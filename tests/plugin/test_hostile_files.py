@@ -34,7 +34,7 @@ def write_hostile(project):
         finding.expect, failure=WORST, assertion=WORST, message=WORST, traceback=WORST, against=WORST,
         reference_drivers={WORST: "avoids"},
     )  # fmt: skip
-    found = replace(finding.found, algorithm=WORST, versions={WORST: WORST, "pytest-pafot": WORST}, weights=WORST)
+    found = replace(finding.found, algorithm=WORST, versions={WORST: WORST, "pytest-pafot": WORST})
     texts = replace(finding, test=WORST, expect=expect, found=found)
     world = dict(finding.world)
     files = {

@@ -429,26 +429,3 @@ def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
     assert record["status"] == "passes"
     assert record["xfail"] == {"reason": "planner issue 12", "until": "2027-01-31", "flaky": True}
     saved.run("--pafot-today=2027-02-01", generations=0).assert_outcomes(passed=1, skipped=1)
-
-
-TRAINED = """
-class Trained:
-    weights_digest = "sha256:1"
-
-    def __call__(self):
-        return lambda observation: (0.0, 0.0)
-
-@pafot.search(SHORT, stop_after=1, ads=Trained())
-def test_fails(run):
-    assert run.duration < LIMIT
-"""
-
-
-def test_replay_mentions_weights_that_have_changed(project):
-    project.write(TRAINED.replace("LIMIT", "1"))
-    project.run()
-    project.run(generations=0).stdout.no_fnmatch_line("*other weights*")
-    project.write(TRAINED.replace("LIMIT", "1").replace("sha256:1", "sha256:2"))
-    project.run(generations=0).stdout.fnmatch_lines(["replay: still failing, found with other weights"])
-    project.write(TRAINED.replace("LIMIT", "100").replace("sha256:1", "sha256:2"))
-    project.run(generations=0).stdout.fnmatch_lines(["  passes: *", "    found with other weights"])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pytest_pafot import WorldLike
-from pytest_pafot.extending import AlgorithmRun, Policy, SetupFaultError, caution
+from pytest_pafot.extending import CAUTION, AlgorithmRun, Policy, SetupFaultError
 from pytest_pafot.extras.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.support.errors import RequestError
@@ -47,7 +47,7 @@ def run_all(plan: Plan, folder: Path, *, workers: int, stream: TextIO, clock: Ca
         question_file="comparison.json",
         identities=plan.identities,
         text=partial(_text, plan),
-        caution=caution([plan.ads]),
+        caution=CAUTION,
     )
     claim(job, folder)  # report an unusable folder before anything else
     if len(plan.scenarios) > 1:

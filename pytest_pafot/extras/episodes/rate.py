@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Outcome, World
-from pytest_pafot.extending import AdsFactory, WorldData, ads_factory, caution, chosen_world, code_of, identity
+from pytest_pafot.extending import CAUTION, AdsFactory, WorldData, ads_factory, chosen_world, code_of, identity
 from pytest_pafot.extras.resumable import ResumableJob, Task, Tick
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import CONFIDENCE, holm, interval, interval_text, mcnemar
@@ -288,7 +288,7 @@ class RatePlan:
             question_file=QUESTION,
             text=partial(_text, self),
             sizes=sizes,
-            caution=caution(names),
+            caution=CAUTION,
         )
 
 

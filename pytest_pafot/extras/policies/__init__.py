@@ -1,8 +1,7 @@
 """Policies from files and programs, each as an ADS factory in one line.
 
-A factory is a frozen value that can be pickled. A factory of a file loads its policy once, when a search
-begins or a run needs it, on the CPU and with one thread. The library that it needs is imported only then. Its
-``weights_digest`` is a hash of the loaded files, which findings store. Before the first run in a
+A factory is a frozen value that can be pickled. A factory of a file loads its policy once, when a search begins or a
+run needs it, on the CPU and with one thread. The library that it needs is imported only then. Before the first run in a
 :class:`pytest_pafot.World` it compares the world's observations and actions with those of the policy. A factory of a
 program starts it in each process and compares nothing.
 
@@ -72,11 +71,11 @@ def process(command: Sequence[str], *, keep: bool = True, timeout: float | None 
         timeout: time to wait for an answer [s], after which it is killed; by default only the world's ``hang_limit``
             ends the wait.
     """
-    from pytest_pafot.extras.policies.loading import refused  # noqa: PLC0415  (imported only if used)
-    from pytest_pafot.extras.policies.programs import ProgramLoader  # noqa: PLC0415
+    from pytest_pafot.extras.policies.programs import ProgramLoader  # noqa: PLC0415  (imported only if used)
+    from pytest_pafot.support.errors import refused_policy  # noqa: PLC0415
 
     if isinstance(command, (str, bytes, os.PathLike)) or not command:
         words = command.split() if isinstance(command, str) else [command]
         example = f"write process({words!r})" if command else 'name it, as in process(["./planner"])'
-        raise refused("a program and its arguments in a list", repr(command), example)
+        raise refused_policy("a program and its arguments in a list", repr(command), example)
     return ProgramLoader(command=tuple(command), keep=keep, timeout=timeout)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import pickle
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.extras.policies.loading import PolicyLoader, digest_of, library, named, refused
-from pytest_pafot.support.errors import AdsFactoryError, plain_whole
+from pytest_pafot.support.errors import AdsFactoryError, install, plain_whole
+from pytest_pafot.support.errors import refused_policy as refused
 
 Array = npt.NDArray[Any]
 
@@ -48,9 +50,16 @@ OF_TRAINING = {
 """Replacements of parameters that only training needs: functions from a different Python version, or large memory."""
 
 
+KEPT = 8
+"""The largest number of models that stay loaded in a process, so that each run gets its ADS without a delay."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Sb3Policy(PolicyLoader):
-    """The factory that :func:`pytest_pafot.extras.policies.sb3` makes."""
+class Sb3Policy:
+    """The factory that :func:`pytest_pafot.extras.policies.sb3` makes.
+
+    Its model is loaded once in a process; forked processes inherit the loaded model.
+    """
 
     file: Path
     vecnormalize: Path | None = None
@@ -63,11 +72,6 @@ class Sb3Policy(PolicyLoader):
             raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give the number that VecFrameStack had")
 
     @functools.cached_property
-    def weights_digest(self) -> str:
-        """A hash of the zip file and, if there are any, of the statistics of VecNormalize."""
-        return digest_of(path for path in (self.file, self.vecnormalize) if path is not None)
-
-    @functools.cached_property
     def loading_hint(self) -> str:
         """A sentence on why statistics of VecNormalize seem to be missing; empty if they are given or not needed."""
         try:
@@ -75,9 +79,22 @@ class Sb3Policy(PolicyLoader):
         except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
             return ""
 
+    def preload(self) -> None:
+        """Load the model now, so that processes forked later inherit it and its libraries, which take seconds."""
+        _ = self.loaded
+
+    @functools.cached_property
+    def loaded(self) -> BaselineModel:
+        """The result of :meth:`load`, which equal factories share."""
+        files = [path for path in (self.file, self.vecnormalize) if path is not None]
+        return _loaded(self, tuple(map(_changed_at, files)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "loaded"}
+
     def load(self) -> BaselineModel:
         """Load the model on the CPU."""
-        library("torch").set_num_threads(1)
+        _library("torch").set_num_threads(1)
         zipped = _parameters(self.file)
         given = {name: value for name, value in OF_TRAINING.items() if name in zipped}
         model = self._class(zipped).load(self.file, device="cpu", custom_objects=given)
@@ -97,28 +114,46 @@ class Sb3Policy(PolicyLoader):
             raise refused("a zip whose algorithm can be recognised", str(self.file), 'give algorithm="PPO", or a class')
         if not isinstance(name, str):
             return name
-        own = getattr(library("stable_baselines3"), name, None)
-        found = own or getattr(library("sb3_contrib"), name, None)
+        own = getattr(_library("stable_baselines3"), name, None)
+        found = own or getattr(_library("sb3_contrib"), name, None)
         if found is None:
             raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "give its class")
         return found
 
     def __call__(self) -> BaselineAds:
         """Return a new ADS, which has not seen any observation."""
-        model: BaselineModel = self.loaded
-        return BaselineAds(model)
+        return BaselineAds(self.loaded)
 
     def check_world(self, world: Any) -> None:
         """Compare the actions, and the shape and type of the stacked observations, with those of the model."""
-        model: BaselineModel = self.loaded
+        model = self.loaded
         if not model.fits(world.observation_space, world.action_space):
             of_model = f"observations {model.observation_space} and actions {model.action_space}"
             stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
             raise refused(
                 f"a pafot.World with {of_model}{stacked}, as {self.file.name} was trained with",
-                named(world),
+                _named(world),
                 "give it the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
             )
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _loaded(policy: Sb3Policy, changed_at: tuple[int, ...]) -> BaselineModel:
+    """Load a model, or return the loaded one; if its files have changed, as happens in a notebook, load it again."""
+    return policy.load()
+
+
+def _changed_at(file: Path) -> int:
+    """Return when a file was changed [ns].
+
+    Raises:
+        AdsFactoryError: if the file cannot be read.
+    """
+    try:
+        with file.open("rb") as opened:
+            return os.fstat(opened.fileno()).st_mtime_ns
+    except OSError as error:
+        raise refused("a file that can be read", f"{file} ({error.strerror})", "correct the path") from None
 
 
 class BaselineModel:
@@ -264,3 +299,25 @@ def _is_statistics(file: Path) -> bool:
     """Return whether ``VecNormalize.save`` wrote a file: the class name at its start shows it; nothing is unpickled."""
     with file.open("rb") as opened:
         return b"vec_normalize" in opened.read(200)
+
+
+def _library(name: str) -> Any:
+    """Import a library that the user may not have installed.
+
+    Raises:
+        AdsFactoryError: if the library is not installed; the message has the command that installs it.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name.partition(".")[0]:
+            raise
+        raise refused(f"{name} for this policy", "a Python without it", install("sb3")) from None
+
+
+def _named(world: Any) -> str:
+    """Describe a world with its observations and actions, for an error message."""
+    name = getattr(world, "env_id", type(world).__name__)
+    if world.observation_space is None:
+        return f"{name}, whose observations are pafot.Observation and whose actions are in SI units"
+    return f"{name} with observations {world.observation_space} and actions {world.action_space}"

@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from multiprocessing.util import Finalize
-from pathlib import Path
 from typing import Any, NoReturn
 
 from pytest_pafot import Drive, Observation
-from pytest_pafot.extras.policies.loading import digest_of, refused
 from pytest_pafot.support.errors import BadAction
+from pytest_pafot.support.errors import refused_policy as refused
 from pytest_pafot.support.text import shown
 
 SEEN = (
@@ -63,12 +62,6 @@ class ProgramLoader:
             raise refused("a system with POSIX pipes for a planner that is a program", sys.platform, "run it elsewhere")
         if self.timeout is not None and not (isinstance(self.timeout, (int, float)) and self.timeout > 0):
             raise refused("a timeout above 0 [s], or None", repr(self.timeout), "give it seconds, such as timeout=5")
-
-    @functools.cached_property
-    def weights_digest(self) -> str:
-        """A hash of the files that the command names, including the program; empty if it names no file."""
-        files = [Path(word) for word in self.command if Path(word).is_file()]
-        return digest_of(files) if files else ""
 
     def __call__(self) -> ProgramAds:
         """Return a new ADS, with an idle program of this process or with a new program."""

@@ -22,8 +22,8 @@ AdsFactory = Callable[..., Any]
 """A callable that returns a fresh ADS; it is called once per scenario.
 
 It may have these optional members: a method ``check_world(world)``, which raises if its ADSs cannot drive there; a
-method ``preload()``, which the session calls so that forked processes share what it loads; a text ``weights_digest``, a
-hash of the policy, which findings store; and a text ``loading_hint``, which a search reports as a note.
+method ``preload()``, which the session calls so that forked processes share what it loads; and a text
+``loading_hint``, which a search reports as a note.
 """
 
 

@@ -64,12 +64,6 @@ class Policy:
         return sight_of(self.factory)
 
     @property
-    def weights(self) -> str:
-        """The hash of what the factory loads, its ``weights_digest``; empty if it states none."""
-        stated = self._own("weights_digest")
-        return stated if isinstance(stated, str) else ""
-
-    @property
     def loading_hint(self) -> str:
         """The factory's note that its policy may need other options for loading; empty if it has none."""
         stated = self._own("loading_hint")

@@ -79,9 +79,7 @@ def test_interrupted_rate_continues_and_can_be_extended(tmp_path, capsys, monkey
 
 
 class Trained:
-    """A factory that names its policy's weights, as those of ``pafot.policies`` do."""
-
-    weights_digest = "sha256:1"
+    """A factory that may have a hint, as those of ``pafot.policies``."""
 
     def __call__(self):
         return lambda observation: 1
@@ -90,32 +88,20 @@ class Trained:
 trained = Trained()
 
 
-def test_results_of_other_weights_are_not_continued(tmp_path, capsys, monkeypatch):
-    arguments = ("--ads", f"{__name__}:trained", "--episodes", "1", "--out", str(tmp_path))
-    assert rate(*arguments) == rate(*arguments) == 0
-    monkeypatch.setattr(Trained, "weights_digest", "sha256:2")
-    assert rate(*arguments) == 2
-    told = capsys.readouterr().err
-    name = f"{__name__}:trained"
-    changed = f"policies.{name}.weights 'sha256:1' in the file, 'sha256:2' now; give another folder"
-    assert f"whose rate.json does not agree: {changed}" in told
-    assert "from before" not in told
-
-
 def test_what_a_loader_doubts_stands_beside_the_rate(capsys, monkeypatch):
     monkeypatch.setattr(Trained, "loading_hint", "mind the statistics", raising=False)
     assert rate("--ads", f"{__name__}:trained", "--episodes", "1") == 0
     assert "\n  mind the statistics\n" in capsys.readouterr().out
 
 
-def test_policy_without_weights_hash_continues_with_note(tmp_path, capsys, monkeypatch):
+def test_results_of_changed_source_files_are_not_continued(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     planner = tmp_path / "planner_of_mine.py"
     planner.write_text("def make():\n    return lambda observation: 1\n")
     arguments = ("--ads", "planner_of_mine:make", "--episodes", "1", "--out", "out")
     assert rate(*arguments) == rate(*arguments) == 0
-    told = "rate: 1 of 1 episodes are reused from before; planner_of_mine:make provides no hash of weights"
+    told = "rate: 1 of 1 episodes are reused from before; only the source files of the policies"
     assert capsys.readouterr().err.count(told) == 1
     planner.write_text("def make():\n    return lambda observation: 0\n")
     assert rate(*arguments) == 2

@@ -7,6 +7,7 @@ import sys
 import types
 import zipfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -14,8 +15,7 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pytest_pafot as pafot
-from pytest_pafot.extras.policies.baselines import BaselineAds, BaselineModel, pushed, stacking_axis
-from pytest_pafot.extras.policies.loading import PolicyLoader, digest_of
+from pytest_pafot.extras.policies.baselines import BaselineAds, BaselineModel, Sb3Policy, pushed, stacking_axis
 from tests.helpers.tables import table
 
 WORLD = pafot.World("highway-fast-v0", duration=5.0)
@@ -37,9 +37,9 @@ class Weighing:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loader(PolicyLoader):
+class Loader(Sb3Policy):
+    file: Path = Path(__file__)
     frames: int = 1
-    weights_digest = "sha256:00"
     loading_hint: str = ""
     loads: ClassVar = []
 
@@ -158,18 +158,6 @@ def test_missing_library_error_names_the_install_command(tmp_path, monkeypatch):
         pafot.Highway().rollout(CUT_IN, pafot.policies.sb3(file))
 
 
-def test_hash_covers_all_files_in_order(tmp_path):
-    one, two = tmp_path / "one", tmp_path / "two"
-    one.write_bytes(b"1")
-    two.write_bytes(b"2")
-    assert digest_of([one, two]) != digest_of([two, one])
-    assert digest_of([one]) == digest_of([one])
-    assert digest_of([one]).startswith("sha256:")
-    before = digest_of([one])
-    one.write_bytes(b"3")
-    assert digest_of([one]) != before
-
-
 def test_policy_is_loaded_before_isolated_runs_fork():
     Loader.loads.clear()
     pafot.explore(Loader(frames=4), holds=lambda run: None, world=WORLD, runs=1, isolate=True)
@@ -231,11 +219,3 @@ def test_search_notes_the_hint_of_its_policy_once():
     hinting = Loader(loading_hint="mind the statistics")
     assert notes(hinting) == notes(pafot.Perception(hinting, latency=0.2)) == ("mind the statistics",)
     assert notes(Loader()) == ()
-
-
-@pytest.mark.parametrize("ads", [Loader(), pafot.Perception(Loader(), latency=0.2)])
-def test_a_finding_keeps_the_hash_of_the_policy(ads):
-    found = pafot.explore(
-        ads, holds=lambda run: run.duration > 100 or pytest.fail("short"), world=WORLD, runs=1, shrink_rollouts=0
-    ).findings
-    assert [finding.found.weights for finding in found] == ["sha256:00"]

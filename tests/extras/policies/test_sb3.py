@@ -132,14 +132,3 @@ def test_only_model_without_its_statistics_gets_hint(framed, tmp_path):
     for cls in (stable_baselines3.PPO, stable_baselines3.DQN):
         plain, _ = saved_model(tmp_path, cls, steps=64)
         assert pafot.policies.sb3(plain).loading_hint == ""
-
-
-def test_a_finding_keeps_the_hash_of_the_weights(framed, tmp_path):
-    file, statistics = framed
-    policy = pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)
-
-    def holds(run):
-        assert run.duration < 1
-
-    found = pafot.explore(policy, holds=holds, world=WORLD, runs=2, seed=0, shrink_rollouts=0, stop_after=1)
-    assert {finding.found.weights for finding in found.findings} == {policy.weights_digest}

@@ -18,7 +18,6 @@ from pytest_pafot.model.sight import Sight, hidden
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError
 from pytest_pafot.world.driving.perception import sight_of
-from pytest_pafot.world.driving.policy import Policy
 from tests.helpers.c_library import c_library
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
@@ -320,8 +319,6 @@ class OfItsOwn:
 
 def test_perception_passes_questions_to_the_policy_factory():
     class Loading:
-        weights_digest = "sha256:abc"
-
         def check_world(self, world):
             raise WorldError(f"not on {world.lanes} lanes")
 
@@ -329,7 +326,6 @@ def test_perception_passes_questions_to_the_policy_factory():
             return Watching()
 
     factory = pafot.Perception(Loading(), latency=0.2)
-    assert Policy(factory).weights == "sha256:abc"
     with pytest.raises(WorldError, match="not on 4 lanes"):
         pafot.Highway().rollout(SCENARIO, factory)
 
