@@ -7,7 +7,7 @@
 #   sh ci/pafot.sh pull-request   a search of the commit BASE, then one of the change, red only for what is new
 #   sh ci/pafot.sh night          a search from a seed of its day; its finds go onto a branch
 #
-# Each session runs all tests: one that calls pafot.sweep or uses pafot_simulate looks like any other one before it runs.
+# Each session runs all tests: one that uses pafot_simulate looks like any other one before it runs.
 # Further arguments are options of pytest, such as the folder of the tests. Each session leaves pafot.json and pafot.xml,
 # and pafot.html if a search or a replay ran. It ends with pytest's exit code, or with 2 where pytest ends with 0 and
 # pafot.json does not say so, and where BASE cannot be installed or run. The environment says the rest; what is empty or

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
     from pytest_pafot.oracle.checks import CheckFailed, check, reject, target
     from pytest_pafot.oracle.run import Run
-    from pytest_pafot.plugin.marks import catalogue, search
+    from pytest_pafot.plugin.marks import search
     from pytest_pafot.world import (
         Drive,
         Highway,
@@ -62,22 +62,22 @@ _NAMES = {
     "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",
     "oracle.checks": "CheckFailed check reject target",
     "oracle.run": "Run",
-    "plugin.marks": "catalogue search",
+    "plugin.marks": "search",
     "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState "
     "World WorldError WorldLike",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
-_OF_EXTRAS = ("Sweep", "policies", "sumo", "sweep", "training_env")  # see door.NAMES
+_OF_EXTRAS = ("policies", "sumo", "training_env")  # see door.NAMES
 _MODULES = ("properties", "strategies")
 
 __all__ = [
     "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
     "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "NpcLimits",
     "Observation", "Outcome", "Perception", "PositionInstruction", "Recorded", "Run", "SavedScenario",
-    "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Step", "Sweep", "Trace", "Track", "Traffic",
-    "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "catalogue", "check", "explore", "load",
-    "policies", "properties", "reject", "search", "strategies", "sumo", "sweep", "target", "training_env",
+    "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Step", "Trace", "Track", "Traffic",
+    "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "check", "explore", "load",
+    "policies", "properties", "reject", "search", "strategies", "sumo", "target", "training_env",
 ]  # fmt: skip
 
 

@@ -49,14 +49,6 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         "write the run of a finding as files for other tools",
         "Run the scenario of a saved finding once more, and write the paths of all vehicles and the road.",
     ),
-    "map": Command(
-        f"{EXTRAS}.sweeps.map_command",
-        "drive a scenario over a grid of two of its numbers",
-        "Drive a named scenario of the catalogue, or that of a saved finding, for all values of one or two of its "
-        "numbers, and print the map: where the policy avoids a failure, where it fails though a reference driver "
-        "avoids it, and where nobody does.",
-        is_gate=True,
-    ),
 })  # fmt: skip
 """The commands of the extras by name."""
 
@@ -66,16 +58,12 @@ ALGORITHMS: Mapping[str, str] = MappingProxyType({
 """The search algorithms that only comparisons need, by name."""
 
 NAMES: Mapping[str, str] = MappingProxyType({
-    "Sweep": f"{EXTRAS}.sweeps.maps:Sweep",
     "policies": f"{EXTRAS}.policies",
     "sumo": f"{EXTRAS}.sumo:sumo",
-    "sweep": f"{EXTRAS}.sweeps.maps:sweep",
     "training_env": f"{EXTRAS}.training:training_env",
 })  # fmt: skip
 """The public names of ``pytest_pafot`` that an extra has."""
 
-CATALOGUE = f"{EXTRAS}.sweeps.driven_entries"
-"""What the catalogue of named scenarios does for tests with ``@pafot.catalogue``."""
 DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
 """A context manager: the executor of a Dask scheduler for the option ``dask``."""
 EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.harness import refusals
     from pytest_pafot.campaign.request import drawn_space
     from pytest_pafot.campaign.setup_fault import SetupFaultError
-    from pytest_pafot.campaign.verdict import Verdict, judged_with_drivers
+    from pytest_pafot.campaign.verdict import Verdict
     from pytest_pafot.commands.inventory import Inventory
     from pytest_pafot.commands.policy_reference import (
         CAUTION,
@@ -64,7 +64,7 @@ _NAMES = {
     "campaign.harness": "refusals",
     "campaign.request": "drawn_space",
     "campaign.setup_fault": "SetupFaultError",
-    "campaign.verdict": "Verdict judged_with_drivers",
+    "campaign.verdict": "Verdict",
     "commands.inventory": "Inventory",
     "commands.policy_reference": "add_world_arguments ads_factory CAUTION check_function chosen_world identity",
     "commands.results": "Session",
@@ -158,7 +158,6 @@ __all__ = [
     "files_below",
     "first_crossed",
     "identity",
-    "judged_with_drivers",
     "mutate",
     "refusals",
     "register",

@@ -67,27 +67,6 @@ def test_every_command_of_an_extra_explains_itself(capsys):
         assert command.about[:20] in " ".join(capsys.readouterr().out.split())
 
 
-def test_map_drives_a_grid_of_two_numbers(told):
-    code, text = told("map r157/cut-in --ads policies:keeps_speed --over gap=10:60:2 --over ego_speed=10:16:2")
-    assert code == 0
-    assert "4 points: " in text
-
-
-def test_sweep_is_a_map_for_a_test():
-    swept = pafot.sweep("r157/cut-in", lambda: lambda seen: (-6.0, 0.0), over={"gap": "10:60:2"})
-    assert (isinstance(swept, pafot.Sweep), swept.errors, len(swept.points)) == (True, 0, 2)
-
-
-def test_catalogue_makes_an_item_for_a_named_scenario(project):  # noqa: F811
-    project.write(
-        "@pafot.catalogue('r157/cut-in', ads=lambda: lambda seen: (0.0, 0.0))\ndef test_drives(run):\n"
-        "    assert run.duration\n"
-    )
-    result = project.run("-v")
-    result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["test_it.py::test_drives[[]r157/cut-in[]] PASSED*"])
-
-
 def test_rate_counts_crashes_of_a_policy_in_ordinary_traffic(told):
     config = json.dumps(FAST.to_dict()["config"])
     options = ["--world", "highway-fast-v0", "--config", config, "--episodes", "2", "--workers", "1"]

@@ -125,21 +125,10 @@ def test_core_without_extras_searches_and_replays(core):
 
 
 def test_core_without_extras_says_what_is_missing(core):
-    here, do = core
+    _, do = core
     for code, command in (
-        (2, "map r157/cut-in --ads policy:make --over gap=10:60:2"),
+        (2, "rate --ads policy:make"),
         (1, "search policy:make -- --pafot-algorithm=av-fuzzer"),  # an error of its item
     ):
         done = do("pytest_pafot", *command.split())
         assert (done.returncode, MISSING in " ".join((done.stdout + done.stderr).split())) == (code, True), done
-    (here / "test_it.py").write_text(
-        f"{MARKED}\ndef test_swept():\n    pafot.sweep('r157/cut-in', make, over={{'gap': '10:60:3'}})\n\n"
-        "def test_other():\n    pass\n"
-    )
-    (here / "test_marked.py").write_text(
-        "import pytest_pafot as pafot\nfrom policy import make\n"
-        "@pafot.catalogue('r157/cut-in', ads=make)\ndef test_it(run):\n    pass\n"
-    )
-    done = do("pytest", "--pafot-generations=0", "-p", "no:randomly")
-    assert (done.returncode, "2 failed, 1 passed" in done.stdout) == (1, True), done.stdout
-    assert " ".join(done.stdout.split()).count(MISSING) == 2

@@ -24,7 +24,7 @@ CORE = (
 )  # fmt: skip
 EXTRAS = (
     "resumable", "algorithms", "executors", "policies", "testing", "comparison", "episodes", "training",
-    "export", "sweeps", "sumo",
+    "export", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
 """The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
@@ -43,7 +43,7 @@ HOMES = {
     "pluggy": set(),
     "pandas": {"comparison", "oracle"},
     "scipy": {"comparison"},
-    "matplotlib": {"comparison", "sweeps"},
+    "matplotlib": {"comparison"},
     "stable_baselines3": {"policies"},
     "sb3_contrib": {"policies"},
     "torch": {"policies"},

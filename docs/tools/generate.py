@@ -32,9 +32,6 @@ from pytest_pafot.extras.comparison.command import add_arguments
 from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
-from pytest_pafot.extras.sweeps.entries import ENTRIES
-from pytest_pafot.extras.sweeps.map_command import add_arguments as add_map_arguments
-from pytest_pafot.extras.sweeps.maps import Sweep
 from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
@@ -254,11 +251,6 @@ def sections() -> dict[str, str]:
         "free": _fields_table(Free),
         "step": _fields_table(Step),
         "recorded-track": _fields_table(Recorded),
-        "map-command": _command_table(add_map_arguments),
-        "sweep": _fields_table(Sweep)
-        + "\nProperties: `preventable`, `unavoidable`, `avoided`, `errors`, `not_as_asked` (numbers of "
-        "points), `worse`, `islands`, `headline`, `explain()`, `save(path)`, `csv()`.\n",
-        "catalogue": _catalogue_table(),
         "rate-rows": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(EpisodeRow))),
     }
 
@@ -321,15 +313,6 @@ def _vehicles_table() -> str:
         for name, each in READY.items()
     ]
     return _table(["Vehicle", "Name", *map(_code, names)], rows)
-
-
-def _catalogue_table() -> str:
-    rows = []
-    for entry in ENTRIES:
-        source = entry.source.removeprefix("UN R157, after ASAM ").removeprefix("Euro NCAP, vehicle assistance: ")
-        numbers = _code(", ".join(entry.parameters))
-        rows.append([_code(entry.name), entry.about, numbers, "" if source == "the project" else source])
-    return _table(["Name", "What happens", "Numbers", "After"], rows)
 
 
 def _code(names: str) -> str:

@@ -1,10 +1,9 @@
-"""Make the pictures of report pages in README.md and guide/triage.md, and the map in guide/catalogue.md.
+"""Make the pictures of report pages in README.md and guide/triage.md.
 
 It runs searches of two example policies, opens their pages in a headless Chromium, light and dark, and saves
-screenshots. The map is what ``python -m pytest_pafot map`` draws. ``report_picture.py map`` makes this picture alone,
-and so do ``constant-speed`` and ``fiss``; the searches and the map of fiss take minutes. It needs Chromium, and
-Pillow, matplotlib and fiss-planner in addition to the plugin:
-``python -m pip install ".[compare,fiss]" pillow && python docs/tools/report_picture.py``.
+screenshots. ``report_picture.py constant-speed`` makes one alone, and so does ``fiss``, whose search takes minutes. It
+needs Chromium, and Pillow and fiss-planner in addition to the plugin:
+``python -m pip install ".[fiss]" pillow && python docs/tools/report_picture.py``.
 """
 
 from __future__ import annotations
@@ -50,10 +49,6 @@ STORIES = (
     ),
     Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-runs=80", "--pafot-seed=1")),
 )
-
-
-MAP = ("r157/cut-in", "--ads=fiss", "--over=relative_speed=-14:-2:7", "--over=gap=0:60:13")
-"""Arguments of the command that draws the map."""
 
 
 def search(story: Story, folder: Path) -> Path:
@@ -115,7 +110,7 @@ def _small(content: bytes) -> bytes:
 
 def main() -> None:
     """Write the pictures that are named as arguments, or all."""
-    names = [*(story.name for story in STORIES), "map"]
+    names = [story.name for story in STORIES]
     chosen = sys.argv[1:] or names
     if not set(chosen) <= set(names):
         raise SystemExit(f"expected {', '.join(names)}, received {' '.join(chosen)}")
@@ -124,10 +119,6 @@ def main() -> None:
         raise SystemExit("expected chromium or google-chrome on PATH, found none")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        if "map" in chosen:
-            drawn = folder / "map.png"
-            command = [sys.executable, "-m", "pytest_pafot", "map", *MAP, f"--png={drawn}"]
-            save("map-fiss.png", _small(written(drawn, command).read_bytes()))
         browser = Browser(chromium, folder / "profile")
         try:
             for story in (each for each in STORIES if each.name in chosen):

@@ -162,21 +162,6 @@ def reference_outcomes(
             yield name, reference_outcome(other, fails=verdict.kind != "passed")
 
 
-def judged_with_drivers(run: Run, test: Test, test_file: str | None = None) -> tuple[Verdict, str, str]:
-    """Judge a run whoever is at fault; return the verdict, its headline, and a reference driver that avoids a failure.
-
-    Headline and driver are empty if the run does not fail, and the driver if none avoids the failure.
-
-    Raises:
-        DriverError: if the world cannot simulate a driver.
-    """
-    verdict = judge(run, test, blame="any", test_file=test_file)
-    if not verdict.failed:
-        return verdict, "", ""
-    outcomes = reference_outcomes(run, test, blame="any", test_file=test_file)
-    return verdict, headline(run, verdict), next((name for name, outcome in outcomes if outcome == "avoids"), "")
-
-
 def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
     recording = Recording(hz=run.trace.physics_hz, ticks=run.trace.ticks, npcs=len(run.scenario.npcs))
     try:

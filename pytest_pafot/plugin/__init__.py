@@ -9,14 +9,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from datetime import date
-from typing import Any
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.collection import Collection
-from pytest_pafot.plugin.marks import ANY_MARK, CATALOGUE_MARK, SAVED_MARK, SEARCH_MARK, is_driven
+from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, is_driven
 from pytest_pafot.plugin.option_sources import add_options, resolve
 from pytest_pafot.plugin.session import (
     SHARED,
@@ -45,7 +44,6 @@ def pytest_configure(config: pytest.Config) -> None:
     for line in (
         f"{ANY_MARK}: every test that belongs to pytest-pafot, to select all of them",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
-        f"{CATALOGUE_MARK}(*names, **values): drive named scenarios; write @pafot.catalogue(...)",
         f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
     ):
         config.addinivalue_line("markers", line)
@@ -74,22 +72,6 @@ def pytest_configure(config: pytest.Config) -> None:
         _register(config, {"controller": Controller()})
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Let the hooks of named scenarios make the items of the first test that asks for them, and of later ones."""
-    is_known = metafunc.config.pluginmanager.has_plugin("pafot-catalogue")
-    if not is_known and metafunc.definition.get_closest_marker(CATALOGUE_MARK) is not None:
-        _drive_catalogue(metafunc.config).pytest_generate_tests(metafunc)  # it is too late for this call of the hook
-
-
-def _drive_catalogue(config: pytest.Config) -> Any:
-    """Register the hooks of named scenarios, and return them."""
-    from pytest_pafot.plugin.catalogue_item import Catalogued  # noqa: PLC0415
-
-    _register(config, {"catalogue": Catalogued()})
-    return config.pluginmanager.get_plugin("pafot-catalogue")
-
-
 def _check_that_it_searches(config: pytest.Config) -> None:
     """Refuse the session of the command ``search`` if its options let it search nothing, which would pass."""
     try:
@@ -108,8 +90,6 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Register the plugins that run the marked items and report on them, if there are any."""
     config = session.config
     marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
-    if any(item.get_closest_marker(CATALOGUE_MARK) for item in session.items):
-        _drive_catalogue(config)  # hooks may add the mark after the collection
     driven = config.stash[DRIVEN]
     driven.update(item.nodeid for item in session.items if is_driven(item))
     is_marked = bool(marked or driven)

@@ -108,7 +108,7 @@ class Failures:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-        """Shorten the report of a search, a replay or a named scenario that fails."""
+        """Shorten the report of a search or a replay that fails."""
         marked = is_driven(item)
         if call.excinfo is None or not marked:
             report = yield

@@ -17,7 +17,6 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import REQUEST, is_search, saved_of
 from pytest_pafot.plugin.marks import (
     ANY_MARK,
-    CATALOGUE_MARK,
     DEFAULT_ADS,
     DEFAULT_ARG,
     SEARCH_MARK,
@@ -44,12 +43,6 @@ class Checks:
         """Fail a marked item that cannot run as it is written; skip a search that is to run no generations."""
         # No __tracebackhide__: pytest 9 adds a line about hidden frames to a failure that has no other frame.
         arguments = arguments_of(item)
-        if arguments is None and item.get_closest_marker(CATALOGUE_MARK) is not None:
-            try:
-                _check_function(item)
-            except RequestError as error:
-                raise pytest.fail.Exception(str(error), pytrace=False) from None
-            return
         if arguments is None:
             # The mark that selects tests does not make a test a search. Only the decorator does.
             if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
@@ -111,8 +104,6 @@ def _check_function(item: pytest.Item) -> None:
         )
     if not isinstance(item, pytest.Function):
         raise RequestError(f"expected a test function, received {item!r}")
-    if all(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK)):
-        raise RequestError("expected @pafot.search or @pafot.catalogue, received both; write a test for each of them")
     if getattr(item.obj, "is_hypothesis_test", False) or hasattr(item.obj, "hypothesis"):
         raise RequestError(
             "expected @pafot.search or @given, received both, and each of them runs the function many times; "

@@ -1,4 +1,4 @@
-"""The decorators ``@pafot.search`` and ``@pafot.catalogue``, and the marks that they set on test functions.
+"""The decorator ``@pafot.search``, and the marks that it sets on test functions.
 
 Every test file that uses the plugin imports this module, so it imports only pytest.
 """
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
-CATALOGUE_MARK = "pafot_catalogue"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 EXECUTOR_FIXTURE = "pafot_executor"
@@ -41,33 +40,6 @@ def search(*target: Any, **arguments: Any) -> Any:
     if len(target) == 1 and not arguments and _may_be_decorated(target[0]):
         return _decorated(target[0], (), {})
     return lambda function: _decorated(function, target, arguments)
-
-
-def catalogue(*names: Any, **values: Any) -> Any:
-    """Drive the policy in named scenarios: an item for each.
-
-    An item fails if the decorated test function raises and a reference driver avoids that, and if the policy itself
-    fails. It is skipped if no reference driver avoids it, if the road has no place for it, and if nothing failed but
-    the situation did not come up as it was asked for.
-
-    Args:
-        names: the names of entries, such as ``r157/cut-in``, or of groups, such as ``r157``; by default all. A
-            ``pafot.Recording`` in the place of a name stands for the scenarios around its vehicles.
-        values: other values for parameters of the entries, such as ``ego_speed=60 / 3.6``; and as for ``@pafot.search``
-            ``ads``, the factory or the name of its fixture, and ``world``.
-    """
-    if len(names) == 1 and not values and callable(names[0]) and not hasattr(type(names[0]), "entries"):  # no recording
-        return catalogue()(names[0])
-
-    def decorated(function: Any) -> Any:
-        _check_name(function)
-        ads = values.get("ads", DEFAULT_ADS)
-        fixtures = [WORLD_FIXTURE, *([ads] if isinstance(ads, str) and ":" not in ads else [])]
-        function = pytest.mark.usefixtures(*fixtures)(function)
-        function = getattr(pytest.mark, CATALOGUE_MARK).with_args(*names, **values)(function)
-        return getattr(pytest.mark, ANY_MARK)(function)
-
-    return decorated
 
 
 def _may_be_decorated(target: object) -> bool:
@@ -111,8 +83,8 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
 
 
 def is_driven(item: pytest.Item) -> bool:
-    """Return whether the item of a test drives its policy: a search, a replay or a named scenario."""
-    return any(item.get_closest_marker(name) is not None for name in (SEARCH_MARK, CATALOGUE_MARK))
+    """Return whether the item of a test drives its policy: a search or a replay."""
+    return item.get_closest_marker(SEARCH_MARK) is not None
 
 
 def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.plugin.marks import CATALOGUE_MARK, SEARCH_MARK, catalogue, search
+from pytest_pafot.plugin.marks import SEARCH_MARK, search
 
 _NO_TEST = "pytest collects no test of this class; expected one without __init__ and __new__, and with test methods"
 
@@ -60,7 +60,7 @@ def left_out(collector: pytest.Module | pytest.Class, collected: Sequence[object
 def replaced_in(collector: pytest.Module) -> Iterator[tuple[str, str]]:
     """Yield the marked functions and classes of a test file that a later definition of the same name replaces."""
     scope = vars(collector.obj)
-    if not any(each is search or each is catalogue or _is_package(each) for each in scope.values()):
+    if not any(each is search or _is_package(each) for each in scope.values()):
         return
     import ast  # noqa: PLC0415  (few test files use this plugin)
 
@@ -78,7 +78,7 @@ def replaced_in(collector: pytest.Module) -> Iterator[tuple[str, str]]:
             if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                 continue
             former = definitions.get(node.name)
-            if former is not None and any(resolved(each) in (search, catalogue) for each in former.decorator_list):
+            if former is not None and any(resolved(each) is search for each in former.decorator_list):
                 yield f"{prefix}::{node.name}", f"line {node.lineno} replaces that of line {former.lineno}"
             definitions[node.name] = node
             if isinstance(node, ast.ClassDef):
@@ -135,7 +135,7 @@ def _is_marked(member: object) -> bool:
         own = member  # which pytest has made of an object without a name, instead of marking it
     elif isinstance(member, FunctionType | type):
         own = vars(member).get("pytestmark", [])  # a list, unless the user has set it to one mark
-    return bool({SEARCH_MARK, CATALOGUE_MARK} & {mark.name for mark in (own if isinstance(own, list) else [own])})
+    return SEARCH_MARK in {mark.name for mark in (own if isinstance(own, list) else [own])}
 
 
 def _is_own(member: object, module: str) -> bool:

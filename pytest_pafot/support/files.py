@@ -135,20 +135,6 @@ def write_whole(path: Path, content: str | bytes) -> None:
         _through_temporary(path, data, Path.replace)
 
 
-def check_writable(path: Path) -> None:
-    """Create the folders of a file that will be written, and check that it can be, as far as this is known before.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    if is_stream(path):  # whose reader may leave when it is opened and closed
-        return
-    with contextlib.suppress(FileNotFoundError):
-        if stat.S_ISDIR(path.lstat().st_mode):
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-    _through_temporary(path, bytes(4096), lambda _, __: None)
-
-
 def append(path: Path, content: str | bytes) -> None:
     """Add a content to the end of a file, not through a link; or write it into a stream, see :func:`is_stream`.
 

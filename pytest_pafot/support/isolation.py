@@ -1,6 +1,6 @@
 """Whether a test that calls a function of this package drives policies in another process first.
 
-The plugin knows that of the test that runs, and a function such as ``pafot.sweep`` does not get it as an argument.
+The plugin knows that of the test that runs, and the fixture ``pafot_simulate`` does not get it as an argument.
 """
 
 from __future__ import annotations

@@ -94,14 +94,6 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     return buffer.getvalue()
 
 
-def spreadsheet_cell(value: object) -> object:
-    """Return the value of a cell that a spreadsheet may open: it would compute a text that begins like a formula."""
-    if not isinstance(value, str):
-        return value
-    text = visible(value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
-
-
 def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     """Format rows as a Markdown table with a header. Cells may contain Markdown; a ``|`` in a cell is escaped."""
     lines = [columns, ["---"] * len(columns), *rows]

@@ -391,13 +391,8 @@ SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.Manoeuvre(beside=0, ahead=30.
 
 @pytest.mark.parametrize("source", ["CI", "option"])
 def test_simulated_scenario_is_isolated_as_well(project, monkeypatch, source):
-    check_isolation(
-        project, monkeypatch, source, SCENARIO + "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n"
-    )
-
-
-def check_isolation(project, monkeypatch, source, test):
     """Run a test with a policy that ends only other processes than that of the session, which sees it do so."""
+    test = SCENARIO + "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n"
     project.write(EXITS.replace("PID", str(os.getpid())) + test)
     options = ["--pafot-isolate"] if source == "option" else []
     if source == "CI":
