@@ -34,7 +34,7 @@ from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.finding import Expect, Finding, Found
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
@@ -163,8 +163,6 @@ FILE_TEXTS: Mapping[str, str] = {
     "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
     "tried.",
-    "shrunk.speeds": "By `npc` and first `gene` of each instruction, the speeds from `low` to `high` [m/s] at which "
-    "the scenario still fails; not all between were tried.",
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
     "each with another seed, or of a flaky one with the same.",
     "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
@@ -479,7 +477,7 @@ def _example() -> Finding:
             fault="cut-in-unanswered",
         ),
         original=Scenario(npcs=(as_found,), seed=7),
-        shrunk=Shrunk(rollouts=41, speeds=(SpeedInterval(npc=0, gene=1, low=0.0, high=13.8),)),
+        shrunk=Shrunk(rollouts=41),
         found=Found(
             seed=1234,
             generation=17,

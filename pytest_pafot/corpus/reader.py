@@ -30,7 +30,7 @@ from pytest_pafot.findings.finding import (
     check_plain,
     is_id,
 )
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
 from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
@@ -83,7 +83,7 @@ XFAIL = Keys(("reason",), ("until", "flaky"))
 """The keys of ``xfail``, if it is not just a reason."""
 
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
-    {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal", "speeds"), Traffic: ("style",)}
+    {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",), Traffic: ("style",)}
 )
 """The fields of dataclasses that a file must have, although they have a default in code. A field without a default is
 required, too, and any other field may be left out."""
@@ -154,7 +154,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         found=_record(fields["found"], Found),
         perception=_given(fields, "perception", _perceived),
         original=_given(fields, "original", _scenario),
-        shrunk=_given(fields, "shrunk", lambda field: _shrunk(field, scenario, npc)),
+        shrunk=_given(fields, "shrunk", lambda field: _record(field, Shrunk)),
         rate=_given(fields, "rate", _rate),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
         xfail=reason,
@@ -432,17 +432,3 @@ def _perceived(field: Field) -> Perceived:
     sight = _made(field, Sight, {name: inner.value for name, inner in fields.items() if name != "needed"})
     needed = _given(fields, "needed", lambda inner: tuple(name.choice(sight.imperfections) for name in inner.items()))
     return Perceived(sight=sight, needed=needed)
-
-
-def _shrunk(field: Field, scenario: Scenario, npc: Read) -> Shrunk:
-    def interval(entry: Field) -> SpeedInterval:
-        def gene(inner: Field) -> int:
-            return inner.whole(0, len(scenario.npcs[entry.value["npc"]]) - 1)  # "npc" has been read before
-
-        speeds = _record(entry, SpeedInterval, npc=npc, gene=gene)
-        if speeds.low > speeds.high:
-            expected, fix = f"at least the low end, {speeds.low:g}", "restore the file from version control"
-            raise entry.at("high").error(expected, fix)
-        return speeds
-
-    return _record(field, Shrunk, speeds=lambda inner: tuple(map(interval, inner.items())))

@@ -55,11 +55,11 @@ None if the run does not fail in the same way.
 class Attempt(NamedTuple):
     """The question whether a candidate fails in the same way, which is answered with a run.
 
-    ``best`` is the simplest failing scenario so far; None when only the speeds of the result are still measured.
+    ``best`` is the simplest failing scenario so far.
     """
 
     candidate: Scenario
-    best: Scenario | None
+    best: Scenario
 
 
 class Likely(NamedTuple):
@@ -105,32 +105,11 @@ a millisecond. Any beginning of their list has scenarios of each kind."""
 FIRST_PART = 10
 """A tenth of the runs is for small scenarios before anything else, so that most of a small budget is for the passes."""
 
-FOR_SPEEDS = 60
-"""Number of runs, at most a fifth of the budget, reserved to measure how far the speeds of the result can change."""
-
 MOST_FIRST_STEPS = 40
 """The largest number of simplifications that are tried together with a second simplification."""
 
 GOLDEN = 0x9E3779B97F4A7C15
 """2**64 divided by the golden ratio: any number of its multiples is spread evenly modulo 2**64."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedInterval:
-    """The target speeds of one instruction at which the scenario still fails, with everything else equal.
-
-    The ends are searched with steps that double while the scenario fails and are halved when it does not. All speeds
-    that were tried inside the interval fail, but not all speeds were tried.
-
-    Attributes:
-        npc, gene: index of the NPC, and index of the first gene with the instruction.
-        low, high: ends of the interval [m/s].
-    """
-
-    npc: int
-    gene: int
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,13 +123,10 @@ class Shrunk:
             with one instruction each, with few speeds; or one NPC that crosses in a zone of the scenario, with few
             slots), of a collision only some, which are likely to fail; and pairs of a limited number of steps. It says
             nothing about other scenarios.
-        speeds: for each instruction of the result, the speeds at which the scenario still fails, in the order of NPCs
-            and genes, as far as the budget allowed.
     """
 
     rollouts: int
     is_minimal: bool = True
-    speeds: tuple[SpeedInterval, ...] = ()
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
@@ -221,7 +197,6 @@ def shrink(
     plain_seconds: float | None = None,
     ahead: int = 0,
     asks_likely: bool = False,
-    measures_again: bool = False,
 ) -> Asking[tuple[Scenario, Shrunk]]:
     """Return the simplest scenario found that fails in the same way as ``scenario``, as driven, with the statistics.
 
@@ -237,7 +212,6 @@ def shrink(
         ahead: number of candidates to be announced before the first of them is attempted. It changes nothing in the
             result.
         asks_likely: True if small scenarios are attempted only if they are :class:`Likely` to fail.
-        measures_again: True if candidates that do not fail are attempted again when only speeds are still measured.
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
@@ -246,7 +220,6 @@ def shrink(
         best=scenario, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={scenario: scenario},
         ahead=ahead if ahead > 1 else 0,
     )  # fmt: skip
-    intervals: list[SpeedInterval] = []
     is_minimal = False
     plainer: Pass = partial(_plainer_start, plain=plain)
     longer: Pass = partial(_plainer_duration, seconds=plain_seconds)
@@ -261,7 +234,7 @@ def shrink(
     with suppress(OutOfBudget):
         yield from gate.exhausts(plainer)
         yield from gate.exhausts(small, asks_likely=asks_likely)
-    gate.rollouts = rollouts - min(FOR_SPEEDS, rollouts // 5)
+    gate.rollouts = rollouts - 1  # the last one is for the paper's traffic
     with suppress(OutOfBudget):
         while not is_minimal:
             is_simpler = False
@@ -274,11 +247,7 @@ def shrink(
     with suppress(OutOfBudget):
         # only once, even if the passes used up their budget: they do not start again
         yield from gate.exhausts(_papers_traffic)
-        gate.is_measuring = True
-        if measures_again:
-            gate.tried = {each: same for each, same in gate.tried.items() if same is not None}
-        yield from _intervals(gate, intervals)
-    return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal, speeds=tuple(intervals))
+    return gate.best, Shrunk(rollouts=gate.spent, is_minimal=is_minimal)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -295,7 +264,6 @@ class _Gate:
     tried: dict[Scenario, Scenario | None]
     ahead: int
     spent: int = 0
-    is_measuring: bool = False  # True when only the speeds of the best are still measured
     starts: dict[Scenario, tuple[Start, ...]] = field(default_factory=dict)  # of failing scenarios as driven
 
     def simplifies(self, candidate: Scenario | None) -> Asking[bool]:
@@ -367,7 +335,7 @@ class _Gate:
         if candidate not in self.tried:
             if self.spent >= self.rollouts:
                 raise OutOfBudget
-            shown: Shown = yield Attempt(candidate, None if self.is_measuring else self.best)
+            shown: Shown = yield Attempt(candidate, self.best)
             self.spent += 1  # counted after the attempt, which may itself raise OutOfBudget
             self.tried[candidate] = None
             if shown is not None:
@@ -614,37 +582,6 @@ def _two_steps(scenario: Scenario) -> Candidates:
     for first in sorted(firsts, key=sort_key, reverse=True)[:MOST_FIRST_STEPS]:
         for simplified in STRUCTURE:
             yield from simplified(first)
-
-
-def _intervals(gate: _Gate, intervals: list[SpeedInterval]) -> Asking[None]:
-    """Add for every instruction the lowest and highest speed found at which the scenario still fails."""
-    scenario = gate.best
-    for npc, start, end, speed in _all_blocks(scenario):
-        if not scenario.npcs[npc][start].holds_speed:
-            continue
-
-        def fails(change: int, npc: int = npc, start: int = start, end: int = end, speed: int = speed) -> Asking[bool]:
-            candidate = _with_speed(scenario, npc, start, end, speed + change)
-            return candidate is not None and (yield from gate.driven(candidate)) is not None
-
-        down = yield from _furthest(fails, -1, most=speed)
-        up = yield from _furthest(fails, 1, most=max(gate.top - speed, 0))
-        intervals.append(SpeedInterval(npc=npc, gene=start, low=_mps(speed - down), high=_mps(speed + up)))
-
-
-def _furthest(holds: Callable[[int], Asking[bool]], direction: int, most: int) -> Asking[int]:
-    """Return the largest number of steps found, at most ``most``, for which ``holds`` is true; it is true for 0.
-
-    The number doubles while ``holds`` is true, and is bisected after that, so the number of calls grows with the
-    logarithm of ``most``.
-    """
-    good, bad = 0, min(ONE, most)
-    while bad > good and (yield from holds(direction * bad)):
-        good, bad = bad, min(2 * bad, most)
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        good, bad = (middle, bad) if (yield from holds(direction * middle)) else (good, middle)
-    return good
 
 
 def _slices(length: int, most: int) -> Iterator[tuple[int, int]]:

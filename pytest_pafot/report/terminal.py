@@ -215,24 +215,8 @@ def prevention_text(expect: Expect) -> str:
 
 
 def effort_lines(finding: Finding) -> list[str]:
-    """Return lines on the number of runs that shrinking took, and on the NPC speeds that still fail."""
-    if finding.shrunk is None:
-        return []
-    still = [f"still      {sentence}" for sentence in speed_sentences(finding)]
-    return [f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}", *still]
-
-
-def speed_sentences(finding: Finding) -> list[str]:
-    """Return sentences on the NPC speeds at which a finding's scenario still fails."""
-    sentences = []
-    for interval in () if finding.shrunk is None else finding.shrunk.speeds:
-        gene = finding.scenario.npcs[interval.npc][interval.gene]
-        beginning = gene.beginning(interval.gene * finding.scenario.gene_seconds)
-        speeds = f"any speed from {interval.low:.1f} to {interval.high:.1f} m/s"
-        if interval.low == interval.high:
-            speeds = f"only a speed of {interval.low:.1f} m/s"
-        sentences.append(f"NPC {interval.npc} {beginning}: {speeds} still fails")
-    return sentences
+    """Return a line on the number of runs that shrinking took."""
+    return [] if finding.shrunk is None else [f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}"]
 
 
 def failure_line(search: SearchSummary) -> str:

@@ -49,7 +49,7 @@ from pytest_pafot.report.page_data import (
     ZoneView,
     gap_to,
 )
-from pytest_pafot.report.terminal import prevention_text, shrunk_lines, speed_sentences
+from pytest_pafot.report.terminal import prevention_text, shrunk_lines
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
@@ -389,7 +389,7 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
         shown.append(("The moment", [f"at {moment}", *listed], moment.conditions))
     runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
     size = [f"{how}{runs}" for how in shrunk_lines(finding)]
-    shown.append(("Shrunk", [*size, *speed_sentences(finding)], ()))
+    shown.append(("Shrunk", size, ()))
     prevented, perception = prevention_text(finding.expect), finding.perception
     shown.append(("Others", [*filter(None, [prevented, "" if perception is None else perception.sentence])], ()))
     return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)

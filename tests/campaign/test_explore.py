@@ -82,7 +82,7 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
     monkeypatch.setattr(simplest, "LATER", 1000.0)
     whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
-    assert [each.shrunk.speeds for each in cut.findings] == [each.shrunk.speeds for each in whole.findings]
+    assert [each.shrunk for each in cut.findings] == [each.shrunk for each in whole.findings]
     assert cut.summary.shrink_decisions < 0.75 * whole.summary.shrink_decisions
 
 

@@ -13,7 +13,7 @@ from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import Perceived
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
@@ -43,7 +43,7 @@ SHRUNK = plain_finding(
         needed=("latency", "noise"),
     ),
     original=Scenario(npcs=plain_finding().scenario.npcs, seed=9),
-    shrunk=Shrunk(rollouts=41, is_minimal=False, speeds=(SpeedInterval(npc=0, gene=1, low=3.0, high=11.2),)),
+    shrunk=Shrunk(rollouts=41, is_minimal=False),
     rate=FailureRate(failing=14, runs=20),
     flaky="running it again gave a different run",
 )
@@ -620,7 +620,7 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
         "ghosts: {rate: 0.7, lifetime: 1.5},\n             own_bias: {heading: 0.01}, needed: [latency, noise]}\norig"
     ) in text_of(SHRUNK)
     assert (
-        "shrunk: {rollouts: 41, is_minimal: false, speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]}\n"
+        "shrunk: {rollouts: 41, is_minimal: false}\n"
         "rate: {failing: 14, runs: 20}\n"
         'flaky: "running it again gave a different run"\n'
     ) in text_of(SHRUNK)
@@ -665,10 +665,6 @@ def test_the_egos_own_vehicle_is_read_strictly(path):
         ("seed: 9", "seed: -9", "original.seed"),
         ("rollouts: 41", "rollouts: many", "shrunk.rollouts"),
         ("is_minimal: false", "is_minimal: 0", "shrunk.is_minimal"),
-        ("npc: 0, gene: 1, low", "npc: 1, gene: 1, low", "shrunk.speeds[0].npc"),
-        ("gene: 1, low", "gene: 2, low", "shrunk.speeds[0].gene"),
-        ("low: 3.0", "low: .inf", "shrunk.speeds[0].low"),
-        ("low: 3.0, high: 11.2", "low: 11.2, high: 3.0", "shrunk.speeds[0].high"),
         ('flaky: "running it again gave a different run"', 'flaky: " "', "flaky"),
         ("failing: 14, runs", "failing: 21, runs", "rate.failing"),
         ("runs: 20", "runs: 0", "rate.runs"),
@@ -694,8 +690,7 @@ def test_error_in_a_later_section_names_its_field(path, old, new, field):
     [
         ("responsibility: ego, ", "responsibility", "expect"),
         (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "versions", "found"),
-        ("is_minimal: false, ", "is_minimal", "shrunk"),
-        (", speeds: [{npc: 0, gene: 1, low: 3.0, high: 11.2}]", "speeds", "shrunk"),
+        (", is_minimal: false", "is_minimal", "shrunk"),
     ],
 )
 def test_key_with_a_default_only_in_code_is_required(path, left_out, key, field):

@@ -12,7 +12,7 @@ from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
 from pytest_pafot.findings.labels import Label
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
+from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
@@ -199,15 +199,8 @@ def bounded():
     return st.builds(Bounded, value=numbers, at_most=st.floats(-MAX_NUMBER, MAX_NUMBER), at_least=numbers, unit=texts())
 
 
-@st.composite
-def simplifications(draw, scenario):
-    places = [(npc, gene) for npc, chain in enumerate(scenario.npcs) for gene in range(len(chain))]
-    speeds = [
-        SpeedInterval(npc=npc, gene=gene, low=low, high=high)
-        for npc, gene in draw(st.lists(st.sampled_from(places), max_size=9))
-        for low, high in [sorted((draw(st.floats(0, 1e3)), draw(st.floats(0, 1e3))))]
-    ]
-    return Shrunk(rollouts=draw(st.integers(0, 10**6)), is_minimal=draw(st.booleans()), speeds=tuple(speeds))
+def simplifications():
+    return st.builds(Shrunk, rollouts=st.integers(0, 10**6), is_minimal=st.booleans())
 
 
 def rates():

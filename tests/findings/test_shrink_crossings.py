@@ -104,11 +104,6 @@ def test_instruction_without_room_on_its_way_is_rejected():
     assert JUNCTION.fits(told(simplest)[0])
 
 
-def test_crossing_speeds_that_still_fail_are_reported():
-    _, how = shrunk(scenario(crosses()), some(lambda each: 4.2 <= each.speed <= 9.4))
-    assert [(each.npc, each.gene, each.low, each.high) for each in how.speeds] == [(0, 0, 4.2, 9.4)]
-
-
 def test_crossing_scenario_is_as_long_as_a_run():
     assert size_of(scenario(crosses()), 13.0) == "1 NPC, 1 instruction, 13 s"
     assert instructions(BUSY) == 7

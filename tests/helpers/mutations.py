@@ -218,7 +218,6 @@ def holds(finding: Finding) -> dict[str, Any]:
         else {
             "rollouts": shrunk.rollouts,
             "is_minimal": shrunk.is_minimal,
-            "speeds": [{name: getattr(each, name) for name in each.__slots__} for each in shrunk.speeds],
         },
         "rate": None if finding.rate is None else asdict(finding.rate),
         "flaky": finding.flaky,

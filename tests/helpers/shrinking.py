@@ -11,21 +11,19 @@ def shrink(
     starts=lambda scenario: (),
     expect=lambda candidates, more: None,
     likely=None,
-    measure=None,
     **options,
 ):
     """Return the simplest scenario and the statistics.
 
-    ``attempt`` returns a candidate as driven if it fails, else None; ``measure`` does so when only speeds are measured.
+    ``attempt`` returns a candidate as driven if it fails, else None.
     """
-    has_measure = measure is not None
-    questions = shrinking.shrink(scenario, asks_likely=likely is not None, measures_again=has_measure, **options)
+    questions = shrinking.shrink(scenario, asks_likely=likely is not None, **options)
     answer = None
     try:
         while True:
             match question := questions.send(answer):
-                case Attempt(candidate, best):
-                    driven = measure(candidate) if has_measure and best is None else attempt(candidate)
+                case Attempt(candidate, _):
+                    driven = attempt(candidate)
                     answer = None if driven is None else (driven, starts(driven))
                 case Likely():
                     answer = likely(*question)

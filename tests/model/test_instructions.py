@@ -22,7 +22,6 @@ from pytest_pafot.campaign.request import build_space
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.extending import WithStart, register
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.instructions import (
     GROUP,
     KINDS,
@@ -35,7 +34,6 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.instructions.instruction import Choices, checked_speed, tenths_within
 from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre
 from pytest_pafot.model.trace import Y
-from pytest_pafot.report.terminal import speed_sentences
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Coverage
 from pytest_pafot.searching.operators import crossover, mutate
@@ -210,9 +208,6 @@ def test_run_coverage_and_reports_show_it():
     views = view_of(run.trace).instructions
     step = "2 s later 0.8 m right of the centre, to 20 m/s at 3 m/s^2"
     assert [each.words for each in views] == ["drifts 0.8 m to the right", step]
-    told = Shrunk(rollouts=3, speeds=(SpeedInterval(npc=0, gene=0, low=19.0, high=20.5),))
-    (sentence,) = speed_sentences(plain_finding(scenario=drifting(), shrunk=told))
-    assert sentence == "NPC 0 from 0 s drifts 0.8 m to the right: any speed from 19.0 to 20.5 m/s still fails"
 
 
 # The kinds that others register.
@@ -370,7 +365,6 @@ def test_what_is_no_instruction_is_refused_by_the_name_of_its_kind(made):
         ("plainer", lambda self: 5, "an instruction, received 5"),
         ("plain", lambda self: "it", "a list of texts and numbers, received 'it'"),
         ("in_file", lambda self: [1], r"a dict of its fields, received \[1\]"),
-        ("beginning", lambda self, seconds=0: None, "a text, received None"),
         ("read", classmethod(lambda cls, plain=(): plain), r"an instruction, received \(\)"),
         ("small", staticmethod(lambda: [3]), r"a list or tuple of instructions, received \[3\]"),
         ("mixed", lambda self: (self, None), r"two instructions or None, received \(Changed\(.*\), None\)"),

@@ -84,7 +84,6 @@ def test_shrunk_file_retains_name_and_original_scenario(collides):
     assert sort_key(finding.scenario) < sort_key(finding.original)
     assert finding.shrunk.is_minimal
     assert 0 < finding.shrunk.rollouts <= 300
-    assert all(interval.low <= interval.high for interval in finding.shrunk.speeds)
 
 
 def test_finding_stays_unchanged_without_shrink_rollouts(collides):
@@ -118,7 +117,6 @@ def test_report_shows_shrunk_run_and_both_sizes(collides):
             "shrunk     from 2 NPCs, 4 instructions* to 1 NPC, *",
             f"scenario   <Scenario {finding.scenario.id}: *",
             "shrunk in  * runs",
-            "still      NPC 0 from 0 s *: any speed from * to * m/s still fails",
         ]
     )
     result.stdout.fnmatch_lines(["  * run* and * to shrink in * s, *"])

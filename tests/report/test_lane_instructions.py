@@ -5,13 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.findings.shrink import Shrunk, SpeedInterval
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import Report
-from pytest_pafot.report.terminal import speed_sentences
-from tests.findings.builders import plain_finding
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import DrawnCell, instruction_at, picture_at
 from tests.helpers.traces import trace_of, vehicle
@@ -64,16 +61,6 @@ def test_an_instruction_says_which_change_was_requested():
     stayed = replace(trace.scenario, npcs=((LaneInstruction("keep", 25.0), *IN_LANES[1:]), ON_GRID))
     first = view_of(replace(trace, scenario=asked, executed=stayed)).instructions[0]
     assert first.words == "keep the lane left of the ego (requested one lane left)"
-
-
-def test_speeds_that_still_fail_name_the_lane():
-    scenario = Scenario(npcs=(IN_LANES,), gene_seconds=2.0)
-    speeds = tuple(SpeedInterval(npc=0, gene=gene, low=1.0, high=9.0) for gene in (0, 1))
-    shrunk = Shrunk(rollouts=9, is_minimal=True, speeds=speeds)
-    assert speed_sentences(plain_finding(scenario=scenario, shrunk=shrunk)) == [
-        "NPC 0 from 0 s one lane right: any speed from 1.0 to 9.0 m/s still fails",
-        "NPC 0 from 2 s in its lane: any speed from 1.0 to 9.0 m/s still fails",
-    ]
 
 
 @pytest.mark.processes

@@ -43,7 +43,7 @@ def confirm_simplest(
         if as_often is None:
             return simplest, run, verdict, f"what is simpler does not fail as often as in {as_found} runs"
         if as_often != scenario:
-            shrunk = replace(simplest.shrunk, is_minimal=False, speeds=())
+            shrunk = replace(simplest.shrunk, is_minimal=False)
             simplest = replace(simplest, scenario=as_often, shrunk=shrunk)
             run, verdict, differs = _run_again(as_often, sighting, state, bench)
         rate = yield from failure_rate(sighting, as_often, state, bench)

@@ -166,11 +166,11 @@ def simplest_of(
         yield Phase(f"measuring how often {id_} fails", id_)
         return texts[fails(scenario, bench)], None
 
-    def attempt(candidate: Scenario, best: Scenario | None) -> Refining[Answered]:
+    def attempt(candidate: Scenario, best: Scenario) -> Refining[Answered]:
         number = asked + 1 - (0 if as_found is None else KNOWN_RUNS)
         yield Phase(f"shrinking {id_}, run {number} of {rollouts}", id_)
         most = None
-        if best is not None and repeats is not None:  # in how many decisions it must fail
+        if repeats is not None:  # in how many decisions it must fail
             most = len(actions_in(best)) + round(LATER * repeats.ads_hz)
         show = partial(showing, sighting, candidate, state, bench, store, most)
         if as_found is None or not is_flaky:
@@ -214,7 +214,6 @@ def simplest_of(
             plain_seconds=None if space is None else space.gene_seconds,
             ahead=number_ahead(bench),
             asks_likely=is_likely is not None,
-            measures_again=repeats is not None,
         )
         try:
             question = next(asking)

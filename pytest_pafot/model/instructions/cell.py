@@ -102,10 +102,6 @@ class PositionInstruction(TimedInstruction):
         """Return all cells at all speeds."""
         return [PositionInstruction(cell, speed) for cell in Cell for speed in speeds]
 
-    def beginning(self, seconds: float) -> str:
-        """Return when the NPC drives into the cell."""
-        return f"from {round(seconds, 1):g} s in cell {int(self.cell)} ({self.cell.label})"
-
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the requested cell and the one that was driven."""
         return {"requested": int(requested.cell), "cell": int(self.cell)}

@@ -208,10 +208,6 @@ class CrossingInstruction(Instruction):
         """The slot of an NPC that passes."""
         return self.slot if self.act == "pass" else None
 
-    def beginning(self, seconds: float) -> str:
-        """Return the zone and the slot, which hold for the whole run."""
-        return f"on {self.goal}"
-
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the zone and the slot."""
         slot = f"{abs(self.slot):g} s {'after' if self.slot > 0 else 'before'} the ego" if self.slot else "with the ego"

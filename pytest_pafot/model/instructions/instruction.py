@@ -339,10 +339,6 @@ class Instruction(Pasteable, ABC):
         """Return how many lanes to the right a change goes that a later instruction lets go on; None if none does."""
         return None
 
-    def beginning(self, seconds: float) -> str:
-        """Return when and where it begins, in words, if it does so ``seconds`` after the beginning of the run."""
-        return f"from {round(seconds, 1):g} s {self.goal}"
-
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the fields of the page's view of this instruction, which was driven instead of ``requested``.
 
@@ -507,10 +503,6 @@ class WithStart(Instruction):
         """Return the instruction with a start in the same lane; on a road of ten lanes and more, it may be nearer."""
         beside = min(max(self.beside + before - now, -MOST_BESIDE), MOST_BESIDE)
         return cast("Self", replace(cast("Any", self), beside=beside))
-
-    def beginning(self, seconds: float) -> str:
-        """Return where the NPC starts."""
-        return f"starts {self.place}"
 
 
 def tenths_within(name: str, value: object, least: float, most: float) -> float:

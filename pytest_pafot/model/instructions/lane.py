@@ -138,10 +138,6 @@ class LaneInstruction(TimedInstruction):
         """Return the change of lanes, which goes on under later instructions that keep the lane."""
         return self.column if later.lane == "keep" else None
 
-    def beginning(self, seconds: float) -> str:
-        """Return when the NPC keeps or changes its lane."""
-        return f"from {round(seconds, 1):g} s {'in its lane' if self.lane == 'keep' else self.goal}"
-
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the lane that was driven, and the requested one if it was a different one."""
         words = self.words(apart) + ("" if self == requested else f" (requested {requested.goal})")
