@@ -139,7 +139,7 @@ class SearchSummary:
         random_failing, random_otherwise, random_checks, random_runs: random scenarios at the beginning: failing in a
             collision by the ego's fault, otherwise, of the latter by a check, and all that are valid and not
             rejected. 0 if the search broke off before they were done.
-        drawn, coverage: lines on the range of scenarios, and on what NPCs reached.
+        drawn: a line on the range of scenarios.
         against: the reference; empty without one.
         paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
             in how many only one failed. Null if there was nothing to decide.
@@ -186,7 +186,6 @@ class SearchSummary:
     random_checks: int = 0
     random_runs: int = 0
     drawn: str = ""
-    coverage: str = ""
     against: str = ""
     paired: Paired | None = None
     no_worse: Mapping[str, str] = field(default_factory=dict)

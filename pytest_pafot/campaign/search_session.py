@@ -639,7 +639,7 @@ class SearchSession:
             self._out_of_reach,
             self.harness.policy.loading_hint if state.runs else "",
         )
-        random, ways = state.random, [] if state.space is None else list(state.space.zones)
+        random = state.random
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
         names = ("invalid", "avoidable", "unpreventable", "common", "rejected", "skipped")
@@ -683,7 +683,6 @@ class SearchSession:
             random_otherwise=0 if is_cut_short else random.otherwise,
             random_checks=0 if is_cut_short else random.checks,
             drawn="" if self.state.space is None else self.state.space.described,
-            coverage=health.coverage.describe(self.harness.world.speed_limit, ways) if state.runs else "",
             outcomes=dict(state.outcomes),
             responsibilities=dict(state.responsibilities),
             **verdicts,

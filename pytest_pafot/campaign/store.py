@@ -87,9 +87,8 @@ class Store:
             self.unsaved.append(finding.id)
             self.first_exception = self.first_exception or verdict.exception
             return finding.id
-        origin = self._origin(generation, number)
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
-            sighting = self._saved(finding, headline(run, verdict), origin, verdict.exception, verdict.is_timed)
+            sighting = self._saved(finding, headline(run, verdict), verdict.exception, verdict.is_timed)
             sighting = replace(sighting, run=run, number=number, severity=verdict.severity)
             return self._held(sighting)
 
@@ -235,14 +234,14 @@ class Store:
     def rewritten(self, sighting: Sighting) -> Sighting:
         """Write a finding of which more is known to its file, whose ``xfail`` stays; return it.
 
-        If the file cannot be written, its origin says why.
+        If the file cannot be written, ``unwritten`` says why.
         """
         if sighting.file is None:
             return replace(sighting, content=text_of(sighting.finding) if sighting.content else "")
         try:
             return replace(sighting, finding=rewrite(sighting.file, sighting.finding))
         except CorpusWriteError as error:
-            return replace(sighting, origin=f"{sighting.origin}; its file is as it was before: {error}")
+            return replace(sighting, unwritten=str(error))
 
     def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Sighting:
         """Save a scenario in which a process died in an earlier session, as its record ``leftover`` says.
@@ -263,9 +262,7 @@ class Store:
         finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
         is_timed = again is not None and again.is_hang
         with postponed():
-            return self._held(
-                self._saved(finding, line, "the record of a session that died", PlainFailure(text), is_timed)
-            )
+            return self._held(self._saved(finding, line, PlainFailure(text), is_timed))
 
     def add_lost(self, lost: LostRun, generation: int, number: int) -> Sighting:
         """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
@@ -274,9 +271,8 @@ class Store:
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         self._forget_pending(finding)
-        origin = self._origin(generation, number)
         with postponed():
-            return self._held(self._saved(finding, _headline(lost), origin, PlainFailure(text), lost.is_hang))
+            return self._held(self._saved(finding, _headline(lost), PlainFailure(text), lost.is_hang))
 
     def _held(self, sighting: Sighting) -> Sighting:
         self.findings[sighting.id] = sighting
@@ -297,10 +293,6 @@ class Store:
             versions=self.harness.versions,
         )
 
-    def _origin(self, generation: int, number: int) -> str:
-        algorithm = self.harness.request.algorithm.name
-        return f"{algorithm}, seed {self.seed}, generation {generation}, run {number}"
-
     def _death(self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None) -> Finding:
         return Finding(
             id=f"{'hang' if expect.outcome is Outcome.HANG else 'crash'}-{scenario.id}",
@@ -312,7 +304,7 @@ class Store:
             perception=self._perception,
         )
 
-    def _saved(self, finding: Finding, line: str, origin: str, exception: BaseException, is_timed: bool) -> Sighting:
+    def _saved(self, finding: Finding, line: str, exception: BaseException, is_timed: bool) -> Sighting:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
@@ -336,7 +328,6 @@ class Store:
             path="" if problem else relative(path, self.harness.root),
             detail=problem,
             is_timed=is_timed,
-            origin=origin,
             exception=exception,
             file=None if problem else path,
             content=content,

@@ -135,7 +135,7 @@ class Moment:
             lines += [f"{whom}:"] if whom and shown else []
             lines += [f"{'  ' if whom else ''}{row}" for row in shown]
         out = sum(len(rows) for _, rows in self.conditions) - most
-        return [*lines, f"{out} more with -v, or on the page of {flag('report')}"] if out > 0 else lines
+        return [*lines, f"{out} more on the page of {flag('report')}"] if out > 0 else lines
 
 
 def vehicle_of(run: Run, expect: Expect) -> int | None:

@@ -62,7 +62,7 @@ class Sighting:
         sentences: who did what in a collision; empty without one, and until an item reports it.
         command: the command that runs it again; empty until an item reports it.
         is_first: True if it is reported for the first time.
-        origin: one line on how a new finding was found.
+        unwritten: why the file of a new finding is as it was before, without what shrinking changed; usually empty.
         exception: what the test function raised in the run of a new finding, or what stands for the death of its
             process; None for a replay, and beyond that process.
         run: the run of the scenario in the file; None if its process died or hung.
@@ -95,7 +95,7 @@ class Sighting:
     sentences: tuple[str, ...] = ()
     command: str = ""
     is_first: bool = True
-    origin: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
+    unwritten: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
     exception: BaseException | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     file: Path | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
@@ -170,14 +170,11 @@ class Sighting:
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))
 
-    def on_decisions(self, most: float = CONDITIONS) -> list[str]:
-        """Return lines on the policy's decisions, each with a title of ten letters at most, or indented below one.
-
-        ``most`` is the largest number of conditions in them.
-        """
+    def on_decisions(self) -> list[str]:
+        """Return lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
         lines = [f"answers    {self.answers}"] if self.answers is not None else []
         if self.moment is not None:
-            lines += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.condition_lines(most))]
+            lines += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.condition_lines(CONDITIONS))]
         return lines
 
     @property

@@ -168,14 +168,12 @@ def is_compact(config: pytest.Config) -> bool:
     return config.get_verbosity() <= 0
 
 
-def explained(run: Run, exception: BaseException, config: pytest.Config) -> str:
+def explained(run: Run, exception: BaseException) -> str:
     """Return the explanation of a run, for the message of a failure.
 
     If a check failed, the text is a line with a title, because it follows the check's own explanation.
     """
-    text = run.explain()
-    if is_compact(config):  # drop the last line: it names the scenario, as the file does
-        text = text.rpartition("\n")[0]
+    text = run.explain().rpartition("\n")[0]  # the last line names the scenario, as the file does
     return f"run        {text}" if isinstance(exception, CheckFailed) else text
 
 

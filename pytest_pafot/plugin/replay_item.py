@@ -234,7 +234,7 @@ def _conclude(
         item.stash[SUMMARY] = ascii_text(headline(run, verdict))
         lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
         if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
-            lines += explained(run, verdict.exception, item.config).splitlines()
+            lines += explained(run, verdict.exception).splitlines()
         lines += more
         _add_section(item, lines)
         raise shown(verdict.exception)

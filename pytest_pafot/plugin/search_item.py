@@ -50,7 +50,7 @@ from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
-from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, is_compact, summarise
+from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, summarise
 from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
@@ -346,14 +346,12 @@ class SearchMessages:
             return
         self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
         width = config.stash[SHARED].width
-        explanation = "" if sighting.run is None else explained(sighting.run, sighting.raised, config)
+        explanation = "" if sighting.run is None else explained(sighting.run, sighting.raised)
         details = (
             [f"against    {sighting.finding.expect.against}, which passes"] if sighting.finding.expect.against else []
         )
         details += [] if sighting.is_first else terminal.simplified_lines(sighting.finding)
-        if not is_compact(config):
-            details += [f"scenario   {sighting.finding.scenario}", f"found by   {sighting.origin}"]
-            details += terminal.effort_lines(sighting.finding)
+        details += [f"its file   is as it was before: {sighting.unwritten}"] if sighting.unwritten else []
         advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky and not sighting.is_random else ""
         if sighting.difference == NOT_REPEATED:
             advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
@@ -375,7 +373,6 @@ class SearchMessages:
             advice=advice,
             shrink=shrink if is_due and sighting.path else "",
             width=width,
-            whole=not is_compact(config),
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
         whole = None

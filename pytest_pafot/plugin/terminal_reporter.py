@@ -215,7 +215,7 @@ class Reporter:
             incomparable=[*record.incomparable],
         )
         width = self._config.stash[SHARED].width
-        return terminal.session_lines(session, verbose=self._config.get_verbosity() > 0, width=width)
+        return terminal.session_lines(session, width=width)
 
     def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Show at once what a reader wants to know before the summary."""

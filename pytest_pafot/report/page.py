@@ -334,7 +334,6 @@ def search_article(search: SearchSummary, index: int, *, is_open: bool = True) -
         ("generations", made if search.asked in (None, made) else f"{made} of {search.asked}"),
         ("runs", search.runs),
         ("not run again", search.known_runs),
-        ("coverage", search.coverage),
         ("ended", end),
     )
     folded = f"{plural(search.runs, 'run')}, {search.failing} failing"

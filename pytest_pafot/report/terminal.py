@@ -6,7 +6,6 @@ paths and the user's own words.
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections import Counter
@@ -142,7 +141,6 @@ def find_section(
     advice: str = "",
     shrink: str = "",
     width: int = WIDTH,
-    whole: bool = False,
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
 
@@ -155,10 +153,8 @@ def find_section(
         advice: a text that follows the finding's remark.
         shrink: the command that shrinks the finding further; empty if it needs none.
         width: the width of the terminal in columns.
-        whole: whether to print all conditions of the decision.
     """
-    decisions = sighting.on_decisions(*([math.inf] if whole else []))
-    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *decisions]), width)
+    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *sighting.on_decisions()]), width)
     # A path is not wrapped, so that it can be copied.
     fitted += [ascii_text(f"saved as   {sighting.path}")] if sighting.path else []
     stop = (
@@ -214,11 +210,6 @@ def prevention_text(expect: Expect) -> str:
     return "; ".join(clauses)
 
 
-def effort_lines(finding: Finding) -> list[str]:
-    """Return a line on the number of runs that shrinking took."""
-    return [] if finding.shrunk is None else [f"shrunk in  {plural(finding.shrunk.rollouts, 'run')}"]
-
-
 def failure_line(search: SearchSummary) -> str:
     """Return in one line why the item of a search fails."""
     ids = [*(sighting.id for sighting in _worst_first(search.finds)), *search.unsaved]
@@ -255,7 +246,7 @@ def failure_message(search: SearchSummary) -> str:
     return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky, *_unsaved_lines(search)])
 
 
-def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
+def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
     """Summarise a search in a few lines; more if there is something to report."""
     # A search that made all that was asked for needs no counts here: the line of its runs and its end say them.
     asked = ((search.generations, search.asked, "generation"), (search.runs, search.budget, "run"))
@@ -266,7 +257,7 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
         f"{''.join(short)}ended: {search.reason}"
     )
     # Of a search that found nothing, the start of the ego and the kinds of vehicles are details.
-    told = search.drawn.partition("; ")[0] if _is_quiet(search) and not verbose else search.drawn
+    told = search.drawn.partition("; ")[0] if _is_quiet(search) else search.drawn
     drawn = [told] if told else []
     texts = [*_decisions(search), *_find_lines(search), *_comparison(search)]
     lists = [origin, *drawn]
@@ -276,7 +267,6 @@ def search_lines(search: SearchSummary, *, verbose: bool = False, width: int = W
         share = interval_text(failing, counted)
         share = f", {share}" if failing else share.removeprefix("0 %")
         lists.append(f"random scenarios: {failing} of {counted} failed by the ego's fault{share}{others}")
-    lists += [f"coverage: {search.coverage}"] if verbose and search.coverage else []
     lines = [
         *_wrapped(_figures(search), width, phrases=True),
         *(line for text in texts for line in _wrapped(text, width)),
@@ -498,9 +488,9 @@ def parameter_lines(searches: Iterable[SearchSummary], width: int = WIDTH) -> li
     return lines
 
 
-def session_lines(session: SessionSummary, *, verbose: bool = False, width: int = WIDTH) -> list[str]:
+def session_lines(session: SessionSummary, *, width: int = WIDTH) -> list[str]:
     """Return the lines of the whole summary of a session; no lines if there is nothing to report."""
-    lines = _lines_of_searches(session, verbose=verbose, width=width)
+    lines = _lines_of_searches(session, width=width)
     for node_id in session.interrupted:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += replay_lines(session.replays, width)
@@ -559,22 +549,22 @@ def _is_quiet(search: SearchSummary) -> bool:
     return is_tested and is_clean and not search.reason.is_broken_off
 
 
-def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) -> list[str]:
+def _lines_of_searches(session: SessionSummary, *, width: int) -> list[str]:
     """Summarise all searches of a session: many without a failing run in a line each, and all others whole.
 
     Warnings and notes of the former are printed once if they differ only in figures, and what searches draw once if it
     is the same.
     """
     searches = session.searches
-    quiet = [] if verbose else [each for each in searches if _is_quiet(each)]
+    quiet = [each for each in searches if _is_quiet(each)]
     quiet = quiet if len(quiet) > MAX_WHOLE else []
     short, lines, drawn = {each.node_id for each in quiet}, list[str](), set[str]()
     for search in searches:
         if search.node_id in short:
             lines.append(f"{search.node_id}: {_figures(search)}, ended: {search.reason}")
         else:
-            new = replace(search, drawn="") if search.drawn in drawn and not verbose else search
-            lines += search_lines(new, verbose=verbose, width=width)
+            new = replace(search, drawn="") if search.drawn in drawn else search
+            lines += search_lines(new, width=width)
             drawn.add(search.drawn)
     if not quiet:
         return lines
@@ -588,7 +578,7 @@ def _lines_of_searches(session: SessionSummary, *, verbose: bool, width: int) ->
         also = f", and likewise in {len(others)} more" if others else ""
         lines += wrapped_to(ascii_text(f"{text} (in {node_id}{also})"), width)
     seeds = ", ".join(map(str, dict.fromkeys(each.base_seed for each in quiet)))
-    return [*lines, f"{len(quiet)} searches without a failing run, from {flag('seed')}={seeds}; -v prints them whole"]
+    return [*lines, f"{len(quiet)} searches without a failing run, from {flag('seed')}={seeds}"]
 
 
 def _listed(names: Sequence[str], limit: int = MAX_FINDS) -> str:

@@ -65,7 +65,6 @@ class Evaluation:
             unknown.
         margins: name and worst margin of each check in the user's test function
             (:attr:`pytest_pafot.oracle.checks.Check.margin`), sorted by name; empty if margins do not steer the search.
-        arrived: for each NPC and each of its started genes, whether the NPC reached the gene's cell or lane.
         driven: for each NPC and each of its started genes, the cell that the NPC drove to; only if ``executed`` cannot
             express these cells.
         collision: collision of the run; None without one.
@@ -93,7 +92,6 @@ class Evaluation:
     kind: Hashable | None = None
     mistake: str | None = None
     margins: tuple[tuple[str, float], ...] = ()
-    arrived: tuple[tuple[bool, ...], ...] = ()
     driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
     demand: Demand = (0, 0, False)
@@ -127,7 +125,6 @@ class Evaluation:
         ``interaction`` is the result of :func:`interaction_of`, if it is known.
         """
         interacted, left_behind = interaction_of(trace) if interaction is None else interaction
-        arrived = tuple([tuple([tick is not None for tick in arrivals]) for arrivals in trace.arrivals])
         return cls(
             scenario=trace.scenario,
             executed=trace.executed,
@@ -136,7 +133,7 @@ class Evaluation:
             outcome=trace.outcome,
             duration=trace.duration,
             genes_started=sum(map(len, trace.arrivals)),
-            genes_reached=sum(map(sum, arrived)),
+            genes_reached=sum([tick is not None for arrivals in trace.arrivals for tick in arrivals]),
             interaction=interacted,
             discarded=discarded,
             outran=left_behind,
@@ -144,7 +141,6 @@ class Evaluation:
             kind=kind,
             mistake=mistake,
             margins=margins,
-            arrived=arrived,
             driven=trace.driven,
             collision=trace.collision,
             demand=demand_of(trace),

@@ -6,84 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
-from itertools import chain, compress
 
-from pytest_pafot.model.instructions import KINDS, SLOTS, SPEED_BIN, Key
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import BARELY_MOVING, Evaluation
 from pytest_pafot.searching.events import Evaluated, Event
 from pytest_pafot.support.text import plural
-
-# Counts of the instructions that a search requested, that were driven, and that were reached: cells, steps on the ring,
-# lanes, target speeds, and zones with slots.
-
-
-def speed_bins(speed_limit: float) -> tuple[Key, ...]:
-    """Return the keys of the bins of target speeds up to a speed limit [m/s], the slowest first."""
-    return tuple(("bin", number) for number in range(int(speed_limit // SPEED_BIN) + 1))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coverage:
-    """Counts of instructions in simulated runs. All have speeds, and cells and steps, lanes or zones by their kind."""
-
-    requested: Counter[Key] = field(default_factory=Counter)  # in the requested scenarios
-    # in the genes that the runs got to, after the repair inside the run
-    driven: Counter[Key] = field(default_factory=Counter)
-    reached: Counter[Key] = field(default_factory=Counter)  # in driven genes whose cell, lane or zone was reached
-
-    @classmethod
-    def of(cls, evaluations: Iterable[Evaluation]) -> Coverage:
-        """Count the instructions of runs."""
-        requested, driven, reached = [list[tuple[Key, ...]]() for _ in range(3)]
-        for evaluation in evaluations:
-            depth = evaluation.depth if evaluation.genes_started else 0
-            asked = chains = [chain[0].counted(chain) for chain in evaluation.scenario.npcs]
-            if evaluation.executed is not evaluation.scenario or evaluation.driven:
-                chains = [chain[0].counted(chain) for chain in evaluation.chains]
-            requested += chain.from_iterable(asked)
-            driven += chain.from_iterable([keys[:depth] for keys in chains])
-            reached += chain.from_iterable([compress(*each) for each in zip(chains, evaluation.arrived, strict=False)])
-        counts = [Counter(chain.from_iterable(genes)) for genes in (requested, driven, reached)]
-        return cls(requested=counts[0], driven=counts[1], reached=counts[2])
-
-    def counted(self, evaluation: Evaluation) -> Coverage:
-        """Return the coverage with one more run."""
-        return self + Coverage.of([evaluation])
-
-    def __add__(self, other: Coverage) -> Coverage:
-        """Return the counts of two coverages together."""
-        return Coverage(
-            requested=_summed(self.requested, other.requested),
-            driven=_summed(self.driven, other.driven),
-            reached=_summed(self.reached, other.reached),
-        )
-
-    def describe(self, speed_limit: float, zones: Iterable[str] = ()) -> str:
-        """Return a line for a summary: how many of all cells, steps, speed bins and slots were reached and requested.
-
-        ``speed_limit`` [m/s] determines which bins exist; ``zones`` are the names of the ways in the world that cross.
-        The groups of each kind of instruction are mentioned if it was requested; cells are if no other groups are.
-        """
-        meetings: tuple[Key, ...] = tuple(("zone", zone, slot) for zone in zones for slot in SLOTS)
-        asked = {key[0] for key in self.requested}
-        kinds = [kind for kind in KINDS if any(keys[0][0] in asked for _, keys in kind.groups)] or KINDS[:1]
-        groups = [group for kind in kinds for group in kind.groups]
-        groups += [("speed bins", speed_bins(speed_limit))]
-        groups += [("slots at zones", meetings)] if meetings else []
-        requested, reached = (
-            [f"{sum(count[key] > 0 for key in keys)}/{len(keys)}" for _, keys in groups]
-            for count in (self.requested, self.reached)
-        )
-        named = ", ".join(f"{share} {name}" for share, (name, _) in zip(reached, groups, strict=True))
-        return f"reached {named}; requested {', '.join(requested)}"
-
-
-def _summed(counts: Counter[Key], more: Counter[Key]) -> Counter[Key]:
-    counts = counts.copy()  # several times as fast as a sum of two Counters if only one of them is large
-    counts.update(more)
-    return counts
-
 
 MAX_INVALID_SHARE = 0.25
 MIN_REACHED_SHARE = 0.2  # runs of four NPCs often end within a gene: a quarter to a half is usual
@@ -142,7 +69,7 @@ class Health:
     immediate: int = 0  # collisions within the first second
     off_at_once: int = 0  # runs in which the ego left the road within the first second
     over: Counter[str] = field(default_factory=Counter)  # runs that the environment ended within the first second
-    coverage: Coverage = field(default_factory=Coverage)  # requested, driven and reached instructions
+    goals: Counter[str] = field(default_factory=Counter)  # chains by the kind of places that they name
 
     @classmethod
     def of(cls, events: Iterable[Event]) -> Health:
@@ -177,7 +104,7 @@ class Health:
             immediate=sum([each.duration < IMMEDIATE for each in hits]),
             off_at_once=sum([each.outcome is Outcome.OFF_ROAD and each.duration <= IMMEDIATE for each in driven]),
             over=Counter([each.ended for each in driven if each.ended and each.duration <= IMMEDIATE]),
-            coverage=Coverage.of(runs),
+            goals=Counter([npc[0].goal_kind for each in runs for npc in each.scenario.npcs if npc[0].goal_kind]),
         )
 
     def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:
@@ -192,11 +119,6 @@ class Health:
     def reused(self) -> int:
         """The number of scenarios that were not simulated, because an earlier run showed what they do."""
         return self.evaluated - self.simulated
-
-    @property
-    def goals(self) -> frozenset[str]:
-        """The kinds of places that the NPCs' instructions name; empty if all have manoeuvres."""
-        return frozenset(str(key[0]) for key in self.coverage.requested) & {"cell", "lane", "zone"}
 
     @property
     def vacuous(self) -> bool:
@@ -244,7 +166,7 @@ class Health:
                 f"{_percent(self.invalid, self.simulated)} simulated scenarios ended {crash} and "
                 f"tested nothing, which should be at most 25 %; {remedy}"
             )
-        kinds = self.goals
+        kinds = set(self.goals)
         goal = " or ".join(sorted(kinds))
         instructions = "Position-Instructions" if kinds == {"cell"} else "instructions"
         if kinds and self.genes_started and self.reached_share < MIN_REACHED_SHARE:

@@ -338,7 +338,7 @@ def test_run_that_is_cut_counts_nowhere(clock):
     clock.now = 0.0
     whole = searched(clock, lambda run: None, runs=5)
     assert [row["scenario"] for row in cut.runs] == [row["scenario"] for row in whole.runs]
-    assert (cut.summary.coverage, cut.summary.reached) == (whole.summary.coverage, whole.summary.reached)
+    assert cut.summary.reached == whole.summary.reached
 
 
 def test_search_whose_first_run_is_cut_tested_nothing(clock):

@@ -152,7 +152,6 @@ def check_summaries(whole, parts):
         "outcomes",
         "responsibilities",
         "generations",
-        "coverage",
         "random_failing",
         "random_runs",
         "reached",

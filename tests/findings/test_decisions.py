@@ -161,7 +161,7 @@ def test_conditions_are_cut_at_whole_ones_and_the_rest_is_counted():
     moment = Moment(time=4.9, npc=0, conditions=groups)
     whole = ["NPC 0:", "  line 1", "  line 2", "no NPC:", "  line 3", "NPC 1:", "  line 1", "  line 4"]
     assert moment.condition_lines() == moment.condition_lines(5) == whole
-    rest = "with -v, or on the page of --pafot-report"
+    rest = "on the page of --pafot-report"
     assert moment.condition_lines(3) == [*whole[:5], f"2 more {rest}"]
     assert moment.condition_lines(1) == [*whole[:2], f"4 more {rest}"]
     assert replace(moment, conditions=(("", ("line 1", "line 2")),)).condition_lines() == ["line 1", "line 2"]

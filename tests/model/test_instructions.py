@@ -34,8 +34,6 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.instructions.instruction import Choices, checked_speed, tenths_within
 from pytest_pafot.model.instructions.manoeuvre import random_manoeuvre
 from pytest_pafot.model.trace import Y
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health import Coverage
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import AdsFactoryError, CorpusError
@@ -58,7 +56,6 @@ class Drift(Instruction):
 
     name = "drift"
     marks = frozenset({"offset"})
-    groups = (("sides", (("drift", "left"), ("drift", "right"))),)
     beside: ClassVar[int] = 0  # what driving by steps reads, with the steps below
     ahead: ClassVar[float] = 1.0
 
@@ -83,9 +80,6 @@ class Drift(Instruction):
 
     def varied(self, choices, rng):
         return Drift(round(rng.uniform(-1.5, 1.5), 1), choices.any_speed(rng))
-
-    def counted(self, chain):
-        return [(*Instruction.counted(self, chain)[0], ("drift", self.side))]
 
     @property
     def roughness(self):
@@ -196,15 +190,13 @@ def test_shrinking_rounds_its_numbers():
     assert (simplest.npcs, simplest.seed, how.is_minimal) == (drifting(1.0, 20.0).npcs, 0, True)
 
 
-def test_run_coverage_and_reports_show_it():
+def test_run_and_reports_show_it():
     run = Run(Highway(duration=8.0).rollout(drifting(), lambda: lambda seen: (0.0, 0.0)))
     across = run.trace.states[:, 1, Y]
     assert across[-1] - across[0] == pytest.approx(0.8, abs=0.2)
     assert [each.what for each in run.asked if not each.is_met] == []
     rows = "  NPC 0: drifts 0.8 m to the right, 20.0 m/s\n     2.0 s  2 s later 0.8 m right of the centre"
     assert rows in run.explain()
-    coverage = Coverage.of([Evaluation.of(run.trace, fitness=0.0, failing=False)])
-    assert coverage.describe(26.8) == "reached 1/2 sides, 1/6 speed bins; requested 1/2, 1/6"
     views = view_of(run.trace).instructions
     step = "2 s later 0.8 m right of the centre, to 20 m/s at 3 m/s^2"
     assert [each.words for each in views] == ["drifts 0.8 m to the right", step]
@@ -368,8 +360,6 @@ def test_what_is_no_instruction_is_refused_by_the_name_of_its_kind(made):
         ("read", classmethod(lambda cls, plain=(): plain), r"an instruction, received \(\)"),
         ("small", staticmethod(lambda: [3]), r"a list or tuple of instructions, received \[3\]"),
         ("mixed", lambda self: (self, None), r"two instructions or None, received \(Changed\(.*\), None\)"),
-        ("counted", lambda self: [("bin", 4)], r"a list of tuples of keys, .*, received \[\('bin', 4\)\]"),
-        ("counted", lambda self: None, "a list of tuples of keys, .*, received None"),
         ("shown", lambda self: "it", "a dict of the fields of a view, received 'it'"),
         ("lasting", lambda self: 0.5, r"a whole number or None, received 0\.5"),
         ("slot_asked", property(lambda self: "1 s"), "a number or None, received '1 s'"),
@@ -400,7 +390,6 @@ def test_wrong_return_of_a_kind_is_refused_by_the_name_of_its_method(name, made,
         ("goal", np.str_("ahead"), "ahead"),
         ("plain", ["it", np.int64(3), [np.float32(0.5)]], ["it", 3, [0.5]]),
         ("in_file", {"at": {"speed": np.int64(3), "is_late": np.bool_(False)}}, {"at": {"speed": 3, "is_late": False}}),
-        ("counted", [(("bin", np.int64(4)),)], [(("bin", 4),)]),
     ],
 )
 def test_numbers_of_numpy_that_a_kind_returns_are_as_good_as_plain_ones(name, made, plain):

@@ -90,11 +90,10 @@ def test_finding_report_fits_terminal_and_line_limit(explained, monkeypatch, col
     ]
 
 
-@pytest.mark.parametrize(("flags", "is_named"), [((), False), (("-v",), True)], ids=["compact", "verbose"])
-def test_scenario_is_explained_in_full_only_on_request(shrinking, failing, flags, is_named):
-    lines = block(search(failing, *flags), f"test_fails[saved-{failing.only_id}]")
+def test_scenario_is_explained_without_what_the_file_has(shrinking, failing):
+    lines = block(search(failing), f"test_fails[saved-{failing.only_id}]")
     assert "no collision in 5.0 s" in lines
-    assert any(line.startswith("  scenario ") for line in lines) is is_named
+    assert not any(line.startswith("  scenario ") for line in lines)
 
 
 def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):

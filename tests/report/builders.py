@@ -95,7 +95,7 @@ def bend_trace():
 def real_report():
     search = SearchSummary(
         node_id=f"{TEST}[search]", algorithm="pafot", seed=5, generations=8, asked=8, reason=Ending.GENERATIONS,
-        runs=50, known_runs=2, failing=5, outcomes={"safe": 45, "collision": 5}, coverage="reached 8/8 cells",
+        runs=50, known_runs=2, failing=5, outcomes={"safe": 45, "collision": 5},
         responsibilities={"none": 45, "ego": 3, "npc": 2}, warnings=("few NPCs reached their cell",),
     )  # fmt: skip
     return Report(

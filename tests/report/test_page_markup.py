@@ -45,7 +45,6 @@ def hand_made_search():
         known_runs=1,
         outcomes={"collision": 1, "safe": 7},
         responsibilities={"ego": 1, "none": 7},
-        coverage="reached 3/8 cells; requested 8/8",
         warnings=("few NPCs reached their cell",),
     )  # fmt: skip
 

@@ -61,7 +61,6 @@ SEARCH = SearchSummary(
         "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
     notes=("cut by --pafot-max-time: the same seed may find other scenarios next time",),
-    coverage="reached 8/8 cells, 21/24 ring steps, 6/6 speed bins; requested 8/8, 23/24, 6/6",
 )
 
 
@@ -193,7 +192,7 @@ def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks
     assert line.partition(" %)")[2] == end
 
 
-def test_a_search_that_finds_nothing_has_five_lines_and_verbose_ones_name_all():
+def test_a_search_that_finds_nothing_has_five_lines():
     drawn = "3 to 6 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3"
     quiet = replace(
         SEARCH, failing=0, finds=(), known={}, warnings=(), notes=(), unlike={}, random_runs=19, drawn=drawn,
@@ -203,7 +202,6 @@ def test_a_search_that_finds_nothing_has_five_lines_and_verbose_ones_name_all():
     assert len(lines) == 5
     assert max(map(len, lines)) <= 80
     assert "  3 to 6 NPCs in hostile traffic" in lines
-    assert "lanes 0 to 3" in " ".join(" ".join(terminal.search_lines(quiet, verbose=True)).split())
     many = [replace(quiet, node_id=f"t.py::test_{number}[search]") for number in range(500)]
     told = terminal.session_lines(SessionSummary(searches=many))
     assert len(told) == 501
@@ -238,7 +236,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
         interrupted=["tests/test_safety.py::test_third[search]"],
         notes=["processes are off"],
     )
-    lines = terminal.session_lines(session, verbose=True)
+    lines = terminal.session_lines(session)
     assert "\n".join(lines) == snapshot
     assert all(line.isascii() for line in lines)
     assert all(len(line) <= 80 for line in lines if line.startswith("  "))
@@ -275,17 +273,12 @@ def test_what_searches_draw_is_said_once_if_it_is_the_same():
         line for line in terminal.session_lines(SessionSummary(searches=searches)) if line in ("  4 cars", "  a truck")
     ]
     assert said == ["  4 cars", "  a truck"]
-    verbose = terminal.session_lines(SessionSummary(searches=searches), verbose=True)
-    assert [verbose.count("  4 cars"), verbose.count("  a truck")] == [3, 2]
 
 
-def test_few_searches_and_those_of_verbose_sessions_are_whole():
-    searches = many_searches()
-    for given, verbose in ((searches[3:8], False), (searches, True)):
-        lines = terminal.session_lines(SessionSummary(searches=given), verbose=verbose)
-        for search in given:
-            assert set(terminal.search_lines(search, verbose=verbose)) <= set(lines)
-        assert not any("-v prints" in line for line in lines)
+def test_few_searches_are_whole():
+    searches = many_searches()[3:8]
+    lines = terminal.session_lines(SessionSummary(searches=searches))
+    assert all(set(terminal.search_lines(search)) <= set(lines) for search in searches)
 
 
 def test_the_failure_of_a_search_reads_so(snapshot):
@@ -454,10 +447,10 @@ def test_search_summary_line_names_some_of_its_findings():
 
 @table("width", [60, 80, 120])
 def test_lines_are_wrapped_to_the_terminal_width(width):
-    lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=width)
+    lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), width=width)
     assert max(map(len, lines)) <= width
     assert " ".join(" ".join(lines).split()) == " ".join(
-        " ".join(terminal.session_lines(SessionSummary(searches=[SEARCH]), verbose=True, width=999)).split()
+        " ".join(terminal.session_lines(SessionSummary(searches=[SEARCH]), width=999)).split()
     )
 
 

@@ -229,11 +229,10 @@ def test_the_health_of_the_parts_of_a_campaign_is_together_that_of_the_whole(mak
     simulated = [each for each, reused in runs if not reused]
     assert (whole.evaluated, whole.simulated) == (len(runs), len(simulated))
     assert whole.invalid == sum(each["outcome"] is Outcome.INVALID for each in simulated)
-    instructions = [kind for kind in whole.coverage.requested.elements() if kind[0] in ("cell", "lane")]
-    assert len(instructions) == sum(len(chain) for each in simulated for chain in each["scenario"].npcs)
+    assert whole.goals.total() == sum(len(each["scenario"].npcs) for each in simulated)
 
 
 def test_adding_two_healths_changes_neither(make_evaluation):
     one, other = health_of(make_evaluation, (2, {})), health_of(make_evaluation, (3, {"failing": True}))
-    assert (one + other).coverage.requested["cell", 4] == 5
+    assert (one + other).goals == {"cell": 5}
     assert (one, other) == (health_of(make_evaluation, (2, {})), health_of(make_evaluation, (3, {"failing": True})))

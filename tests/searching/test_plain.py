@@ -18,12 +18,11 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions.cell import CELLS, STEPS
 from pytest_pafot.model.trace import Collision, Outcome, Side
 from pytest_pafot.plugin.messages import packed, unpacked
 from pytest_pafot.searching.algorithms.distinct import DistinctState
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health import Coverage, Health, speed_bins
+from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError
@@ -88,7 +87,6 @@ evaluations = st.builds(
     kind=maybe(signatures),
     mistake=maybe(texts),
     margins=tuples(st.tuples(texts, st.floats(allow_nan=False))),
-    arrived=tuples(tuples(st.booleans())),
     driven=tuples(tuples(st.sampled_from(Cell))),
     collision=maybe(collisions),
 )
@@ -103,10 +101,8 @@ states = st.builds(
     elites=elites,
     strained=st.dictionaries(texts, elites, max_size=2),
 )
-keys = st.sampled_from((*CELLS, *STEPS, *speed_bins(30)))
-counters = st.dictionaries(keys, counts).map(Counter)
-coverages = st.builds(Coverage, requested=counters, driven=counters, reached=counters)
-healths = st.builds(Health, evaluated=counts, simulated=counts, failing=counts, coverage=coverages)
+counters = st.dictionaries(st.sampled_from(("cell", "lane", "zone")), counts).map(Counter)
+healths = st.builds(Health, evaluated=counts, simulated=counts, failing=counts, goals=counters)
 
 
 @given(states | evaluations | healths)
@@ -157,8 +153,8 @@ def test_what_json_cannot_hold_is_refused():
         (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
         (Steps, [0.5, 3], "", "a list of 3"),
         (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
-        (Evaluation, plain([None]) * 23, "[0]", "a scenario"),
-        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 23, "[0].speed", "m/s"),
+        (Evaluation, plain([None]) * 22, "[0]", "a scenario"),
+        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 22, "[0].speed", "m/s"),
         (Collision | None, [], "", "a list of 8"),
     ],
 )
@@ -181,7 +177,7 @@ def test_a_sighting_is_read_as_it_was_sent_without_what_stays_in_its_process(fin
     here = replace(seen, exception=ValueError(text), origin=text, number=3)
     assert unpacked(Sighting, packed(here)) == seen
     assert packed(here).isascii()
-    assert unpacked(Sighting, packed(here)).origin == ""
+    assert unpacked(Sighting, packed(here)).unwritten == ""
 
 
 def test_a_day_and_a_mapping_are_read_strictly():

@@ -81,7 +81,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
         problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
     )  # fmt: skip
     progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
-    lines = [*terminal.session_lines(session, verbose=True, width=width), *terminal.found_lines(find, width)]
+    lines = [*terminal.session_lines(session, width=width), *terminal.found_lines(find, width)]
     section = terminal.find_section(find, explanation=text, content=text, details=[other], advice=text, width=width)
     assert obeyed("\n".join([*lines, terminal.progress_line(progress, width), section])) == []
     assert all("\n" not in line and line.isascii() for line in lines)

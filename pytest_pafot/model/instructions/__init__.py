@@ -20,11 +20,9 @@ from pytest_pafot.model.instructions.crossing import (
 from pytest_pafot.model.instructions.free import BUILT_IN_DRIVERS, Free, checked_driver, random_free
 from pytest_pafot.model.instructions.instruction import (
     MAX_SPEED,
-    SPEED_BIN,
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
-    Key,
     ScenarioError,
     known,
     roughness,
@@ -35,8 +33,8 @@ from pytest_pafot.model.instructions.recorded import Recorded, Track
 
 __all__ = [
     "ACTS", "BUILT_IN_DRIVERS", "LANE_STARTS", "LARGEST_SLOT", "MAX_SPEED", "MOST_STEPS",
-    "SHIFTS", "SLOTS", "SLOT_STEPS_PER_SECOND", "SPEED_BIN", "SPEED_STEPS_PER_MPS", "Act", "Choices",
-    "CrossingInstruction", "Free", "Instruction", "Key", "LaneInstruction", "Manoeuvre", "PositionInstruction",
+    "SHIFTS", "SLOTS", "SLOT_STEPS_PER_SECOND", "SPEED_STEPS_PER_MPS", "Act", "Choices",
+    "CrossingInstruction", "Free", "Instruction", "LaneInstruction", "Manoeuvre", "PositionInstruction",
     "Recorded", "ScenarioError", "Step", "Track", "checked_driver", "known", "random_free", "random_lanes",
     "random_manoeuvre", "random_position", "roughness",
 ]  # fmt: skip
@@ -59,10 +57,6 @@ def _all(kind: type, value: Any) -> bool:
     return isinstance(value, (list, tuple)) and all(isinstance(each, kind) for each in value)
 
 
-def _are_keys(value: Any) -> bool:
-    return isinstance(value, list) and _all(tuple, value) and all(_all(tuple, keys) for keys in value)
-
-
 RETURNS: Mapping[str, tuple[str, Callable[[Any], bool]]] = MappingProxyType(
     {
         "str": ("a text", lambda value: isinstance(value, str)),
@@ -75,7 +69,6 @@ RETURNS: Mapping[str, tuple[str, Callable[[Any], bool]]] = MappingProxyType(
         "list[Any]": ("a list of texts and numbers", lambda value: isinstance(value, list)),
         "dict[str, Any]": ("a dict of its fields", lambda value: isinstance(value, dict)),
         "Mapping[str, Any]": ("a dict of the fields of a view", lambda value: isinstance(value, Mapping)),
-        "list[tuple[Key, ...]]": ("a list of tuples of keys, such as [(('bin', 4),)]", _are_keys),
         "Sequence[Any]": ("a list or tuple of pafot.Step(...)", lambda value: _all(Step, value)),
         "Sequence[Instruction]": ("a list or tuple of instructions", lambda value: _all(Instruction, value)),
         "Instruction | None": ("an instruction or None", lambda value: value is None or isinstance(value, Instruction)),

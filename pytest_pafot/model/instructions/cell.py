@@ -7,14 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions.instruction import (
-    SPEED_BIN,
     Choices,
-    Key,
     ScenarioError,
     Space,
     TimedInstruction,
@@ -25,14 +22,6 @@ from pytest_pafot.support.errors import plain_whole
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-
-CELLS: tuple[Key, ...] = tuple(("cell", int(cell)) for cell in Cell)
-"""The keys of the eight cells in coverage, cell 1 first."""
-
-STEPS: tuple[Key, ...] = tuple(
-    ("step", int(cell), int(target)) for cell in Cell for target in (cell, *reversed(cell.neighbours))
-)
-"""The twenty-four steps that a chain can have: from each cell, staying, one step clockwise and one anticlockwise."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -49,7 +38,7 @@ class PositionInstruction(TimedInstruction):
 
     marks = frozenset({"cell"})
     on_grid = True
-    groups = (("cells", CELLS), ("ring steps", STEPS))
+    goal_kind = "cell"
 
     def __post_init__(self) -> None:
         if type(self.cell) is not Cell:
@@ -84,11 +73,6 @@ class PositionInstruction(TimedInstruction):
         """Return an instruction that is uniform over the eight cells and the speeds; others may hold the cell."""
         return random_position(choices, rng)
 
-    def counted(self, chain: Sequence[Any]) -> list[tuple[Key, ...]]:
-        """Return the keys of speeds and cells, and of the step that leads to each cell."""
-        cells = [gene.target for gene in chain]
-        return list(map(_keys, [gene.speed for gene in chain], cells, [None, *cells]))
-
     def moves(self, before: Any) -> int:
         """Return 1 for a move to a different cell."""
         return int(before is not None and before.cell != self.cell)
@@ -112,9 +96,3 @@ def random_position(choices: Choices, rng: Generator) -> PositionInstruction:
     cell = int(rng.integers(1, 9))
     gene: PositionInstruction = known(PositionInstruction, cell, choices.any_speed(rng))
     return gene
-
-
-@lru_cache(maxsize=1 << 14)
-def _keys(speed: float, cell: int, before: int | None) -> tuple[Key, ...]:
-    step = () if before is None else (("step", before, cell),)
-    return (("bin", int(speed // SPEED_BIN)), ("cell", cell), *step)

@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from pytest_pafot.model.instructions.instruction import (
-    SPEED_BIN,
     Instruction,
-    Key,
     ScenarioError,
     Space,
     checked_number,
@@ -70,6 +68,7 @@ class CrossingInstruction(Instruction):
     act: Act = "pass"
 
     marks = frozenset({"zone"})
+    goal_kind = "zone"
     crosses = True
     least_speed: ClassVar[float] = 0.1
 
@@ -161,10 +160,6 @@ class CrossingInstruction(Instruction):
             )
 
         return child(self, other), child(other, self)
-
-    def counted(self, chain: Sequence[Any]) -> list[tuple[Key, ...]]:
-        """Return the keys of the speed, and of the slot at the zone."""
-        return [(("bin", int(self.speed // SPEED_BIN)), ("zone", self.zone, self.interval))]
 
     def moves(self, before: Any) -> int:
         """Return 1 for an NPC that does not just pass."""

@@ -15,7 +15,6 @@ from pytest_pafot.model.instructions.instruction import (
     SPEED_STEPS_PER_MPS,
     Choices,
     Instruction,
-    Key,
     ScenarioError,
     Space,
     WithStart,
@@ -31,11 +30,6 @@ BUILT_IN_DRIVERS = ("idm", "mobil", "policy")
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """The pattern of a driver's name, which stands in files and tables."""
-
-STARTS: tuple[Key, ...] = tuple(
-    ("free", along, across) for along in ("ahead", "behind") for across in ("left", "in lane", "right")
-)
-"""The keys of the starts that a search samples, in coverage, around the ego."""
 
 # What a search samples.
 
@@ -65,7 +59,6 @@ class Free(WithStart):
     name = "free"
     marks = frozenset({"beside", "ahead", "driver"})
     drives_itself = True
-    groups = (("free starts", STARTS),)
 
     def __post_init__(self) -> None:
         self.check_start()
@@ -107,12 +100,6 @@ class Free(WithStart):
     def beside_others(self, choices: Choices, others: Sequence[Sequence[Instruction]], rng: Generator) -> Free:
         """Return another free NPC, whose start is free."""
         return random_free(choices, others, rng)
-
-    def counted(self, chain: Sequence[Free]) -> list[tuple[Key, ...]]:
-        """Return the keys of the speed and the start."""
-        along = "level" if not self.ahead else "ahead" if self.ahead > 0 else "behind"
-        across = "in lane" if not self.beside else "right" if self.beside > 0 else "left"
-        return [(*keys, ("free", along, across)) for keys in Instruction.counted(self, chain)]
 
     @property
     def roughness(self) -> int:

@@ -14,7 +14,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, replace
-from functools import lru_cache
 from itertools import count
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
 
@@ -41,9 +40,6 @@ MOST_BESIDE = 8
 CODES_PER_TARGET = 10_000
 """The distance between the codes of two targets, which is more than any speed."""
 
-SPEED_BIN = 5.0
-"""The width of a bin of target speeds in coverage [m/s]."""
-
 # The starts that a search samples where no other NPC starts.
 
 MARGIN = 5.0
@@ -53,10 +49,6 @@ NEAR, LARGEST_SPREAD = 8.0, 15.0
 FASTER, BRAKING = 8.0, 2.0
 """The largest difference to the ego's first speed [m/s], and the braking with which it may be lost before contact
 [m/s^2], so that there is no danger at the start."""
-
-Key = tuple[str, int] | tuple[str, int, int] | tuple[str, str] | tuple[str, str, str]
-"""A thing that coverage counts: ``("cell", 2)``; ``("step", 1, 2)`` from cell 1 to cell 2; ``("lane", "left")``;
-``("bin", 4)``, the bin of target speeds from 20 m/s; or ``("zone", "o1>o3", "just after")`` for an NPC that crosses."""
 
 
 class ScenarioError(FieldError):
@@ -154,8 +146,8 @@ class Instruction(Pasteable, ABC):
     """True if an NPC that is alone drives its ``speed`` until the first of its steps."""
     least_speed: ClassVar[float] = 0.0
     """The lowest target speed [m/s]."""
-    groups: ClassVar[Sequence[tuple[str, Sequence[Key]]]] = ()
-    """What coverage counts of this kind beside speeds: names of groups, each with all keys that there are."""
+    goal_kind: ClassVar[str] = ""
+    """The kind of places that its instructions name: ``cell``, ``lane`` or ``zone``; empty if they name none."""
 
     speed: float
     cell: Cell
@@ -258,12 +250,6 @@ class Instruction(Pasteable, ABC):
     def for_lane(self, before: int, now: int) -> Instruction:
         """Return the instruction whose NPC starts in the same lane if the ego's first lane is another one."""
         return self
-
-    # Coverage.
-
-    def counted(self, chain: Sequence[Any]) -> list[tuple[Key, ...]]:
-        """Return the keys of each instruction of a chain that begins with this one."""
-        return [(("bin", int(each.speed // SPEED_BIN)),) for each in chain]
 
     # Shrinking.
 

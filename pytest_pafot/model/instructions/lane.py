@@ -6,16 +6,13 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pytest_pafot.model.grid import Cell, cell_at
 from pytest_pafot.model.instructions.cell import PositionInstruction
 from pytest_pafot.model.instructions.instruction import (
-    SPEED_BIN,
     SPEED_STEPS_PER_MPS,
     Choices,
-    Key,
     ScenarioError,
     Space,
     TimedInstruction,
@@ -35,9 +32,6 @@ LANE_STARTS = tuple(map(Cell, (1, 2, 3, 8, 4, 6, 7, 5)))
 """The cells in which NPCs with Lane-Instructions start: each NPC in the first cell that exists and is free. The first
 two are the starts of the NPCs in the released AV-Fuzzer: ahead to the left of the ego, and ahead in the ego's lane."""
 
-LANES: tuple[Key, ...] = tuple(("lane", shift) for shift in SHIFTS)
-"""The keys of the choices of a lane in coverage."""
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LaneInstruction(TimedInstruction):
@@ -55,7 +49,7 @@ class LaneInstruction(TimedInstruction):
 
     marks = frozenset({"lane"})
     in_free_cell = True
-    groups = (("lane choices", LANES),)
+    goal_kind = "lane"
 
     def __post_init__(self) -> None:
         if self.lane not in SHIFTS:
@@ -91,10 +85,6 @@ class LaneInstruction(TimedInstruction):
     def varied(self, choices: Choices, rng: Generator) -> LaneInstruction:
         """Return an instruction that is uniform over the lanes and the speeds."""
         return random_lanes(choices, 1, 1, rng)[0][0]
-
-    def counted(self, chain: Sequence[Any]) -> list[tuple[Key, ...]]:
-        """Return the keys of speeds and lanes."""
-        return list(map(_keys, [gene.speed for gene in chain], [gene.target for gene in chain]))
 
     def moves(self, before: Any) -> int:
         """Return 1 for a change of lanes."""
@@ -155,8 +145,3 @@ def random_lanes(choices: Choices, npcs: int, genes: int, rng: Generator) -> lis
         ]
         for chain in zip(shifts, speeds, strict=True)
     ]
-
-
-@lru_cache(maxsize=1 << 14)
-def _keys(speed: float, lane: str) -> tuple[Key, ...]:
-    return (("bin", int(speed // SPEED_BIN)), ("lane", lane))
