@@ -1,7 +1,7 @@
-"""The failure report of an item: short frames, lines that fit the terminal, and one line for the summary.
+"""The failure report of an item: short frames, and lines that fit the terminal.
 
-A search may find dozens of failures, and pytest prints each three times: in its own section, in the short summary,
-which is not shortened on CI, and in files for other tools. With ``-v`` or ``--tb=long`` the frames are in full.
+A search may find dozens of failures, and pytest prints each several times: in its own section, and in files for other
+tools. With ``-v`` or ``--tb=long`` the frames are in full.
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ from pytest_pafot.plugin.messages import AS_SAVED
 from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
-
-SUMMARY = pytest.StashKey[str]()  # the summary line of a failing item
 
 REPLAYED = pytest.StashKey[bool]()
 """Set once the scenario of an item was replayed, however the replay ended."""
@@ -133,7 +131,6 @@ class Failures:
             setattr(report, AS_SAVED, json.dumps(entry))
         _make_visible(report)
         _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
-        summarise(report, item.stash.get(SUMMARY, ""))
         return report
 
 
@@ -177,14 +174,6 @@ def explained(run: Run, exception: BaseException) -> str:
     return f"run        {text}" if isinstance(exception, CheckFailed) else text
 
 
-def summarise(report: pytest.TestReport, text: str) -> None:
-    """Set a report's line in the short summary to a text; if it is empty, to the first line of the failure message."""
-    crash = getattr(report.longrepr, "reprcrash", None)
-    if crash is not None:
-        first = _COLOUR.sub("", crash.message).removeprefix("Failed: ").partition("\n")[0]
-        crash.message = visible(text or first)
-
-
 def _make_visible(report: pytest.TestReport) -> None:
     """Make unprintable characters of a report visible, outside its traceback: in an error, a skip or an xfail."""
     match report.longrepr:
@@ -194,6 +183,9 @@ def _make_visible(report: pytest.TestReport) -> None:
             report.longrepr = (path, line, visible_lines(why))
     if hasattr(report, "wasxfail"):
         report.wasxfail = visible_lines(report.wasxfail)
+    crash = getattr(report.longrepr, "reprcrash", None)
+    if crash is not None:  # pytest's short summary has its first line
+        crash.message = visible_lines(_COLOUR.sub("", crash.message))
 
 
 def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:

@@ -24,7 +24,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.debugging import stop_in_replay
-from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, SUMMARY, explained
+from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, explained
 from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.search_item import harness_of, shown
@@ -115,7 +115,6 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
         except SetupFaultError as fault:
             faults[key] = item.nodeid
             error = shown(fault.shown(replays.harness.world, replays.harness.policy))
-    item.stash[SUMMARY] = f"error of the set-up: {line}"
     raise error
 
 
@@ -231,7 +230,6 @@ def _conclude(
     """Raise what the result of an item is; ``more`` are more lines for its section if it fails."""
     __tracebackhide__ = True
     if verdict.failed and verdict.exception is not None:
-        item.stash[SUMMARY] = ascii_text(headline(run, verdict))
         lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
         if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
             lines += explained(run, verdict.exception).splitlines()

@@ -50,9 +50,8 @@ from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
-from pytest_pafot.plugin.failure_reports import OUTPUT, SUMMARY, explained, summarise
+from pytest_pafot.plugin.failure_reports import OUTPUT, explained
 from pytest_pafot.plugin.finding_message import send_sighting
-from pytest_pafot.plugin.item_followers import show_followers, without_listener
 from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.option_sources import isolates_by_profile
@@ -261,7 +260,6 @@ def run_search(item: pytest.Function, request: Request) -> None:
     if result.fault is not None:
         raise shown(result.fault)
     if result.count:
-        item.stash[SUMMARY] = terminal.failure_line(summary)
         if item.config.getoption("usepdb", False) and result.first_exception is not None:
             first = shown(result.first_exception)
             first.add_note(terminal.failure_message(summary))
@@ -324,8 +322,6 @@ class SearchMessages:
             self._send_finding(event)
         elif isinstance(event, SearchSummary):
             set_properties(self.item.user_properties, **of_findings(self.sent.values()))
-            for each in self.sent.values():  # only now, because a finding is sent again once it is shrunk
-                show_followers(self.item, each.id, _call(each))
             if self.sent:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
             finds = tuple(self._completed(each) for each in event.finds)
@@ -398,10 +394,8 @@ def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, An
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
     """
-    with without_listener(item.config):
-        report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(sighting))
+    report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(sighting))
     path, line, _ = report.location
-    summarise(report, sighting.summary)
     report.nodeid = sighting.node_id
     report.location = (path, line, node_ids.saved_name(item, sighting.id))
     report.sections.append(("pafot", section))
@@ -427,7 +421,6 @@ def _call(sighting: Sighting) -> pytest.CallInfo[None]:
 
 def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:
     __tracebackhide__ = True
-    item.stash[SUMMARY] = f"{what}: {'; '.join(why)}"
     pytest.fail("\n".join([f"{what}:", *why]), pytrace=False)
 
 

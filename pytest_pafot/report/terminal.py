@@ -32,9 +32,6 @@ EXPENSIVE = 0.001
 MAX_FINDS = 20
 """The largest number of new findings that a search lists one by one."""
 
-MAX_NAMED = 3
-"""The largest number of findings that are named in one line."""
-
 PARAMETERS = re.compile(r"^([^\[]*::[^\[]*)\[(.*)\]$")
 """A node id with parameters: the test without them, and the parameters."""
 SEARCH = "-search"
@@ -208,12 +205,6 @@ def prevention_text(expect: Expect) -> str:
             negation = "" if names[0] in preventing else "not "
             clauses.append(f"{negation}{'' if clauses else 'preventable '}by {', '.join(names)}{beside}")
     return "; ".join(clauses)
-
-
-def failure_line(search: SearchSummary) -> str:
-    """Return in one line why the item of a search fails."""
-    ids = [*(sighting.id for sighting in _worst_first(search.finds)), *search.unsaved]
-    return f"{plural(len(ids), 'new finding')}: {_listed(ids, MAX_NAMED)}"
 
 
 def _worst_first(finds: Iterable[Sighting]) -> list[Sighting]:

@@ -281,8 +281,8 @@ def test_summary_line_names_the_test_only_once(project):
     )
     project.run().stdout.fnmatch_lines(
         [
-            "FAILED test_it.py::test_drive[[]search[]] - expected the fixture 'tmp_path' to return a factory*",
-            "ERROR test_it.py::test_other - expected a parameter 'run'*",
+            "FAILED test_it.py::test_drive[[]search[]] - Failed: expected the fixture 'tmp_path' to return a factory*",
+            "ERROR test_it.py::test_other - Failed: expected a parameter 'run'*",
         ]
     )
 

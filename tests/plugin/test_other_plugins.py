@@ -51,7 +51,6 @@ OTHERS = {
     "randomly": [],
     "rerunfailures": ["--reruns=1"],
     "timeout": ["--timeout=60"],
-    "html": ["--html=report.html", "--self-contained-html"],
     "pytest_cov": ["--cov=test_it", "--cov-report="],
 }
 
@@ -70,15 +69,13 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
         *OTHERS[plugin],
         "--junitxml=junit.xml",
         "-rA",
-        plugins=(plugin, "metadata") if plugin == "html" else (plugin,),
+        plugins=(plugin,),
         apart=plugin in ("pytest_cov", "sugar"),  # both plugins change the process in which they run
         generations=None,
     )
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     name = f"test_one[saved-{project.only_id}]"
     assert (project.path / "junit.xml").read_text().count(f'name="{name}"') == 1
-    if plugin == "html":
-        assert f"::{name}" in (project.path / "report.html").read_text()
 
 
 @pytest.mark.parametrize("family", ["xunit1", "xunit2"])

@@ -138,7 +138,7 @@ def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypat
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("step", ["plugin.search_item.summarise", "campaign.store.relative"])
+@pytest.mark.parametrize("step", ["plugin.search_item.shown", "campaign.store.relative"])
 def test_a_signal_while_a_finding_is_reported_does_not_lose_it(project, monkeypatch, step, number):
     """The first step reports the finding to pytest, the second follows the writing of its file."""
     module, _, name = f"pytest_pafot.{step}".rpartition(".")

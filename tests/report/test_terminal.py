@@ -437,14 +437,6 @@ def test_finding_that_is_told_whole_has_its_story_and_its_command():
     assert unsaved == [*lines, "  not saved: no room"]
 
 
-def test_search_summary_line_names_some_of_its_findings():
-    finds = tuple(named(f"front-2-{n}") for n in range(5))
-    assert terminal.failure_line(replace(SEARCH, finds=finds[:1])) == "1 new finding: front-2-0"
-    assert terminal.failure_line(replace(SEARCH, finds=finds)) == (
-        "5 new findings: front-2-0, front-2-1, front-2-2 and 2 more"
-    )
-
-
 @table("width", [60, 80, 120])
 def test_lines_are_wrapped_to_the_terminal_width(width):
     lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), width=width)
