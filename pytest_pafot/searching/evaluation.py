@@ -14,8 +14,7 @@ import numpy as np
 from pytest_pafot.criticality import Encounters, passages, time_advantage
 from pytest_pafot.criticality.boxes import overlaps, relate
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Chromosome, Scenario, retimed, with_targets
+from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
 from pytest_pafot.searching.space import repaired
 
@@ -65,8 +64,6 @@ class Evaluation:
             unknown.
         margins: name and worst margin of each check in the user's test function
             (:attr:`pytest_pafot.oracle.checks.Check.margin`), sorted by name; empty if margins do not steer the search.
-        driven: for each NPC and each of its started genes, the cell that the NPC drove to; only if ``executed`` cannot
-            express these cells.
         collision: collision of the run; None without one.
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
@@ -92,7 +89,6 @@ class Evaluation:
     kind: Hashable | None = None
     mistake: str | None = None
     margins: tuple[tuple[str, float], ...] = ()
-    driven: tuple[tuple[Cell, ...], ...] = ()
     collision: Collision | None = None
     demand: Demand = (0, 0, False)
     crossing: int | None = None
@@ -141,7 +137,6 @@ class Evaluation:
             kind=kind,
             mistake=mistake,
             margins=margins,
-            driven=trace.driven,
             collision=trace.collision,
             demand=demand_of(trace),
             crossing=nearest_crossing(trace),
@@ -164,11 +159,6 @@ class Evaluation:
         """
         return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
 
-    @property
-    def chains(self) -> tuple[Chromosome, ...]:
-        """The chain that each NPC drove; see :attr:`Trace.chains`."""
-        return with_targets(self.executed.npcs, self.driven)
-
     def meeting_place(self, crossings: Crossings | None) -> int | None:
         """Return a number for the zone and slot of the nearest NPC that crosses; None if no NPC crosses.
 
@@ -177,10 +167,6 @@ class Evaluation:
         told = self.scenario.crossings
         instruction = told[self.crossing] if told and self.crossing is not None else None
         return None if crossings is None or instruction is None else crossings.meeting_place(instruction)
-
-    def chains_in(self, seconds: float) -> list[Chromosome]:
-        """Return :attr:`chains` in genes that last some seconds, with nearly the same targets in time."""
-        return [retimed(chain, self.executed.gene_seconds, seconds) for chain in self.chains]
 
     @property
     def depth(self) -> int:
