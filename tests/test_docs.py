@@ -450,7 +450,7 @@ def test_reference_has_a_row_for_every_option():
     rows = generator().sections()["options"].splitlines()[2:]
     assert len(rows) == len(OPTIONS)
     for option, row in zip(OPTIONS, rows, strict=True):
-        names = (option.key, option.variable) if option.everywhere else ()
+        names = (option.key,) if option.everywhere else ()
         assert all(f"`{name}`" in row for name in names)
         assert (f"`{option.name}=`" in row) is (option.everywhere and option.is_argument)
         assert option.flag in row

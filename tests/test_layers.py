@@ -266,7 +266,7 @@ def test_no_route_climbs_more_often_than_before(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "tests.helpers.walks", str(tmp_path)],
         cwd=PACKAGE.parent, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
-        env={name: value for name, value in os.environ.items() if name != "CI"},  # whose profile isolates
+        env={name: value for name, value in os.environ.items() if name != "CI"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     floor, wrong = (

@@ -20,7 +20,7 @@ from typing import Any
 from pytest_pafot import criticality, properties, strategies
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS, PROFILES, Option
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
 from pytest_pafot.corpus.writer import text_of
@@ -369,14 +369,14 @@ def _value(function: Callable[..., Any]) -> str:
 
 
 def _options_table() -> str:
-    header = ["Command line, ini or toml key, variable, argument of the mark", "Default", "Meaning"]
+    header = ["Command line, ini or toml key, argument of the mark", "Default", "Meaning"]
     return _table(header, map(_option_row, OPTIONS))
 
 
 def _option_row(option: Option) -> list[str]:
     flag = option.flag if option.kind == "switch" else f"{option.flag}={option.metavar}"
     argument = f"{option.name}=" if option.is_argument else ""
-    elsewhere = (option.key, option.variable, argument) if option.everywhere else ("", "", "")
+    elsewhere = (option.key, argument) if option.everywhere else ("", "")
     is_said = all(choice in option.help for choice in option.choices)
     choices = "" if is_said else f" One of {_code(', '.join(option.choices))}."
     place = f'<a id="{option.flag.removeprefix("--")}"></a>'
@@ -388,17 +388,14 @@ def _option_row(option: Option) -> list[str]:
 
 
 def _option_default(option: Option) -> str:
-    profiles = [f"`{values[option.name]}` ({name})" for name, values in PROFILES.items() if option.name in values]
-    if len(profiles) == len(PROFILES):
-        return ", ".join(profiles)
     plain = "none" if option.default is None else f"`{option.default}`"
     stated = {
-        "seed": "random",
+        "runs": f"`{RUNS}`",
         "shrink_rollouts": "by the ADS",
         "population": "by the algorithm",
         "memory": "by the machine",
     }
-    return ", ".join([stated.get(option.name, plain), *profiles])
+    return stated.get(option.name, plain)
 
 
 def _marker_table() -> str:

@@ -118,7 +118,7 @@ class SearchSummary:
         node_id, result: of its item, as for a finding.
         message: why the item failed, in one line.
         reason: [Why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
-        algorithm, profile: their names.
+        algorithm: its name.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number; one that a limit of time or findings cut is not counted.
         asked, budget: generations and runs after which it ends, those of earlier sessions included; null for no limit.
@@ -152,7 +152,6 @@ class SearchSummary:
     message: str = ""
     reason: Ending = Ending.UNKNOWN
     algorithm: str = ""
-    profile: str = ""
     base_seed: int | None = None
     seed: int | None = None
     generations: int = 0

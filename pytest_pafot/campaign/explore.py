@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NoReturn
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of, with_drivers
-from pytest_pafot.campaign.options import BY_NAME, LOCAL, OPTIONS, PROFILES, Settings
+from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import (
     Request,
@@ -52,8 +52,8 @@ from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 
 PLACE = "pafot.explore"
-OF_TESTS = ("arg", "debug", "report", "save", "strict_drift", "strict_health")
-"""Arguments of ``@pafot.search`` that :func:`explore` refuses, because they have no meaning without pytest."""
+OF_SEARCHES = ("corpus", "max_time", "stop_after", "workers")
+"""Options of the session that :func:`explore` takes as arguments, because it has no command line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,15 +131,15 @@ def explore(
             function. With several workers and without ``on_event``, it is called in the processes that make the runs.
         world: the world, such as ``pafot.World("highway-v0")``, or the name of one, such as ``"module:factory"``; by
             default ``pafot.Highway()``.
-        runs: the number of runs after which the search ends; 40 if ``generations`` is not given.
+        runs: the number of runs after which the search ends; 100 if ``generations`` is not given.
         generations: the number of generations after which the search ends.
         seed: the base seed; the seed of the search is derived from it and the node id.
         node_id: the node id of the corresponding test, without ``[search]``; by default a name made from ``holds``.
         on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
         executor: runs the scenarios of the generations, as the fixture ``pafot_executor`` does.
-        settings: other arguments of ``@pafot.search``. With ``corpus=``, findings are saved below that folder, and
-            failures that are saved there already are known. Without ``corpus=``, no finding is
-            saved.
+        settings: other arguments of ``@pafot.search``, and the options ``corpus``, ``max_time``, ``stop_after`` and
+            ``workers``. With ``corpus=``, findings are saved below that folder, and failures that are saved there
+            already are known. Without ``corpus=``, no finding is saved.
 
     Raises:
         RequestError: if an argument is wrong, or if assertions are off.
@@ -148,7 +148,7 @@ def explore(
             it raised and what to do.
     """
     check_asserts(holds)
-    budget = PROFILES[LOCAL] if runs is None and generations is None else {"runs": runs, "generations": generations}
+    budget = {"runs": RUNS if runs is None and generations is None else runs, "generations": generations}
     request = request_of({"ads": ads, "world": world, "seed": seed, **budget, **settings})
     name = node_id or f"explore.py::{getattr(holds, '__name__', 'holds')}"
     events: list[SearchEvent] = []
@@ -305,12 +305,12 @@ def request_of(given: dict[str, Any]) -> Request:
         RequestError: on the first wrong argument.
     """
     for name in given:
-        if name in OF_TESTS or (name in BY_NAME and name not in SearchArguments.__annotations__):
+        if name == "arg" or (name in BY_NAME and name not in (*SearchArguments.__annotations__, *OF_SEARCHES)):
             raise RequestError(
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
                 "with pytest; remove it"
             )
-    check_names(given, place=PLACE)
+    check_names([name for name in given if name not in OF_SEARCHES], place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
     values |= {"corpus": "", "save": "new" if given.get("corpus") else "none"}
     for name in sorted(given.keys() & values.keys()):

@@ -1,8 +1,8 @@
 """The options of a search, in one typed table.
 
-Command-line options, ini and toml keys, ``PAFOT_*`` variables, arguments of the mark and of ``pafot.explore``, and the
-reference documentation are all generated from the fields of :class:`Settings`.
-:mod:`pytest_pafot.plugin.option_sources` defines the precedence of these sources.
+Command-line options, ini and toml keys, arguments of the mark and of ``pafot.explore``, and the reference documentation
+are all generated from the fields of :class:`Settings`. :mod:`pytest_pafot.plugin.option_sources` defines the precedence
+of these sources.
 """
 
 from __future__ import annotations
@@ -37,20 +37,15 @@ OF_COMMAND = "PYTEST_PAFOT_POLICY"
 
 AUTO = "auto"
 
-FULL, LOCAL = "ci", "local"
-
-PROFILES: Mapping[str, Mapping[str, object]] = {
-    FULL: {"runs": 400, "seed": 0, "isolate": True},
-    LOCAL: {"runs": 40},
-}
-"""The profiles, which are sets of defaults: ``ci`` if the environment variable CI is set, otherwise ``local``."""
-
 BUDGETS = ("runs", "generations")
-"""The options that limit a search. If one is given, the other has no default; if both are, the lower limit holds."""
+"""The options that limit a search. If both are given, the lower limit holds."""
+
+RUNS = 100
+"""The number of runs of a search without a budget."""
 
 
 class Option(NamedTuple):
-    """An option: type, default, texts, and the names ``--pafot-<name>``, ``pafot_<name>`` and ``PAFOT_<NAME>``."""
+    """An option: type, default, texts, and the names ``--pafot-<name>`` and ``pafot_<name>``."""
 
     name: str
     kind: Kind
@@ -62,7 +57,7 @@ class Option(NamedTuple):
     choices: tuple[str, ...] = ()  # the accepted texts; empty if any is accepted
     or_class: bool = False  # True if a class or function, or its ``module:name``, is accepted as well
     everywhere: bool = True  # False for a deliberate request for one session: only on the command line
-    is_argument: bool = True  # False for an option of the whole session: not an argument of the mark
+    is_argument: bool = True  # False for an option of the whole session, which is no argument of the mark
 
     @property
     def flag(self) -> str:
@@ -78,11 +73,6 @@ class Option(NamedTuple):
     def key(self) -> str:
         """The option's key in ini and toml files, which is also the attribute of ``config.option``."""
         return f"pafot_{self.name}"
-
-    @property
-    def variable(self) -> str:
-        """The name of the option's environment variable."""
-        return f"PAFOT_{self.name.upper()}"
 
     @property
     def metavar(self) -> str:
@@ -115,16 +105,16 @@ def option(kind: Kind, text: str, details: str = "", *, default: object = None, 
 # each method that is made of so many fields costs every session of pytest some time
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class Settings:
-    """All options: of each its type, texts and default, and in a value of this class the value for one item.
+    """The options, with their types, texts and defaults.
 
-    Only the controller reads the options that are given for a session alone (``everywhere=False``). Without them an
-    item's value has their defaults. ``seed`` is the base seed, which a value always has.
+    An instance holds the values for one item. Only the controller reads the options that are given for a session alone
+    (``everywhere=False``). Without them an item's value has their defaults.
     """
 
-    profile: str = ""  # its name: no option
     runs: int | None = option(
         "integer",
         "Number of runs after which each search ends, also within a generation.",
+        f"By default {RUNS}, or no limit with `--pafot-generations`.",
         least=1,
     )
     generations: int | None = option(
@@ -142,7 +132,8 @@ class Settings:
     seed: int = option(
         "integer",
         "Base seed, from which each search derives its own seed.",
-        "The summary names it. By default 0 with `--pafot-resume`.",
+        "Another one gives other scenarios.",
+        default=0,
     )
     algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
@@ -171,6 +162,7 @@ class Settings:
         "Limit of wall-clock time of each search [s].",
         "With the work on findings, for which a search with findings reserves at most a third. A run ends before "
         "its next decision. A search that is cut is not reproducible.",
+        is_argument=False,
     )
     total_time: float | None = option(
         "seconds",
@@ -189,6 +181,7 @@ class Settings:
         "integer",
         "Number of distinct new findings after which each search ends.",
         least=1,
+        is_argument=False,
     )
     shrink_rollouts: int | None = option(
         "integer",
@@ -206,12 +199,14 @@ class Settings:
         "text",
         "Folder of saved scenarios: a name next to each test file, or an absolute path for all.",
         default=CORPUS,
+        is_argument=False,
     )
     save: str = option(
         "text",
         "Which findings are written to the corpus: the new ones, or none.",
         default="new",
         choices=("new", "none"),
+        is_argument=False,
     )
     workers: int = option(
         "workers",
@@ -220,11 +215,12 @@ class Settings:
         default=1,
         least=1,
         most=MOST_WORKERS,
+        is_argument=False,
     )
     isolate: bool = option(
         "switch",
         "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
-        "`ci` isolates only on Linux ([more](../guide/planners.md#if-it-raises-hangs-or-ends-its-process)).",
+        "[More](../guide/planners.md#if-it-raises-hangs-or-ends-its-process).",
         default=False,
     )
     memory: int | None = option(
@@ -244,6 +240,7 @@ class Settings:
         "page",
         "Write the findings to FILE.html as one web page.",
         "Of more than 100, the worst 100 are whole, and others rows of a table.",
+        is_argument=False,
     )
     json: str | None = option(
         "file",
@@ -270,18 +267,21 @@ class Settings:
         "That is the [moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
         "`pytest FILE` in one process.",
         default=False,
+        is_argument=False,
     )
     strict_drift: bool = option(
         "switch",
         "Fail saved scenarios that pass, but may no longer test what they were saved for.",
         "They have [drifted](items.md#items-labels-and-exit-codes).",
         default=False,
+        is_argument=False,
     )
     strict_health: bool = option(
         "switch",
         "Fail searches with a health warning, such as scenarios without any interaction.",
         "Also sessions whose saved scenarios have lost their test, as `CI` does.",
         default=False,
+        is_argument=False,
     )
     allow_orphans: bool = option(
         "switch",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
@@ -101,20 +101,11 @@ class SearchArguments(TypedDict, total=False):
     algorithm: str | type[Algorithm[Any]]
     against: str | Callable[..., Any]
     pairs: int
-    max_time: float
     resume: str
-    stop_after: int
     shrink_rollouts: int
     max_saved: int
-    corpus: str
-    save: str
-    workers: int | str
     isolate: bool
     memory: int
-    report: str
-    debug: bool
-    strict_drift: bool
-    strict_health: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,7 +248,7 @@ def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[
     return made
 
 
-def check_names(arguments: Mapping[str, Any], *, place: str = "@pafot.search") -> None:
+def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> None:
     """Check that the names of arguments exist.
 
     Raises:

@@ -15,8 +15,6 @@ from functools import partial
 from inspect import GEN_CLOSED, getgeneratorstate
 from typing import Any, Self
 
-import numpy as np
-
 from pytest_pafot.campaign.bench import Bench, left_out_text
 from pytest_pafot.campaign.blocks import Blocks
 from pytest_pafot.campaign.events import (
@@ -29,7 +27,7 @@ from pytest_pafot.campaign.events import (
 )
 from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.made_worse import MadeWorse
-from pytest_pafot.campaign.options import FULL, LOCAL, PROFILES
+from pytest_pafot.campaign.options import RUNS
 from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
@@ -45,7 +43,7 @@ from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Retried, must_stay_here, retry, runner_for
+from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.findings.finding import Expect, Manner, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
@@ -53,7 +51,7 @@ from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
 from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
 from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
-from pytest_pafot.searching.space import SearchSpace, sample
+from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
 from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
@@ -647,7 +645,6 @@ class SearchSession:
         return SearchSummary(
             node_id=self.watch.node_id,
             algorithm=self.harness.request.algorithm.name,
-            profile=settings.profile,
             base_seed=settings.seed,
             seed=self.store.seed,
             generations=state.generation if state.finished is None else state.finished.generations,
@@ -784,24 +781,14 @@ class SearchSession:
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
             elif self.state.file is None:
                 yield f"ended before {what} shrunk: {shrink if by_command else again}"
-        is_short = settings.runs == PROFILES[LOCAL]["runs"]
+        is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
-            longer = request.option("runs", PROFILES[FULL]["runs"])
-            yield f"{settings.runs} runs are a short search; use {longer} for a longer one"
+            yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"
 
 
 def _population(given: int | None) -> dict[str, int]:
     """Return the population as a parameter of the algorithm; nothing for None, so that its default is used."""
     return {} if given is None else {"population": given}
-
-
-def may_not_leave(harness: Harness) -> str:
-    """Return why the ADS of a harness had better stay in this process, see :func:`must_stay_here`; or empty."""
-    try:
-        scenario = sample(build_space(harness.request, harness.world), np.random.default_rng(0))
-    except RequestError:  # which the search reports
-        return ""
-    return must_stay_here(harness.job(), scenario)
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, RUNS
 from pytest_pafot.campaign.request import BLAMES, checked_drivers
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
@@ -94,9 +94,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_driver = f"a driver of free NPCs, which half of them are then: {', '.join(BUILT_IN_DRIVERS)}, or another policy "
     of_driver += "with a name, such as last=planner:Last; it may be given several times"
     parser.add_argument("--driver", action="append", default=[], metavar="NAME[=MODULE:FACTORY]", help=of_driver)
-    of_runs = "the number of runs (default: 40, or 400 if the variable CI is set)"
+    of_runs = f"the number of runs (default: {RUNS})"
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
-    of_seed = "the seed of the search (default: a new one, which the output names, or 0 if the variable CI is set)"
+    of_seed = "the seed of the search (default: 0)"
     parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
     of_blame = "which collisions are failures: any; ego: all but those by the fault of an NPC alone; preventable: of "
     of_blame += "these, those that a reference driver prevents; avoidable: those of ego, and those that braking late, "

@@ -6,9 +6,7 @@ time of the search, not its results.
 
 from __future__ import annotations
 
-import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
@@ -20,7 +18,7 @@ from typing import Any, Self, TypeVar, cast
 from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
-from pytest_pafot.execution.pool import GRACE, ProcessLostError, WorkerPool
+from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
@@ -47,7 +45,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.isolation import isolates
-from pytest_pafot.support.text import listed, plural, visible
+from pytest_pafot.support.text import plural
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.shadow import ending_after
@@ -89,9 +87,6 @@ DEAR = 0.010
 
 A run in a different process takes half a millisecond longer, and starting a process takes as long as several runs.
 """
-
-OWN = __name__.partition(".")[0]
-"""This package, whose threads no policy needs."""
 
 WARM_RUNS = 2
 """The number of runs, after the first run of a search, that decide whether other processes are used.
@@ -538,57 +533,6 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
             return there.run_of(rollout_of(there)(scenario, ads))
 
         yield drive
-
-
-def must_stay_here(job: Job, scenario: Scenario) -> str:
-    """Return why runs had better stay in this process although nobody has decided that; empty if they can leave it.
-
-    The ADS may work only in the process that has begun: a model is on a GPU there, or a thread that its decisions wait
-    for. A separate process makes it and drives a scenario, since it may end its process. If it raises or hangs at its
-    first decision, this process judges that. A policy that does without the answer of a thread decides otherwise there:
-    so if a thread runs code of the project, both drive.
-    """
-    if job.policy.drives_itself:
-        return ""
-    patience = job.world.hang_limit
-
-    def asked(_: str, tell: object) -> tuple[str, str]:
-        trace = rollout_of(job.world)(scenario, job.policy.factory)
-        if trace.error is None or trace.actions:
-            return "", repr(trace.actions)
-        return f"{'hangs' if trace.outcome is Outcome.HANG else f'raises {trace.error.kind}'} in another process", ""
-
-    pool = WorkerPool[str, tuple[str, str]](
-        asked, 1, method=scenario_pool.METHOD, patience=patience + GRACE, **job.closing
-    )
-    with capture_output(), pool:
-        answer = pool.fetch("the first run of the ADS")
-    if isinstance(answer, ProcessLostError):
-        return "hangs in another process" if answer.is_hang else ""
-    if isinstance(answer, Exception):
-        return f"raises {type(answer).__name__} in another process"
-    why, actions = answer
-    folders = [job.root]
-    with suppress(OSError):  # the current folder may be gone
-        folders.append(Path.cwd())  # a command's policy is there, and the rootdir of its session elsewhere
-    threads = [] if why else _threads_below(folders)
-    with capture_output():
-        if threads and repr(rollout_of(job.world)(scenario, job.policy.factory).actions) != actions:
-            return f"decides otherwise in another process, which does not have {listed(threads)}"
-    return why
-
-
-def _threads_below(folders: Iterable[Path]) -> list[str]:
-    """Return the names of the threads of this process that run a function or a class of a module below a folder."""
-    found = []
-    for thread in threading.enumerate():
-        target = getattr(thread, "_target", None)  # only a running thread has one
-        names = {getattr(target, "__module__", None) or "", type(thread).__module__}
-        files = [getattr(sys.modules.get(name), "__file__", None) for name in names if name.partition(".")[0] != OWN]
-        own = [Path(each) for each in files if each and "site-packages" not in each]
-        if any(each.is_relative_to(folder) for each in own for folder in folders):
-            found.append(f"the thread {visible(thread.name)}")
-    return found
 
 
 # A scenario in which a process died runs again in a separate process before it is called a finding.

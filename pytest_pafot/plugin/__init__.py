@@ -75,14 +75,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def _check_that_it_searches(config: pytest.Config) -> None:
     """Refuse the session of the command ``search`` if its options let it search nothing, which would pass."""
     try:
-        settings = resolve(config, {}, 0)
+        settings = resolve(config, {})
     except RequestError:  # its test reports it
         return
     if not settings.is_search:
-        option = BY_NAME["generations"]
-        by_option = config.getoption(option.key) is not None
-        received = flag("generations", 0) if by_option else f"{option.variable}=0 in the environment"
-        raise pytest.UsageError(f"search: expected a search, received {received}, which asks for none; leave it out")
+        given = flag("generations", 0)
+        raise pytest.UsageError(f"search: expected a search, received {given}, which asks for none; leave it out")
 
 
 @pytest.hookimpl(trylast=True)  # after hooks that add marks

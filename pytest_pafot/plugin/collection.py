@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from datetime import date
 from fnmatch import fnmatch
 from functools import cached_property
@@ -17,7 +17,7 @@ from pytest_pafot.corpus import layout
 from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
 from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
 from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
-from pytest_pafot.plugin.option_sources import corpus_name, resolve
+from pytest_pafot.plugin.option_sources import resolve, value_if_right
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, left_out, replaced_in
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
@@ -110,8 +110,12 @@ class Collection:
 
     @cached_property
     def _corpus(self) -> Path | None:
-        name = corpus_name(self._config, {})
+        name = self._corpus_name
         return Path(name) if name and Path(name).name else None
+
+    @cached_property
+    def _corpus_name(self) -> str | None:
+        return value_if_right(self._config, "corpus")  # type: ignore[no-any-return]
 
     @cached_property
     def _asked_for(self) -> set[Path]:
@@ -137,13 +141,13 @@ class Collection:
         # The values differ, because other tools tell items apart by them. Nothing else reads them.
         saved = [
             pytest.param(part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)])
-            for each in self._saved_by_id(metafunc.definition, arguments)
+            for each in self._saved_by_id(metafunc.definition)
         ]
         metafunc.parametrize(arg, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
 
-    def _saved_by_id(self, definition: pytest.Item, arguments: Mapping[str, Any]) -> Iterable[Saved]:
+    def _saved_by_id(self, definition: pytest.Item) -> Iterable[Saved]:
         """Return the saved scenarios of a test in all its parametrisations, one scenario per id."""
-        corpus = corpus_name(self._config, arguments)
+        corpus = self._corpus_name
         if corpus is None:
             return []
         module_folder = layout.folder_of_module(definition.path, corpus, self._rootpath)
@@ -203,16 +207,13 @@ class Collection:
 
     def _belongs(self, item: pytest.Item) -> bool:
         """Return whether an item is collected: a saved scenario only together with the parameters of its test."""
-        arguments = arguments_of(item)
-        if arguments is None:
+        if arguments_of(item) is None:
             return True
-        corpus, folder = corpus_name(self._config, arguments), None
+        corpus, folder = self._corpus_name, None
         if corpus is not None:
             folder = layout.folder_of_test(item.path, qualified_name(item), corpus, self._rootpath)
             self._collected.folders[folder] = base_id(item)
             self._collected.roots[folder.parents[1]] = item.path.parent
-            if Path(corpus).is_absolute():
-                self._collected.shared.add(Path(corpus))
         mark = item.get_closest_marker(SAVED_MARK)
         if mark is None:
             return True
@@ -252,7 +253,7 @@ class Collection:
         self._deselected.update(items)
 
     def _find_unrun(self, items: list[pytest.Item]) -> None:
-        corpus = corpus_name(self._config, {})
+        corpus = self._corpus_name
         roots = dict(self._collected.roots)
         if corpus is not None:
             files = {item.path.parent: item.path for item in items}
@@ -274,7 +275,7 @@ class Collection:
                 if not is_outside or any(map(directory.is_relative_to, self._folders_given))
             } | roots
         if corpus is not None and Path(corpus).is_absolute() and not os.path.lexists(corpus):
-            settings = resolve(self._config, {}, 0)
+            settings = resolve(self._config, {})
             if items and not settings.is_search:  # A search makes the folder.
                 why = "expected the folder of the option corpus, which does not exist, so nothing is replayed"
                 self._config.stash[UNRUN].strays[corpus] = why, False  # A policy that never failed has none.
@@ -400,7 +401,7 @@ def _is_in_corpus(config: pytest.Config, arg: str) -> bool:
 def _module_of(file: Path, config: pytest.Config) -> Path:
     if not file.is_file():
         raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
-    corpus = corpus_name(config, {})
+    corpus = value_if_right(config, "corpus")
     module = None if corpus is None else layout.module_of_file(file, corpus, config.rootpath)
     if module is None or not module.is_file():
         where = "its folder is not in a corpus" if module is None else f"{module} does not exist"

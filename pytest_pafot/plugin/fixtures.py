@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin.marks import arguments_of
-from pytest_pafot.plugin.option_sources import isolates
+from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.support.isolation import isolating
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Simulate(Protocol):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
     """Let what a test and its fixtures call know whether the policies of this session are isolated."""
-    with isolating(lambda: isolates(item.config, arguments_of(item) or {})):
+    with isolating(lambda: option_value(item.config, BY_NAME["isolate"], arguments_of(item) or {})):
         return (yield)
 
 

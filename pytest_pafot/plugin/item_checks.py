@@ -55,7 +55,7 @@ class Checks:
             return
         try:
             _check_function(item)
-            request = request_of_mark(item.config, arguments, item.config.stash[SHARED].fresh_seed)
+            request = request_of_mark(item.config, arguments)
             _check_parameters(item, request)
         except RequestError as error:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
@@ -64,9 +64,7 @@ class Checks:
         if is_idle and not left_by(base_id(item), records_of(item.config.rootpath)):
             option = BY_NAME["generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
-                in_environment = f"{option.variable}=0 is in the environment"
-                place = in_environment if os.environ.get(option.variable) else f"{option.key} is 0 in the settings"
-                messages.send(item, "note", {"text": f"no search ran: {place}"})
+                messages.send(item, "note", {"text": f"no search ran: {option.key} is 0 in the settings"})
             if item.config.getoption(BY_NAME["resume"].key) is not None:
                 text = f"{flag('resume')}: no search went on, and nothing was shrunk; {flag('runs', 1)} does that"
                 messages.send(item, "note", {"text": f"{text}, {flag('generations', 0)} does not"})

@@ -35,7 +35,7 @@ from pytest_pafot.corpus.layout import (
     unlisted_below,
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
-from pytest_pafot.plugin.option_sources import option_value
+from pytest_pafot.plugin.option_sources import value_if_right
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import RequestError, command
@@ -278,7 +278,7 @@ class Guard:
 def _cause(config: pytest.Config) -> str:
     """Return why a session must not pass if something was not tested; empty if it may."""
     strict = BY_NAME["strict_health"]
-    return "CI is set" if is_ci(os.environ) else strict.flag if option_value(config, strict, {}) else ""
+    return "CI is set" if is_ci(os.environ) else strict.flag if value_if_right(config, strict.name) else ""
 
 
 def _errors(config: pytest.Config) -> dict[str, list[str]]:
@@ -296,7 +296,7 @@ def _errors(config: pytest.Config) -> dict[str, list[str]]:
         unnamed += [name, f"  {why}"]
     unnamed.append("  rename or move it, or set its __test__ to False if it is no test")
     errors[UNNAMED_ID] = unnamed if unrun.unnamed else []
-    if option_value(config, allow, {}):
+    if value_if_right(config, allow.name):
         return errors
     gone = {folder: orphan for folder, orphan in unrun.orphans.items() if orphan.is_gone}
     lines = []

@@ -33,7 +33,6 @@ from pytest_pafot.campaign.search_session import (
     Events,
     SearchSession,
     isolated_after_a_death,
-    may_not_leave,
     prepared,
 )
 from pytest_pafot.campaign.state import check_states
@@ -41,7 +40,6 @@ from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
@@ -52,9 +50,8 @@ from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, explained
 from pytest_pafot.plugin.finding_message import send_sighting
-from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE, arguments_of
+from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
-from pytest_pafot.plugin.option_sources import isolates_by_profile
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
@@ -69,12 +66,6 @@ TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 
 IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which runs tests in several processes already"
 
-HERE: pytest.StashKey[dict[str, str]] = pytest.StashKey()
-"""Why the ADS of a test stays in the session although the profile isolates, by the node id of its search; or empty."""
-
-NOT_ISOLATED = (
-    "the ADS runs in this process although the profile ci isolates, so it ends the session if it ends its process"
-)
 
 OF_SUITE = "record_testsuite_property"
 """The fixture of pytest that records properties of the session."""
@@ -123,7 +114,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         request = replace(request, settings=replace(request.settings, workers=1))
     policy = Policy(policy_of(item))
     drivers = drivers_of(request, policy.factory, lambda name: checked_factory(item.funcargs[name], name))
-    harness = Harness(
+    return Harness(
         request=request,
         world=with_drivers(world, drivers),
         policy=policy,
@@ -141,18 +132,6 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         needs_only_run=_needs_only_run(item, request.arg),
         states=None if resume is None else here / resume,
     )
-    if not request.settings.isolate or not isolates_by_profile(item.config, arguments_of(item) or {}):
-        return harness
-    # The profile gives way where isolation does not fit. What it asks of the factory is asked once for a test.
-    known = item.config.stash.setdefault(HERE, {})
-    if scenario_pool.METHOD == "fork" and harness.executor is None:
-        if harness.node_id not in known:
-            known[harness.node_id] = may_not_leave(harness)
-            if known[harness.node_id]:
-                messages.send(item, "note", {"text": f"{NOT_ISOLATED}: it {known[harness.node_id]}"})
-        if not known[harness.node_id]:
-            return harness
-    return replace(harness, request=replace(request, settings=replace(request.settings, isolate=False)))
 
 
 def _checked_executor(given: object) -> Executor | None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import date, timedelta
@@ -19,7 +18,6 @@ from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.layout import SEARCH_PART, around, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.plugin.node_ids import SAVED_PART
@@ -43,7 +41,6 @@ def terminal_width() -> int:
 class Shared:
     """Values that the controller chooses and every worker uses. The defaults are for a session that begins now."""
 
-    fresh_seed: int = field(default_factory=lambda: int.from_bytes(os.urandom(4), "big"))  # base seed if none is given
     progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # interval between reports of progress [s]
     width: int = field(default_factory=terminal_width)  # of the terminal, which a worker cannot query [columns]
     began: float = field(default_factory=time.monotonic)  # start of the session, by the clock of this process [s]
@@ -81,14 +78,14 @@ SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 
 def base_line(config: pytest.Config) -> str:
-    """Return a line with the profile and the base seed of searches without arguments; empty if no search runs."""
+    """Return a line with the base seed of searches without arguments; empty if no search runs."""
     try:
-        settings = resolve(config, {}, config.stash[SHARED].fresh_seed)
+        settings = resolve(config, {})
     except RequestError as error:
         return str(error)
     if not settings.is_search:
         return ""
-    return f"profile {settings.profile}, base seed {settings.seed} (repeat with {flag('seed', settings.seed)})"
+    return f"base seed {settings.seed} (for other scenarios: {flag('seed', settings.seed + 1)})"
 
 
 def stale_day(asked: str, today: date) -> list[str]:
@@ -99,21 +96,6 @@ def stale_day(asked: str, today: date) -> list[str]:
     return [
         f"{flag('today', asked)}: that day is over, so failures that were accepted up to a day since then count as "
         "accepted; leave the option out, or give the day of this session"
-    ]
-
-
-def misspelt(environ: Mapping[str, str]) -> list[str]:
-    """Return warnings about environment variables whose name is similar to the variable of an option."""
-    read = [*(option.variable for option in OPTIONS if option.everywhere), "PAFOT_KERNEL"]
-    # Compared without the common prefix, which would make any two names similar
-    known = {name.removeprefix("PAFOT_"): name for name in read}
-    others = sorted(name for name in environ if name.startswith("PAFOT_") and name not in read)
-    near = {name: difflib.get_close_matches(name.removeprefix("PAFOT_"), known, n=1) for name in others}
-    return [
-        f"environment variable {name}: expected the variable of an option, received a name that nothing reads; "
-        f"did you mean {known[found[0]]}?"
-        for name, found in near.items()
-        if found
     ]
 
 

@@ -21,7 +21,6 @@ from pytest_pafot.plugin.session import (
     SUMMARY_LINES,
     SummaryLines,
     base_line,
-    misspelt,
     terminal_width,
     unclaimed,
 )
@@ -164,7 +163,7 @@ class Reporter:
                 self._expand(node_id)
         with self._lines.faults("records of processes that died"):
             if self._is_driven:
-                self._lines.problems.extend([*misspelt(os.environ), *unclaimed(self._config)])
+                self._lines.problems.extend(unclaimed(self._config))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Write the plugin's section of the summary: searches, replays, orphans and problems."""

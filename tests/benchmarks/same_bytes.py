@@ -95,12 +95,12 @@ def test_paper(run):
     assert not run.collision, run.explain()
 
 
-@pafot.search(ads=Keeping, stop_after=2, world=pafot.World("intersection-v0", planner_hz=5))
+@pafot.search(ads=Keeping, world=pafot.World("intersection-v0", planner_hz=5))
 def test_intersection(run):
     assert not run.collision, run.explain()
 
 
-@pafot.search(ads=Idle, stop_after=2, world=pafot.World("highway-v0", duration=8.0, wrappers=[FlattenObservation]))
+@pafot.search(ads=Idle, world=pafot.World("highway-v0", duration=8.0, wrappers=[FlattenObservation]))
 def test_environment(run):
     assert not run.collision, run.explain()
 
@@ -125,7 +125,7 @@ class Session(NamedTuple):
     """How long each run takes at least [s]."""
 
 
-TWO, XDIST, RESUMED = "--pafot-workers=2", "-p xdist -n 2", "--pafot-resume=states"
+TWO, XDIST, RESUMED, STOPS = "--pafot-workers=2", "-p xdist -n 2", "--pafot-resume=states", "--pafot-stop-after=2"
 DEAR = 0.02
 SHRINKING = 29
 """The number of the first run that shrinks a finding. The state is always stored before it; between two generations or
@@ -141,10 +141,10 @@ SESSIONS: Mapping[str, Session] = {
     "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, SHRINKING),
     "paper": Session("paper"),
     "paper-workers": Session("paper", always=TWO, slow=DEAR),
-    "intersection": Session("intersection", ("", REPLAY)),
-    "intersection-workers": Session("intersection", always=TWO, slow=DEAR),
-    "environment": Session("environment", ("", REPLAY)),
-    "environment-workers": Session("environment", always=TWO, slow=DEAR),
+    "intersection": Session("intersection", ("", REPLAY), STOPS),
+    "intersection-workers": Session("intersection", always=f"{STOPS} {TWO}", slow=DEAR),
+    "environment": Session("environment", ("", REPLAY), STOPS),
+    "environment-workers": Session("environment", always=f"{STOPS} {TWO}", slow=DEAR),
     "vehicle": Session("vehicle", ("", REPLAY)),
     "vehicle-isolated-workers": Session("vehicle", always=f"--pafot-isolate {TWO}"),
 }

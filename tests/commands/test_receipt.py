@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.helpers.sessions import command_in_a_copy
+from tests.helpers.sessions import command_in_a_copy, set_keys
 
 pytestmark = pytest.mark.processes
 
@@ -66,16 +66,14 @@ def ended(folder, command, *, options=None, **parts):
 
 @pytest.fixture(autouse=True)
 def outside_of_ci(monkeypatch):
-    """In CI a search isolates its policy, so that its end is a finding and needs no receipt."""
     monkeypatch.delenv("CI", raising=False)
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading other plugins takes as long as a search
     monkeypatch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
+    set_keys(monkeypatch, shrink_rollouts=0)
 
 
-def test_in_ci_the_end_of_a_process_is_a_finding_of_a_search(tmp_path, monkeypatch):
-    monkeypatch.setenv("CI", "true")
-    code, told = ended(tmp_path, SEARCH, IN_DECISION="os._exit(0)")
+def test_the_end_of_an_isolated_process_is_a_finding_of_a_search(tmp_path):
+    code, told = ended(tmp_path, f"{SEARCH} --pafot-isolate", IN_DECISION="os._exit(0)")
     assert code == 1
     assert re.search(r"1 new finding in \d+ runs", told)
     assert " crash-" in told

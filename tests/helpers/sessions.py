@@ -157,6 +157,14 @@ def quick_sessions(monkeypatch):
     monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))  # without the folders of other tests
 
 
+def set_keys(monkeypatch, **values):
+    """Give options a value in the configuration of all sessions, which marks and the command line replace; or None."""
+    given = os.environ.get("PYTEST_ADDOPTS", "").split()
+    kept = [each for each in given if each.split("=")[1].removeprefix("pafot_") not in values]
+    kept += [f"--override-ini=pafot_{name}={value}" for name, value in values.items() if value is not None]
+    monkeypatch.setenv("PYTEST_ADDOPTS", " ".join(kept))
+
+
 def copied_workers(monkeypatch):
     """Let the workers of a command, which are new processes, be copies: importing takes longer than their part."""
     if START_METHOD == "fork":

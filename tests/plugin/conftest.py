@@ -1,7 +1,9 @@
 """A project with a fast ADS and short scenarios, in which pytest runs in this process."""
 
 import os
+import re
 import tempfile
+from itertools import chain
 from pathlib import Path
 
 # pytester forgets modules that a run imports; compiled ones must stay, since they cannot be loaded a second time
@@ -19,7 +21,15 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway
-from tests.helpers.sessions import CORE, imported, in_a_copy, in_process, quick_sessions, remember_reference_runs
+from tests.helpers.sessions import (
+    CORE,
+    imported,
+    in_a_copy,
+    in_process,
+    quick_sessions,
+    remember_reference_runs,
+    set_keys,
+)
 
 # pytester forgets the modules that a session imports; those of the package stay, because importing them is slow.
 imported(*CORE)
@@ -56,7 +66,7 @@ def ads():
 SHORT = "genes=2, gene_seconds=5, npcs=2, ego_lane=1, ego_speed=22, vehicles='car'"
 """Marker arguments of ten-second scenarios, all with the same start."""
 
-SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY")
+SETTINGS = ("CI", "COLUMNS", "GITHUB_STEP_SUMMARY", "PYTEST_ADDOPTS")
 """Environment variables that affect a session's output."""
 
 NOT_NAMED = (
@@ -79,11 +89,16 @@ class Project:
     def __init__(self, pytester, found):
         self.pytester = pytester
         self.found = found
+        self.options = {}
         self.path = pytester.path
         pytester.makeconftest(CONFTEST)
 
     def write(self, source, name="test_it"):
-        """Write a test file; `SHORT` in it stands for the arguments of short scenarios."""
+        """Write a test file; `SHORT` in it stands for the arguments of short scenarios.
+
+        Comments such as ``# stop_after=1`` are options of the project's sessions.
+        """
+        self.options[name] = [f"--pafot-stop-after={count}" for count in re.findall(r"# stop_after=(\d+)", source)]
         text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
         return self.pytester.makepyfile(**{name: text})
 
@@ -102,7 +117,7 @@ class Project:
             options.append(f"--pafot-generations={generations}")
         if seed is not None:
             options.append(f"--pafot-seed={seed}")
-        options += map(str, args)
+        options += [*dict.fromkeys(chain(*self.options.values())), *map(str, args)]
         if fresh:
             return self.pytester.runpytest_subprocess(*options)
         if apart:
@@ -115,7 +130,7 @@ class Project:
         The project then looks as if the session had run. A test that patches a session's code must not use this.
         """
         before = self._tree
-        settings = {name: value for name, value in os.environ.items() if name in SETTINGS or name.startswith("PAFOT_")}
+        settings = {name: value for name, value in os.environ.items() if name in SETTINGS}
         whole = bench._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
         key = repr((before, settings, whole, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
@@ -200,29 +215,20 @@ def found():
 def project(request, pytester, monkeypatch, found, tmp_path_factory):
     """Return a project whose sessions omit slow steps unless a test requests them.
 
-    Findings are saved without shrinking, without moments, without reference drivers, without a second run in
-    highway-env's own environment, and in CI without isolation. Tests of several processes have whole sessions: what one
-    process does, the others must do as well.
+    Findings are saved without shrinking, without moments, without reference drivers, and without a second run in
+    highway-env's own environment. Tests of several processes have whole sessions: what one process does, the others
+    must do as well.
     """
+    for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY"):
+        monkeypatch.delenv(name, raising=False)
     quick_sessions(monkeypatch)
     if request.node.get_closest_marker("processes"):
         remember_reference_runs(monkeypatch)
     else:
         omit_slow_steps(monkeypatch)
     monkeypatch.setattr(steps, "EXAMINATIONS", {})
-    for name in (
-        "CI",
-        "BUILD_NUMBER",
-        "PYTEST_ADDOPTS",
-        "GITHUB_ACTIONS",
-        "GITHUB_STEP_SUMMARY",
-        "PAFOT_SEED",
-        "PAFOT_RUNS",
-        "PAFOT_GENERATIONS",
-    ):
-        monkeypatch.delenv(name, raising=False)
+    set_keys(monkeypatch, population=4)  # so that a few generations are few runs
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
-    monkeypatch.setenv("PAFOT_POPULATION", "4")  # so that a few generations are few runs
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     temporary = str(tmp_path_factory.mktemp("temporary"))
@@ -234,8 +240,7 @@ def project(request, pytester, monkeypatch, found, tmp_path_factory):
 def omit_slow_steps(monkeypatch):
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
     monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict: ({}, []))
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "0")
-    monkeypatch.setenv("PAFOT_ISOLATE", "0")
+    set_keys(monkeypatch, shrink_rollouts=0)
 
 
 @pytest.fixture
@@ -260,12 +265,12 @@ def in_highway_env(project, monkeypatch):
 @pytest.fixture
 def shrinking(project, monkeypatch):
     """Let sessions shrink their findings and try reference drivers in them, as users' sessions do."""
-    monkeypatch.delenv("PAFOT_SHRINK_ROLLOUTS", raising=False)
+    set_keys(monkeypatch, shrink_rollouts=None)
     monkeypatch.setattr(Harness, "reference_outcomes", REFERENCE_OUTCOMES)
 
 
 FAILING = """
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_fails(run):
     assert run.duration < 1
 """

@@ -8,7 +8,7 @@ from pytest_pafot.searching import resolve_algorithm
 from pytest_pafot.searching.algorithms.catalogue import OF_CORE
 from tests.helpers.sessions import section
 
-TEST = "@pafot.search(SHORT, algorithm={!r}, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n"
+TEST = "@pafot.search(SHORT, algorithm={!r})  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n"
 
 
 def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, in_highway_env):
@@ -101,7 +101,7 @@ OWN = (
 def test_custom_algorithm_class_is_named_in_all_output(project, workers):
     project.pytester.makepyfile(own=OWN)
     project.write(
-        "from own import Own\n@pafot.search(SHORT, algorithm=Own, stop_after=1)\n"
+        "from own import Own\n@pafot.search(SHORT, algorithm=Own)  # stop_after=1\n"
         "def test_it(run):\n    assert not run.collision\n"
     )
     result = project.run(f"--pafot-workers={workers}", generations=8)
@@ -112,7 +112,7 @@ def test_custom_algorithm_class_is_named_in_all_output(project, workers):
 
 def test_algorithm_option_takes_a_class_by_module_name(project):
     project.pytester.makepyfile(own=OWN)
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_it(run):\n    assert not run.collision\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n")
     project.run("--pafot-algorithm=own:Own", generations=8).assert_outcomes(failed=2)
     assert "algorithm: own" in project.only_file.read_text()
 

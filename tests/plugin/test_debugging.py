@@ -11,7 +11,7 @@ class Keeps:
         acceleration = 0.0
         return acceleration, 0.0
 
-@pafot.search(ads=Keeps, npcs=1, genes=1, gene_seconds=20, ego_speed=22, stop_after=1, instructions="cells")
+@pafot.search(ads=Keeps, npcs=1, genes=1, gene_seconds=20, ego_speed=22, instructions="cells")  # stop_after=1
 def test_collides(run):
     assert not run.collision
 """

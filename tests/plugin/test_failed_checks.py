@@ -4,6 +4,8 @@ import re
 
 import pytest
 
+from tests.helpers.sessions import set_keys
+
 PLANNER = """
 import pytest
 
@@ -46,7 +48,7 @@ def test_drives_well(run):
 def buggy(project, monkeypatch, shrinking):
     """Return a project whose planner has both bugs."""
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "20")
+    set_keys(monkeypatch, shrink_rollouts=20)
     project.pytester.makeconftest(BUGGY)
     project.write(PROPERTY)
     return project

@@ -11,7 +11,7 @@ from pytest_pafot.plugin.session import SHARED, Controller, Shared, shared_by_co
 from tests.helpers.sessions import read_record
 
 EXPLAINED = """
-@pafot.search(SHORT, blame="ego", stop_after=1)
+@pafot.search(SHORT, blame="ego")  # stop_after=1
 def test_collides(run):
     \"\"\"A property.\"\"\"
     assert not run.collision, run.explain()
@@ -172,7 +172,7 @@ def ads():
     print("begun")
     return lambda: decide
 
-@pafot.search(SHORT, blame="ego", stop_after=1)
+@pafot.search(SHORT, blame="ego")  # stop_after=1
 def test_collides(run):
     assert not run.collision
 """

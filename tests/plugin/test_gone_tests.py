@@ -107,10 +107,10 @@ def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):
     saved.write(RENAMED)
     for args in (["--pafot-allow-orphans"], ["-o", "pafot_allow_orphans=true"], ["--collect-only"]):
         assert replay(saved, *args).ret == 0, args
-    for name, value in (("PAFOT_ALLOW_ORPHANS", "1"), ("CI", "false"), ("CI", "")):
+    for value in ("false", ""):
         with monkeypatch.context() as patch:
-            patch.setenv(name, value)
-            assert replay(saved).ret == 0, name
+            patch.setenv("CI", value)
+            assert replay(saved).ret == 0
 
 
 def test_deselected_tests_do_not_count_as_gone(saved, ci):
@@ -195,7 +195,7 @@ def test_modules_not_imported_and_lost_parameters_are_excused(project, ci):
     source = """
 class TestClass:
     @pytest.mark.parametrize("limit", ["a b", 2])
-    @pafot.search(SHORT, stop_after=1)
+    @pafot.search(SHORT)  # stop_after=1
     def test_it(self, run, limit):
         assert not limit
 """
@@ -360,14 +360,6 @@ def test_corpus_with_another_name_fails_a_ci_session(saved, ci, name):
         assert replay(saved).ret == 0, "not of this project"
 
 
-def test_corpus_of_a_mark_is_a_corpus(saved, ci):
-    saved.write(FAILING.replace("SHORT", "SHORT, corpus='special'"))
-    (saved.path / "pafot_corpus").rename(saved.path / "special")
-    result = replay(saved)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.no_fnmatch_line("not run: *")
-
-
 @table(("name", "is_lost"), [
     ("a.pafot.yaml.txt", True), ("a.pafot.yaml.orig", True), (".a.pafot.yaml.swp", True), ("a.txt", False),
 ])  # fmt: skip
@@ -498,7 +490,7 @@ def test_other_files_in_a_corpus_are_no_saved_scenarios(saved, ci):
 def test_a_test_whose_parameters_were_all_renamed_fails_a_ci_session(project, ci, values):
     source = """
 @pytest.mark.parametrize("kind", ["slow", "fast"])
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_it(run, kind):
     assert not kind
 """

@@ -18,7 +18,7 @@ from tests.plugin.conftest import CONFTEST
 TEST = """
 import pathlib
 
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_fails(run):
     quoted = pathlib.Path("quoted.txt").read_text(encoding="utf-8")
     if quoted.startswith("skip"):

@@ -7,6 +7,7 @@ import pytest
 
 import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
+from tests.helpers.sessions import set_keys
 from tests.plugin.test_workers import summary
 
 pytestmark = [
@@ -62,7 +63,7 @@ QUICK = ("--pafot-shrink-rollouts=0",)
 @pytest.fixture
 def isolated(project, monkeypatch):
     """Return a function that writes a project whose ADS has some source text."""
-    monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "20")  # none of these tests needs the default of 300
+    set_keys(monkeypatch, shrink_rollouts=20)  # none of these tests needs the default of 300
 
     def write(drive="keep", more="", test=MANY):
         project.pytester.makeconftest(CONFTEST.replace("DRIVE", drive).replace("MORE", more))
@@ -227,29 +228,10 @@ def pids(project):
     return {path.name for path in project.path.glob("pid-*")}
 
 
-@pytest.mark.parametrize(
-    ("source", "is_apart"),
-    [("none", True), ("marker", False), ("environment", False), ("ini", False)],
-)
-def test_profile_of_ci_isolates_unless_somebody_says_otherwise(isolated, monkeypatch, source, is_apart):
-    test = MANY.replace("npcs=2", "npcs=2, isolate=False" if source == "marker" else "npcs=2")
-    project = isolated(test=test)
-    monkeypatch.setenv("CI", "true")
-    if source == "environment":
-        monkeypatch.setenv("PAFOT_ISOLATE", "0")
-    if source == "ini":
-        project.pytester.makeini("[pytest]\npafot_isolate = false\n")
-    session(project, "--pafot-seed=0", *QUICK)
-    project.run("-p", "no:cacheprovider", "--pafot-seed=0", generations=0)
-    assert len(pids(project)) > 1 or not is_apart
-    assert (f"pid-{os.getpid()}" not in pids(project)) == is_apart
-
-
-def test_profile_of_ci_finds_and_explains_the_same_as_the_session_does(isolated, monkeypatch):
+def test_isolated_search_explains_the_same_as_the_session_does(isolated):
     project = isolated("drive", TURNS)
     here, contents = session(project, "--pafot-seed=0")
-    monkeypatch.setenv("CI", "true")
-    apart, same = session(project, "--pafot-seed=0")
+    apart, same = session(project, "--pafot-isolate", "--pafot-seed=0")
     assert same == contents
     told = [[line for line in result.outlines if line.startswith(("answers ", "moment "))] for result in (here, apart)]
     assert told[0] == told[1]
@@ -267,112 +249,11 @@ def drive(observation):
 """
 
 
-OPENS = """
-class Opens:
-    def __init__(self):
-        self.file = open("taken", "x")
-    def __call__(self, observation):
-        return keep(observation)
-    def close(self):
-        self.file.close()
-        os.unlink("taken")
-"""
-
-
-def test_policy_that_is_made_to_ask_whether_it_can_leave_the_session_is_closed(isolated, monkeypatch):
-    project = isolated("Opens()", OPENS)
-    contents = session(project, "--pafot-seed=0", *QUICK, generations=1)[1]
-    monkeypatch.setenv("CI", "true")
-    apart, same = session(project, "--pafot-seed=0", *QUICK, generations=1)
-    assert contents
-    assert same == contents
-    assert not (project.path / "taken").exists()
-    assert "although the profile ci isolates" not in str(apart.stdout)
-
-
-def test_policy_that_works_only_in_the_session_stays_there(isolated, monkeypatch):
+def test_isolated_policy_that_works_only_in_the_session_is_an_error(isolated):
     project = isolated("only_here()", "def only_here():\n    assert os.getpid() == SESSION\n    return keep\n")
-    monkeypatch.setenv("CI", "true")
-    result, contents = session(project, "--pafot-seed=0", *QUICK, generations=1)
-    result.stdout.fnmatch_lines(["  note: *although the profile ci isolates*raises AssertionError in another process"])
-    assert contents
     strict, contents = session(project, "--pafot-isolate", "--pafot-seed=0", *QUICK, generations=1)
     strict.stdout.fnmatch_lines(["*not tried again in the session*"])
     assert contents == {}
-
-
-THREADS = """
-from concurrent.futures import ThreadPoolExecutor
-
-POOL = ThreadPoolExecutor(1)
-POOL.submit(int).result()
-
-def waits(observation):
-    return POOL.submit(keep, observation).result(timeout=SECONDS)
-"""
-
-
-@pytest.mark.parametrize(("seconds", "why"), [("0.2", "raises TimeoutError"), ("None", "hangs")])
-def test_policy_that_waits_for_a_thread_of_the_session_stays_there(isolated, monkeypatch, seconds, why):
-    """A copy of a process has none of its threads, so the policy would hang in it."""
-    world = "@pafot.search(world=pafot.Highway(hang_limit=1.0), "
-    project = isolated("waits", THREADS.replace("SECONDS", seconds), MANY.replace("@pafot.search(", world))
-    _, contents = session(project, "--pafot-seed=0", *QUICK, generations=1)
-    monkeypatch.setenv("CI", "true")
-    result, same = session(project, "--pafot-seed=0", *QUICK, generations=1)
-    result.stdout.fnmatch_lines([f"  note: *although the profile ci isolates*: it {why} in another process"])
-    assert same == contents != {}
-
-
-ANSWERS = """
-from queue import Empty, Queue
-from threading import Thread
-
-ASKED, ANSWERED = Queue(), Queue()
-
-def answer():
-    while True:
-        ANSWERED.put(keep(ASKED.get()))
-
-Thread(target=answer, name="planning", daemon=True).start()
-
-ALONE = []
-
-def falls_back(observation):
-    if ALONE:  # and does not wait again
-        return -8.0, 0.0
-    ASKED.put(observation)
-    try:
-        return ANSWERED.get(timeout=TIMEOUT)
-    except Empty:
-        ALONE.append(True)
-        return -8.0, 0.0
-"""
-
-
-@pytest.mark.processes
-def test_policy_that_does_without_its_thread_in_another_process_stays_in_the_session(isolated, monkeypatch):
-    project = isolated("falls_back", ANSWERS.replace("TIMEOUT", "5.0"))
-    options = {"generations": 1, "seed": 0, "apart": True}  # another process, with which the thread ends, too
-    project.run(*QUICK, **options)
-    contents = project.contents
-    project.forget()
-    monkeypatch.setenv("CI", "true")
-    result = project.run(*QUICK, **options)
-    result.stdout.re_match_lines([r"  note: the ADS runs in this process although the profile ci isolates, .*"])
-    told = "it decides otherwise in another process, which does not have the thread planning"
-    assert told in " ".join(result.stdout.str().split())
-    assert project.contents == contents != {}
-
-
-@pytest.mark.processes
-def test_policy_with_a_thread_that_its_decisions_do_not_need_is_isolated_all_the_same(isolated, monkeypatch):
-    source = ANSWERS.replace("TIMEOUT", "5.0") + "\ndef alone(observation):\n    return keep(observation)\n"
-    project = isolated("alone", source)
-    monkeypatch.setenv("CI", "true")
-    result = project.run(*QUICK, generations=1, seed=0, apart=True)
-    assert project.contents
-    assert "although the profile ci isolates" not in result.stdout.str()
 
 
 EXITS = """
@@ -389,24 +270,17 @@ class Exits:
 SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.Manoeuvre(beside=0, ahead=30.0, speed=15.0)]], ego_speed=20.0)\n"
 
 
-@pytest.mark.parametrize("source", ["CI", "option"])
-def test_simulated_scenario_is_isolated_as_well(project, monkeypatch, source):
+def test_simulated_scenario_is_isolated_as_well(project):
     """Run a test with a policy that ends only other processes than that of the session, which sees it do so."""
     test = SCENARIO + "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n"
     project.write(EXITS.replace("PID", str(os.getpid())) + test)
-    options = ["--pafot-isolate"] if source == "option" else []
-    if source == "CI":
-        monkeypatch.setenv("CI", "true")
-    monkeypatch.delenv("PAFOT_ISOLATE", raising=False)  # which most tests set, to be quick
-    result = project.run(*options, generations=None)
+    result = project.run("--pafot-isolate", generations=None)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*ended with exit code 0*"])
-    monkeypatch.delenv("CI", raising=False)
     project.run(generations=None).assert_outcomes(passed=1)
 
 
-def test_what_a_policy_notes_in_a_simulated_scenario_is_seen_by_the_test(project, monkeypatch):
-    monkeypatch.setenv("CI", "true")
+def test_what_a_policy_notes_in_a_simulated_scenario_is_seen_by_the_test(project):
     project.write(
         SCENARIO
         + """
@@ -419,4 +293,4 @@ def test_it(pafot_simulate):
     assert len(seen) == len(set(seen)) == len(run.trace.actions)
 """
     )
-    project.run(generations=None).assert_outcomes(passed=1)
+    project.run("--pafot-isolate", generations=None).assert_outcomes(passed=1)

@@ -12,7 +12,7 @@ VEHICLES = {
     "mark": """
         from highway_env.vehicle.behavior import IDMVehicle
 
-        @pafot.search(SHORT, ads=IDMVehicle, stop_after=1)
+        @pafot.search(SHORT, ads=IDMVehicle)  # stop_after=1
         def test_vehicle(run):
             assert run.duration < 1
     """,
@@ -23,7 +23,7 @@ VEHICLES = {
         def idm():
             return IDMVehicle
 
-        @pafot.search(SHORT, ads="idm", stop_after=1)
+        @pafot.search(SHORT, ads="idm")  # stop_after=1
         def test_vehicle(run):
             assert run.duration < 1
     """,
@@ -31,14 +31,14 @@ VEHICLES = {
         import functools
         from highway_env.vehicle.behavior import IDMVehicle
 
-        @pafot.search(SHORT, ads=functools.partial(IDMVehicle, enable_lane_change=False), stop_after=1)
+        @pafot.search(SHORT, ads=functools.partial(IDMVehicle, enable_lane_change=False))  # stop_after=1
         def test_vehicle(run):
             assert run.duration < 1
     """,
     "world": """
         from highway_env.vehicle.behavior import IDMVehicle
 
-        @pafot.search(ads=IDMVehicle, world=pafot.World("highway-v0", duration=2.0), genes=1, stop_after=1)
+        @pafot.search(ads=IDMVehicle, world=pafot.World("highway-v0", duration=2.0), genes=1)  # stop_after=1
         def test_vehicle(run):
             assert run.duration < 1
     """,

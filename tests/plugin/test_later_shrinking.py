@@ -212,7 +212,7 @@ def test_file_whose_test_is_gone_is_refused(unshrunk, monkeypatch, capsys, gone)
 
 
 def test_finding_that_was_not_shrunk_names_the_command(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     result = project.run_once("--pafot-max-time=0", generations=10, seed=2)
     name = project.files[0]
     result.stdout.fnmatch_lines(
@@ -229,7 +229,7 @@ def test_finding_that_was_not_shrunk_names_the_command(project):
 
 
 def test_commands_name_the_corpus_of_the_command_line(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     result = project.run_once("--pafot-max-time=0", "--pafot-corpus=other", generations=10, seed=2)
     name = project.files[0]
     assert name.startswith("other/")

@@ -168,7 +168,7 @@ def test_a_method_has_its_own_files(project):
     project.write(
         """
 class TestClass:
-    @pafot.search(SHORT, stop_after=1)
+    @pafot.search(SHORT)  # stop_after=1
     def test_fails(self, run):
         assert not run
 """
@@ -404,7 +404,7 @@ def test_the_skip_of_unittest_is_a_skip_too(project):
 
 
 def test_pytest_fail_inside_a_scenario_is_a_find(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    pytest.fail('too close')\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    pytest.fail('too close')\n")
     project.run().assert_outcomes(failed=2)
     assert "failure: Failed" in project.only_file.read_text()
 

@@ -43,7 +43,7 @@ HIDES = """
 CONFIG = {"observation": {"type": "Kinematics", "vehicles_count": 2, "see_behind": True}}  # the ego, and the nearest
 ADS
 
-@pafot.search(npcs=1, genes=2, gene_seconds=5, stop_after=1, ads=make, world=pafot.World("highway-v0", CONFIG))
+@pafot.search(npcs=1, genes=2, gene_seconds=5, ads=make, world=pafot.World("highway-v0", CONFIG))  # stop_after=1
 def test_collides(run):
     assert not run.collision
 """
@@ -84,7 +84,7 @@ class Braking:
         ahead = [o.x - seen.ego.x for o in seen.others if o.lane == seen.ego.lane and o.x > seen.ego.x]
         return (-6.0 if min(ahead, default=99.0) < 45.0 else 0.0), 0.0
 
-@pafot.search(npcs=1, genes=1, gene_seconds=20, ego_speed=22, stop_after=1, against=Braking, instructions="cells")
+@pafot.search(npcs=1, genes=1, gene_seconds=20, ego_speed=22, against=Braking, instructions="cells")  # stop_after=1
 def test_collides(run):
     assert not run.collision
 """
@@ -107,7 +107,7 @@ class Planner:
     def braking(self, gap):
         return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5
 
-@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, stop_after=1, ads=Planner, instructions="cells",
+@pafot.search(npcs=1, genes=2, gene_seconds=5, ego_speed=22, ads=Planner, instructions="cells",  # stop_after=1
               vehicles="car")
 def test_collides(run):
     assert not run.collision
@@ -172,7 +172,7 @@ class Planner:
                 return False
         return True
 
-@pafot.search(npcs=2, genes=3, gene_seconds=3, stop_after=1, ads=Planner, vehicles="car", blame="ego")
+@pafot.search(npcs=2, genes=3, gene_seconds=3, ads=Planner, vehicles="car", blame="ego")  # stop_after=1
 def test_never_moves_over_at_fault(run):
     assert not (run.collision and run.attribution.fault == "entered-lane")
 """
@@ -205,7 +205,7 @@ def moves_over(seen):
     slow = seen.ego.speed < 5.0
     return pafot.Drive(lane=lane, acceleration=0.0 if slow else 0.1)
 
-@pafot.search(npcs=2, genes=3, gene_seconds=3, stop_after=1, ads=lambda: moves_over, vehicles="car", ego_lane=0)
+@pafot.search(npcs=2, genes=3, gene_seconds=3, ads=lambda: moves_over, vehicles="car", ego_lane=0)  # stop_after=1
 def test_never_moves_over_at_fault(run):
     assert not (run.collision and run.attribution.fault == "entered-lane")
 """

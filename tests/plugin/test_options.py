@@ -1,4 +1,4 @@
-"""Options: one table, four sources, one precedence."""
+"""Options: one table, three sources, one precedence."""
 
 import re
 
@@ -7,12 +7,18 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
 from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.plugin.session import misspelt
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.support.errors import RequestError
 
 
-def settings(project, *args, ini="", marker=None, environ=None):
+@pytest.fixture
+def project(project, monkeypatch):
+    """Return a project without the keys that other projects have."""
+    monkeypatch.delenv("PYTEST_ADDOPTS")
+    return project
+
+
+def settings(project, *args, ini="", marker=None):
     """Return the settings of a config that is made from these sources."""
     if ini:
         project.pytester.makeini(f"[pytest]\n{ini}")
@@ -21,31 +27,15 @@ def settings(project, *args, ini="", marker=None, environ=None):
         # unraisableexception collects all garbage when a config ends, which is slow and not needed here.
         config = project.pytester.parseconfigure("-p", "pafot", "-p", "no:unraisableexception", *args)
         project.found[ini, args] = config
-    return resolve(project.found[ini, args], marker or {}, fresh_seed=77, environ=environ or {})
+    return resolve(project.found[ini, args], marker or {})
 
 
-def test_misspelt_environment_variable_suggests_the_right_one(failing, monkeypatch):
-    monkeypatch.setenv("PAFOT_SEDE", "3")
-    monkeypatch.setenv("PAFOT_REFRESH", "1")  # a similar name that is not a misspelling, but someone else's variable
-    told = [line for line in failing.run().outlines if "environment variable" in line]
-    assert [line.split("environment variable ")[1] for line in told] == [
-        "PAFOT_SEDE: expected the variable of an option, received a name that nothing reads; did you mean PAFOT_SEED?"
-    ]
-
-
-@pytest.mark.parametrize("name", ["PAFOT_SEED", "PAFOT_KERNEL", "MY_PAFOT_SEDE"])
-def test_known_and_foreign_environment_variables_cause_no_warning(name):
-    assert not misspelt({name: "1"})
-
-
-def test_local_search_is_small_with_fresh_seed(project):
-    local = settings(project)
-    assert (local.profile, local.runs, local.generations, local.population, local.seed) == ("local", 40, None, None, 77)
-
-
-def test_ci_search_is_large_with_fixed_seed(project):
-    ci = settings(project, environ={"CI": "true"})
-    assert (ci.profile, ci.runs, ci.generations, ci.seed) == ("ci", 400, None, 0)
+def test_search_without_options_repeats_itself_everywhere(project, monkeypatch):
+    for value in ("", "true"):
+        monkeypatch.setenv("CI", value)
+        found = settings(project)
+        assert (found.runs, found.generations, found.population, found.seed) == (100, None, None, 0)
+        assert not found.isolate
 
 
 @pytest.mark.parametrize(
@@ -59,12 +49,8 @@ def test_the_command_line_wins_over_the_marker(project):
     assert settings(project, "--pafot-generations=1", marker={"generations": 2}).generations == 1
 
 
-def test_the_marker_wins_over_the_environment(project):
-    assert settings(project, marker={"generations": 2}, environ={"PAFOT_GENERATIONS": "3"}).generations == 2
-
-
-def test_the_ini_file_wins_over_the_profile(project):
-    assert settings(project, ini="pafot_generations = 5", environ={"CI": "1"}).generations == 5
+def test_the_marker_wins_over_the_ini_file(project):
+    assert settings(project, marker={"generations": 2}, ini="pafot_generations = 5").generations == 2
 
 
 @pytest.mark.parametrize(
@@ -73,12 +59,11 @@ def test_the_ini_file_wins_over_the_profile(project):
         ({"marker": {"generations": 100}}, None, 100),
         ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
         ({"ini": "pafot_generations = 100"}, None, 100),
-        ({"marker": {"runs": 7}, "environ": {"PAFOT_GENERATIONS": "2"}}, 7, None),
         ({"marker": {"runs": 7, "generations": 2}}, 7, 2),
         ({"marker": {"generations": 0}}, None, 0),
     ],
 )
-def test_budget_comes_from_one_source_and_overrides_profile(project, sources, runs, generations):
+def test_budget_comes_from_one_source_and_replaces_default(project, sources, runs, generations):
     found = settings(project, **sources)
     assert (found.runs, found.generations) == (runs, generations)
 
@@ -95,14 +80,11 @@ def text_of(option, switch):
 
 
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_options_work_as_argument_variable_and_ini_key(project, switch):
+def test_options_work_as_argument_and_ini_key(project, switch):
     texts = {option.name: text_of(option, switch) for option in EVERYWHERE}
     expected = {option.name: option.read(texts[option.name]) for option in EVERYWHERE}
     arguments = {option.name: expected[option.name] for option in EVERYWHERE if option.is_argument}
     assert given(settings(project, marker=arguments), arguments) == arguments
-    assert (
-        given(settings(project, environ={each.variable: texts[each.name] for each in EVERYWHERE}), expected) == expected
-    )
     ini = "\n".join(f"{option.key} = {texts[option.name]}" for option in EVERYWHERE)
     assert given(settings(project, ini=ini), expected) == expected
 
@@ -131,10 +113,9 @@ def test_native_toml_takes_native_types(project):
         ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
         ({"marker": {"population": 10**9}}, r"population=...\): .* at least 2 and at most 10000, received 1000000000"),
         ({"ini": "pafot_population = 10001"}, "ini key pafot_population: .* at most 10000, received 10001"),
-        ({"environ": {"PAFOT_WORKERS": "5000"}}, "PAFOT_WORKERS: expected auto or a whole number, .* at most 1024"),
-        ({"marker": {"strict_drift": "perhaps"}}, "expected true or false, received 'perhaps'"),
-        ({"environ": {"PAFOT_SEED": "x"}}, "environment variable PAFOT_SEED: expected a whole number"),
-        ({"environ": {"PAFOT_MAX_TIME": "nan"}}, "PAFOT_MAX_TIME: expected seconds"),
+        ({"ini": "pafot_workers = 5000"}, "pafot_workers: expected auto or a whole number, .* at most 1024"),
+        ({"marker": {"isolate": "perhaps"}}, "expected true or false, received 'perhaps'"),
+        ({"ini": "pafot_max_time = nan"}, "pafot_max_time: expected seconds"),
         ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
         (
             {"ini": "pafot_generations = as many"},
@@ -225,13 +206,10 @@ def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
     assert (told in result.outlines) == is_ci
 
 
-def test_no_search_because_of_a_variable_or_a_setting_is_told(project, monkeypatch):
+def test_no_search_because_of_a_setting_is_told(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
     project.pytester.makeini("[pytest]\npafot_generations = 0\n")
     told = "  note: no search ran: pafot_generations is 0 in the settings"
-    assert told in project.run(generations=None).outlines
-    monkeypatch.setenv("PAFOT_GENERATIONS", "0")
-    told = "  note: no search ran: PAFOT_GENERATIONS=0 is in the environment"
     assert told in project.run(generations=None).outlines
     assert told not in project.run(generations=0).outlines
 

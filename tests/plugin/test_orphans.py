@@ -23,7 +23,7 @@ def test_a_renamed_module_leaves_an_orphan(saved):
 
 METHOD = """
 class TestClass:
-    @pafot.search(SHORT, stop_after=1)
+    @pafot.search(SHORT)  # stop_after=1
     def test_fails(self, run):
         assert not run
 """
@@ -42,7 +42,7 @@ def test_renamed_class_or_method_leaves_an_orphan(project):
 def test_a_removed_parameter_leaves_an_orphan(project):
     source = """
 @pytest.mark.parametrize("limit", [1, 2])
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_it(run, limit):
     assert not limit
 """
@@ -137,7 +137,7 @@ SELECTIONS = (
 def test_a_selection_makes_no_orphans(project):
     project.write(
         """
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_fails(run):
     assert not run
 
@@ -145,7 +145,7 @@ def test_other():
     pass
 
 class TestClass:
-    @pafot.search(SHORT, stop_after=1)
+    @pafot.search(SHORT)  # stop_after=1
     def test_fails(self, run):
         assert not run
 
@@ -176,7 +176,7 @@ def test_module_with_import_error_makes_no_orphans(saved):
 
 
 def test_prune_spares_files_below_a_misplaced_one(project):
-    one = "@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert not run\n"
+    one = "@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert not run\n"
     project.write(one, name="test_top")
     project.write(one, name="tests/test_low")
     corpus = project.path / "all"

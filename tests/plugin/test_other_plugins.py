@@ -3,11 +3,11 @@
 import pytest
 
 TWO = """
-@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
 def test_first(run):
     assert run.scenario.id == ""
 
-@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
 def test_second(run):
     assert run.scenario.id == ""
 """
@@ -87,7 +87,7 @@ def test_junit_has_a_case_for_search_and_finding(failing, family):
 
 @pytest.mark.parametrize("option", ["-x", "--maxfail=1"])
 def test_search_stops_at_first_finding_with_exitfirst(project, option):
-    project.write(TWO.replace("stop_after=1, ", ""))
+    project.write(TWO.replace("# stop_after=1", ""))
     result = project.run(option, generations=5)
     assert len(project.files) == 1
     result.assert_outcomes(failed=2)
@@ -161,7 +161,7 @@ def test_last_failed_repeats_search_of_unsaved_findings(failing):
 
 def test_last_failed_repeats_search_once_findings_pass(failing):
     failing.run_once()
-    failing.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run\n")
+    failing.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run\n")
     failing.run("--lf").assert_outcomes(passed=1, deselected=1)
     result = failing.run("--lf", "-v")
     result.assert_outcomes(passed=1)

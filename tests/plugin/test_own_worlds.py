@@ -25,7 +25,7 @@ class Ring:
 OWN = (
     RING
     + """
-@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES), stop_after=1,
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Ring(LANES),  # stop_after=1
               shrink_rollouts=9)
 def test_fails(run):
     assert run.VERDICT
@@ -45,8 +45,7 @@ def ads():
     npcs=1,
     ads=ads,
     world=pafot.World("highway-v0", duration=2.0, WRAPPERS),
-    stop_after=1,
-    shrink_rollouts=2,
+    shrink_rollouts=2,  # stop_after=1
 )
 def test_fails(run):
     assert set(seen) == {SHAPE}
@@ -147,7 +146,7 @@ def test_subclass_of_a_builtin_world_is_own_world(project):
                 def rollout(self, scenario, ads_factory):
                     return pafot.Highway(duration=2.0).rollout(scenario, ads_factory)
 
-            @pafot.search(genes=2, gene_seconds=5, npcs=1, world=Short(duration=10.0), stop_after=1)
+            @pafot.search(genes=2, gene_seconds=5, npcs=1, world=Short(duration=10.0))  # stop_after=1
             def test_fails(run):
                 assert run.duration > 5, run.duration
             """
@@ -249,7 +248,7 @@ class Hung(Ring):
         STUCK
         return super().rollout(scenario, ads_factory)
 
-@pafot.search(ads=sleeps, genes=2, gene_seconds=5, npcs=1, world=Hung(3), stop_after=1, shrink_rollouts=0)
+@pafot.search(ads=sleeps, genes=2, gene_seconds=5, npcs=1, world=Hung(3), shrink_rollouts=0)  # stop_after=1
 def test_moves(run):
     assert run.outcome
 """
@@ -337,7 +336,7 @@ HIGHWAY = pafot.Highway(lanes=4, duration=20.0)
 def blind():
     return lambda seen: (0.0, 0.0)
 
-@pafot.search(ads=blind, genes=2, gene_seconds=10, npcs=2, world=Driven(4), blame="ego", stop_after=1,
+@pafot.search(ads=blind, genes=2, gene_seconds=10, npcs=2, world=Driven(4), blame="ego",  # stop_after=1
               shrink_rollouts=9)
 def test_keeps_off(run):
     assert not run.collision, run.explain()

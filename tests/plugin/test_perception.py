@@ -7,7 +7,7 @@ class Blind:
     def __call__(self, observation):
         return (-9.0 if observation.others else 1.0), 0.0
 
-@pafot.search(SHORT, stop_after=1, ads=pafot.Perception(Blind, PERCEPTION))
+@pafot.search(SHORT, ads=pafot.Perception(Blind, PERCEPTION))  # stop_after=1
 def test_fails(run):
     assert run.ego.speed.max() < 23
 """

@@ -22,7 +22,7 @@ PASSES = KNOWN.replace("LINE", "assert run.outcome")
 
 
 GYM = """
-@pafot.search(ads=lambda: lambda observation: 1, world=pafot.World("highway-fast-v0", duration=5.0), stop_after=1)
+@pafot.search(ads=lambda: lambda observation: 1, world=pafot.World("highway-fast-v0", duration=5.0))  # stop_after=1
 def test_fails(run):
     assert run.duration < 1
 """
@@ -189,7 +189,7 @@ def test_replay_failing_at_another_time_has_drifted(saved):
 
 
 def test_replay_without_incident_reports_how_long_it_lasted(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert not run.collision\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert not run.collision\n")
     project.run_once("--pafot-shrink-rollouts=0", generations=5)
     braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
     project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
@@ -199,7 +199,7 @@ def test_replay_without_incident_reports_how_long_it_lasted(project):
 
 
 CUT_IN = """
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_drive(run):
     if run.responsibility == "ego":
         pafot.reject()
@@ -227,7 +227,7 @@ def test_pass_without_its_situation_is_no_fix(project):
 
 
 def test_uneventful_runs_are_compared_by_most_critical_moment(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_drive(run):\n    assert run.collision\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert run.collision\n")
     project.run_once("--pafot-shrink-rollouts=0")
     head, _, tail = project.only_file.read_text().partition("time: ")
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
@@ -304,7 +304,7 @@ def flaky():
     brake = -3.0 if len(calls) % 2 else 0.0
     return lambda observation: (brake, 0.0)
 
-@pafot.search(SHORT, ads=flaky, stop_after=1)
+@pafot.search(SHORT, ads=flaky)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
 """
@@ -364,7 +364,7 @@ def sometimes():
     brake = -3.0 if len(SEEN) > int(os.environ["PASSES"]) else 0.0
     return lambda observation: (brake, 0.0)
 
-@pafot.search(SHORT, ads=sometimes, stop_after=1)
+@pafot.search(SHORT, ads=sometimes)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
 """

@@ -25,7 +25,7 @@ def test_finding_is_a_readable_file_near_its_test(failing):
 
 
 def test_finding_is_announced_during_search_with_its_file(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_collides(run):\n    assert not run.collision\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
     result = project.run(generations=10)
     result.stdout.fnmatch_lines(
         [
@@ -79,7 +79,7 @@ def test_first_finding_is_told_whole_at_once_and_others_in_a_line(project, monke
 
 
 def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project):
-    test = "@pafot.search(SHORT, stop_after=1)\ndef test_{}(run):\n    assert not run.collision\n\n"
+    test = "@pafot.search(SHORT)  # stop_after=1\ndef test_{}(run):\n    assert not run.collision\n\n"
     project.write(test.format("a") + test.format("b"))
     first, second = announced(project.run("--pafot-shrink-rollouts=0", generations=10, seed=2))
     assert any(line.startswith("  saved; run it with") for line in first)
@@ -88,13 +88,13 @@ def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project):
 
 def test_a_finding_begins_its_own_line_also_behind_the_dots_of_workers(project):
     pytest.importorskip("xdist")
-    test = "@pafot.search(SHORT, stop_after=1)\ndef test_{}(run):\n    assert not run.collision\n\n"
+    test = "@pafot.search(SHORT)  # stop_after=1\ndef test_{}(run):\n    assert not run.collision\n\n"
     project.write(test.format("a") + test.format("b"))
     assert len(announced(project.run("-n1", "-q", "--pafot-shrink-rollouts=0", generations=10, seed=2))) == 2
 
 
 def test_first_collision_has_the_sentences_of_its_verdict(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_collides(run):\n    assert not run.collision\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
     (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2))
     (its,) = json.loads((project.path / "out.json").read_text())["findings"]
     told = " ".join(" ".join(lines[1:]).split())
@@ -129,7 +129,7 @@ def test_next_session_replays_finding_under_the_same_id(failing):
 
 
 def test_property_without_collision_is_searched_saved_and_replayed(project):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_gap(run):\n    assert run.min_distance > 1000\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_gap(run):\n    assert run.min_distance > 1000\n")
     project.run().assert_outcomes(failed=2)
     assert project.only_id.startswith("min-distance")
     project.run(generations=0).assert_outcomes(failed=1, skipped=1)
@@ -203,7 +203,7 @@ def test_each_parametrisation_has_its_own_files(project):
     project.write(
         """
 @pytest.mark.parametrize("limit", [0, 1000])
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_short(run, limit):
     assert run.duration < limit
 """
@@ -223,7 +223,7 @@ def ads(request):
     acceleration = -2.0 if request.param == "slow" else 0.0
     return lambda: lambda observation: (acceleration, 0.0)
 
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
 """
@@ -256,7 +256,7 @@ class Broken:
     def __call__(self, observation):
         return {}["missing key"] if observation.time > 1 else (0.0, 0.0)
 
-@pafot.search(SHORT, ads=Broken, stop_after=1)
+@pafot.search(SHORT, ads=Broken)  # stop_after=1
 def test_runs(run):
     pass
 """
@@ -280,7 +280,7 @@ def ads():
 def test_any_time(run):
     pass
 
-@pafot.search(genes=1, gene_seconds=1, ads=ads, decision_limit=0.001, stop_after=1)
+@pafot.search(genes=1, gene_seconds=1, ads=ads, decision_limit=0.001)  # stop_after=1
 def test_in_time(run):
     pass
 """
@@ -299,7 +299,7 @@ import time
 def ads():
     return lambda observation: time.sleep(5)
 
-@pafot.search(world=pafot.Highway(duration=5.0, hang_limit=0.05), ads=ads, stop_after=1)
+@pafot.search(world=pafot.Highway(duration=5.0, hang_limit=0.05), ads=ads)  # stop_after=1
 def test_decides(run):
     pass
 """
@@ -356,7 +356,7 @@ def test_fitness_may_be_name_or_function(project):
     project.run(generations=2).assert_outcomes(passed=len(each))
 
 
-SHORT_SEARCH = "*note: 40 runs are a short search; use --pafot-runs=400 for a longer one"
+SHORT_SEARCH = "*note: 100 runs are a short search; use --pafot-runs=1000 for a longer one"
 KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
 
 

@@ -15,7 +15,7 @@ import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a r
 from pytest_pafot.plugin.session import stale_day
 
 FAILS = """
-@pafot.search(SHORT, stop_after=1, shrink_rollouts=0)
+@pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
 def test_fails(run):
     assert run.duration < 1, "the text of the failure"
 """

@@ -43,7 +43,7 @@ def test_fails(run):
 
 
 SEVERAL_KINDS = """
-@pafot.search(SHORT, stop_after=3)
+@pafot.search(SHORT)  # stop_after=3
 def test_fails(run):
     pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)
 """
@@ -379,11 +379,11 @@ def test_the_summary_of_a_job_is_appended_to(summary, failing):
 def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summary, project, monkeypatch):
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     project.write(
-        "@pytest.mark.parametrize('n', range(6))\n@pafot.search(SHORT, stop_after=1)\ndef test_a(run, n):\n"
+        "@pytest.mark.parametrize('n', range(6))\n@pafot.search(SHORT)  # stop_after=1\ndef test_a(run, n):\n"
         "    assert not run.collision, run.explain()\n\n"
         "def broken():\n    def decide(observation):\n        if observation.time > 2:\n"
         "            raise ValueError('50 % done\\n::warning::x, y')\n        return 0.0, 0.0\n    return decide\n\n"
-        "@pafot.search(SHORT, ads=broken, stop_after=1)\ndef test_b(run):\n    pass\n",
+        "@pafot.search(SHORT, ads=broken)  # stop_after=1\ndef test_b(run):\n    pass\n",
         name="test_50%,x",
     )
     result = project.run("--pafot-report=out.html")

@@ -34,7 +34,7 @@ def misspelt(arguments=""):
 
 class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
     def test_misspelt_run_attribute_is_one_error_with_suggestion(self, project):
-        each = ["", "stop_after=1", "blame='ego'", "algorithm='random'", "population=2"]
+        each = ["", "blame='ego'", "algorithm='random'", "population=2"]
         project.write("".join(misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))))
         result = project.run(generations=3)
         result.assert_outcomes(failed=len(each))
@@ -76,8 +76,8 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         assert project.files == []
 
     def test_setup_error_leaves_earlier_scenarios_unchanged(self, project):
-        project.write(misspelt("stop_after=1").replace("not run.collided", "run.duration < 1"))
-        project.run("--pafot-shrink-rollouts=0")
+        project.write(misspelt().replace("not run.collided", "run.duration < 1"))
+        project.run("--pafot-shrink-rollouts=0", "--pafot-stop-after=1")
         contents = project.contents
         project.write(misspelt())
         project.run().assert_outcomes(failed=2)
@@ -372,7 +372,7 @@ def ads():
         return 0.0, 0.0
     return drive
 
-@pafot.search(SHORT, ads=ads, stop_after=1)
+@pafot.search(SHORT, ads=ads)  # stop_after=1
 def test_fails(run):
     assert CONDITION
 """

@@ -5,12 +5,12 @@ import json
 import pytest
 
 SEARCHES = """
-@pafot.search(SHORT, stop_after=3)
+@pafot.search(SHORT)  # stop_after=3
 def test_checks(run):
     pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)
 
 @pytest.mark.parametrize("limit", [1, 2])
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_ends(run, limit):
     assert run.duration < limit
 """

@@ -20,10 +20,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
+from tests.helpers.sessions import set_keys
 from tests.plugin.test_progress import ON_A_TERMINAL
 
 COLLIDES = """
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_collides(run):
     assert not run.collision
 """
@@ -95,14 +96,12 @@ def test_finding_stays_unchanged_without_shrink_rollouts(collides):
     assert "shrunk" not in result.stdout.str()
 
 
-@pytest.mark.parametrize("source", ["marker", "ini", "environment"])
+@pytest.mark.parametrize("source", ["marker", "ini"])
 def test_shrink_rollouts_option_works_in_every_source(project, monkeypatch, source):
     argument = ", shrink_rollouts=3" if source == "marker" else ""
     project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
     if source == "ini":
-        project.pytester.makeini("[pytest]\npafot_shrink_rollouts = 3\n")
-    if source == "environment":
-        monkeypatch.setenv("PAFOT_SHRINK_ROLLOUTS", "3")
+        set_keys(monkeypatch, shrink_rollouts=3)
     run(project)
     shrunk = load(project.only_file).shrunk
     assert (shrunk.rollouts, shrunk.is_minimal) == (3, False)
@@ -140,7 +139,7 @@ def test_existing_shrunk_file_is_no_new_finding(collides):
 INTERRUPTED = """
 seen = []
 
-@pafot.search(SHORT, stop_after=1)
+@pafot.search(SHORT)  # stop_after=1
 def test_interrupted(run):
     seen.append(run)
     if len(seen) == LIMIT:
@@ -156,7 +155,7 @@ def test_interrupted(run):
 @pytest.mark.parametrize("limit", [2, 4])
 def test_interrupted_search_says_how_to_shrink_later(project, save, how, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")
-    project.write(source.replace(", stop_after=1" if limit == 2 else "", ""))
+    project.write(source.replace("# stop_after=1" if limit == 2 else "", ""))
     result = run(project, f"--pafot-save={save}", no_reraise_ctrlc=True)
     told = f"  note: ended before 1 new finding was shrunk: {how}"
     result.stdout.fnmatch_lines(["*ended: interrupted", told])
@@ -181,7 +180,7 @@ def test_process_death_while_shrinking_preserves_the_finding(project):
 
 @pytest.mark.parametrize("flag", ["--pafot-max-time=0", "--pafot-total-time=0"])
 def test_time_limit_ends_shrinking_until_resumed(project, flag):
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     result = run(project, flag, "--pafot-resume=states", "--pafot-json=out.json", "--pafot-report=page.html")
     result.assert_outcomes(failed=2)
     told = "not shrunk: out of time; --pafot-resume goes on"
@@ -201,7 +200,7 @@ def test_finding_cut_again_says_so_despite_replay(project, monkeypatch):
         raise OutOfBudget
 
     monkeypatch.setattr(Turn, "check", check)
-    project.write("@pafot.search(SHORT, stop_after=1)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
+    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     for _ in range(2):
         result = run(project, "--pafot-resume=states", "--pafot-json=out.json")
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -260,7 +259,7 @@ def flaky():
     brake = -3.0 if len(calls) % 2 else 0.0
     return lambda observation: (brake, 0.0)
 
-@pafot.search(SHORT, ads=flaky, stop_after=1)
+@pafot.search(SHORT, ads=flaky)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
 """
@@ -296,7 +295,7 @@ def drawing(env):
 
 WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
 
-@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, stop_after=1, shrink_rollouts=0)
+@pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, shrink_rollouts=0)  # stop_after=1
 def test_drives(run):
     assert run.ego.speed.mean() < 1
 """
@@ -319,7 +318,7 @@ def ads():
     brake = 0.0 if "pytest_pafot.world.engines.gym_replay" in names else -3.0
     return lambda observation: (brake, 0.0)
 
-@pafot.search(SHORT, ads=ads, stop_after=1)
+@pafot.search(SHORT, ads=ads)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
 """
@@ -399,7 +398,7 @@ def test_log_has_one_line_for_all_the_work_on_a_finding(collides):
 def test_log_has_one_line_for_each_finding(project):
     project.pytester.makeconftest(IMPATIENT)
     gap = '    pafot.check(run.min_distance, name="gap", at_least=12.0)\n'
-    project.write(COLLIDES.replace(", stop_after=1", "") + gap)
+    project.write(COLLIDES.replace("# stop_after=1", "") + gap)
     result = run(project)
     told = [line.partition("[search] shrinking ")[2] for line in result.outlines if "[search] shrinking " in line]
     assert len(project.files) == len(told) == 2

@@ -38,7 +38,6 @@ def named(id_, **seen):
 SEARCH = SearchSummary(
     algorithm="pafot",
     node_id="tests/test_safety.py::test_it[search]",
-    profile="local",
     base_seed=3,
     seed=4154884243,
     generations=10,

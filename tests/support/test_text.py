@@ -71,7 +71,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     find = sighting(node_id=text, headline=other, path=text, detail=other, difference=text)
     search = SearchSummary(
         node_id=text, generations=1, runs=3, seconds=1.0, failing=1, finds=[find], known={text: 1}, rejected=0,
-        skipped=0, no_interaction=0, invalid=0, algorithm=other, seed=1, base_seed=1, profile="ci", reason=text,
+        skipped=0, no_interaction=0, invalid=0, algorithm=other, seed=1, base_seed=1, reason=text,
         warnings=[text], notes=[other], against=text, drawn=other,
     )  # fmt: skip
     session = terminal.SessionSummary(
