@@ -157,8 +157,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "staying in the lane, and its `time` [s].",
     "expect.mistake": "[What the ego did wrong](../explanation/findings.md#what-makes-two-failures-the-same), for "
     "`entered-lane`.",
-    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight), and `needed`: those without which "
-    "the test passes.",
+    "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight) that are no defaults.",
     "original": "The scenario as first found, if shrinking has replaced it.",
     "shrunk.rollouts": "Runs that shrinking took.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "

@@ -259,19 +259,6 @@ class Harness:
         run = self.run_of(trace, world)
         return run, self.judge(run)
 
-    def fails_with(self, ads: Callable[..., Any], scenario: Scenario, record: CrashRecord) -> bool:
-        """Return whether the test fails in a scenario with another ADS, such as the same ADS with perfect sight."""
-        __tracebackhide__ = True
-        job = replace(self.job(), policy=Policy(ads))
-        with refusals(), runner_for(job, record, isolate=self.request.settings.isolate) as runner:
-            try:
-                run = self.run_of(runner.run(scenario))
-            except ProcessLostError:
-                return True
-        verdict = self.judge(run)
-        record.clear()
-        return verdict.failed
-
     @contextmanager
     def recording(self, job: Job) -> Iterator[CrashRecord]:
         """Provide the crash record with the scenario that runs now. It stays on disk only if the process dies."""

@@ -12,7 +12,7 @@ from pytest_pafot.campaign.search_session import Prepared
 from pytest_pafot.campaign.store import UNCONFIRMED
 from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.findings.finding import Finding, Perceived, ending, of_failure
+from pytest_pafot.findings.finding import Finding, ending, of_failure
 from pytest_pafot.findings.shrink import Shrunk, size_of, sort_key
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.support.text import plural
@@ -61,12 +61,11 @@ def shrink_saved(
         now = headline(run, verdict) if verdict.failed else ending(run)
         yield Later(result=f"it does not fail as the file says: {now}", is_refused=True)
         return
-    sight = harness.policy.sight
     # What was measured in the file's scenario says nothing of a simpler one.
     start = replace(
         before,
         found=replace(before.found, versions=harness.versions),
-        perception=None if sight is None else Perceived(sight=sight),
+        perception=harness.policy.sight,
         original=None,
         shrunk=None,
     )

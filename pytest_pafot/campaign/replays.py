@@ -485,9 +485,9 @@ class Replays:
 
     def sight_change(self, finding: Finding) -> list[str]:
         """Return how the ADS's sight in the file and now differ; empty if they are the same."""
-        then = Sight() if finding.perception is None else finding.perception.sight
+        then = finding.perception or Sight()
         now = self.harness.policy.sight or Sight()
-        return [] if then == now else [f"found with {then.described()}, run with {now.described()}"]
+        return [] if then == now else [f"found with {then.described}, run with {now.described}"]
 
     def changes(self, finding: Finding, now: str) -> str:
         """Return the differences between a file and its replay in words; ``now`` is what happened in the replay."""

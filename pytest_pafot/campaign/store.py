@@ -19,7 +19,7 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, tex
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, Perceived, portable
+from pytest_pafot.findings.finding import Expect, Finding, Found, portable
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
@@ -88,7 +88,9 @@ class Store:
             self.first_exception = self.first_exception or verdict.exception
             return finding.id
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
-            sighting = self._saved(finding, headline(run, verdict), verdict.exception, verdict.is_timed)
+            sighting = self._saved(
+                finding, finding.with_sight(headline(run, verdict)), verdict.exception, verdict.is_timed
+            )
             sighting = replace(sighting, run=run, number=number, severity=verdict.severity)
             return self._held(sighting)
 
@@ -157,7 +159,7 @@ class Store:
             test=self.harness.node_id,
             world=codec.described(self.harness.world),
             found=self._found(generation),
-            perception=self._perception,
+            perception=self.harness.policy.sight,
             against="" if self.harness.against is None else self.harness.against.name,
             root=str(self.harness.root),
         )
@@ -279,11 +281,6 @@ class Store:
         self.held.append(sighting.id)
         return sighting
 
-    @property
-    def _perception(self) -> Perceived | None:
-        sight = self.harness.policy.sight
-        return None if sight is None else Perceived(sight=sight)
-
     def _found(self, generation: int, algorithm: str = "") -> Found:
         algorithm = algorithm or self.harness.request.algorithm.name
         return Found(
@@ -301,7 +298,7 @@ class Store:
             world=world or codec.described(self.harness.world),
             expect=expect,
             found=found,
-            perception=self._perception,
+            perception=self.harness.policy.sight,
         )
 
     def _saved(self, finding: Finding, line: str, exception: BaseException, is_timed: bool) -> Sighting:

@@ -26,7 +26,6 @@ from pytest_pafot.findings.finding import (
     Expect,
     Finding,
     Found,
-    Perceived,
     check_plain,
     is_id,
 )
@@ -427,8 +426,6 @@ def _rate(field: Field) -> FailureRate:
     return FailureRate(failing=fields["failing"].whole(0, runs), runs=runs)
 
 
-def _perceived(field: Field) -> Perceived:
-    fields = field.mapping(Keys((), (*types_of(Sight), "needed")))
-    sight = _made(field, Sight, {name: inner.value for name, inner in fields.items() if name != "needed"})
-    needed = _given(fields, "needed", lambda inner: tuple(name.choice(sight.imperfections) for name in inner.items()))
-    return Perceived(sight=sight, needed=needed)
+def _perceived(field: Field) -> Sight:
+    fields = field.mapping(Keys((), tuple(types_of(Sight))))
+    return _made(field, Sight, {name: inner.value for name, inner in fields.items()})

@@ -116,10 +116,7 @@ _RESOLVER: Any = yaml.resolver.Resolver()
 def text_of(finding: Finding) -> str:
     """Return the text of the corpus file of a finding, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
-    perceived: dict[str, Any] = {}
-    if finding.perception is not None:
-        needed = finding.perception.needed
-        perceived = finding.perception.sight.to_dict() | ({} if needed is None else {"needed": needed})
+
     xfail = '# xfail: "reason"'  # a hint on how to accept the failure
     if finding.xfail is not None:
         reason, until = _quoted(finding.xfail), finding.xfail_until
@@ -133,7 +130,7 @@ def text_of(finding: Finding) -> str:
         *scenario_lines("scenario", finding.scenario),
         *_expect_lines(finding.expect),
         *_filled("found: ", asdict(finding.found)),
-        *([] if finding.perception is None else _filled("perception: ", perceived)),
+        *([] if finding.perception is None else _filled("perception: ", finding.perception.imperfections)),
         *([] if finding.original is None else scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
         *([] if rate is None else [f"rate: {{failing: {rate.failing}, runs: {rate.runs}}}"]),

@@ -290,27 +290,6 @@ class Found:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Perceived:
-    """The imperfect sight of the ADS in a run, and the imperfections that the failure needs.
-
-    Attributes:
-        sight: sight of the ADS in the run that showed the failure.
-        needed: names of the imperfections without which the test passes in this scenario; empty if it also fails with
-            perfect sight, None if that was not tried.
-    """
-
-    sight: Sight
-    needed: tuple[str, ...] | None = None
-
-    @property
-    def sentence(self) -> str:
-        """The imperfections of the sight that the failure needs, in words, such as ``only with 0.3 s of latency``."""
-        if self.needed is None:
-            return f"found with {self.sight.described()}"
-        return f"only with {self.sight.described(self.needed)}" if self.needed else "fails also with perfect sight"
-
-
 Acceptance = tuple[str | None, date | None, bool]
 """The reason to accept a failure, the last day, and whether the scenario may pass as well; see :class:`Finding`."""
 
@@ -356,7 +335,7 @@ class Finding:
     world: Mapping[str, Any]
     expect: Expect
     found: Found
-    perception: Perceived | None = None
+    perception: Sight | None = None
     original: Scenario | None = None
     shrunk: Shrunk | None = None
     rate: FailureRate | None = None
@@ -429,6 +408,10 @@ class Finding:
         """Return whether the failure is accepted on the day ``today``: there is a reason, and it has not expired."""
         return self.xfail is not None and (self.xfail_until is None or today <= self.xfail_until)
 
+    def with_sight(self, line: str) -> str:
+        """Return a line on the failure that also names the imperfect sight with which it was found."""
+        return line if self.perception is None else f"{line}, found with {self.perception.described}"
+
     @classmethod
     def of(
         cls,
@@ -438,7 +421,7 @@ class Finding:
         test: str,
         world: Mapping[str, Any],
         found: Found,
-        perception: Perceived | None = None,
+        perception: Sight | None = None,
         against: str = "",
         root: str = "",
     ) -> Finding:

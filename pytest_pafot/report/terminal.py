@@ -171,11 +171,10 @@ def find_section(
 
 
 def simplified_lines(finding: Finding) -> list[str]:
-    """Describe how a new finding shrank, who does not prevent it, and which imperfect perception it needs."""
+    """Describe how a new finding shrank and who does not prevent it."""
     lines = [f"shrunk     {how}" for how in shrunk_lines(finding)]
     prevention = prevention_text(finding.expect)
-    lines += [prevention] if prevention else []
-    return lines if finding.perception is None else [*lines, finding.perception.sentence]
+    return [*lines, prevention] if prevention else lines
 
 
 def shrunk_lines(finding: Finding) -> list[str]:

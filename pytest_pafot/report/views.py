@@ -391,7 +391,9 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
     size = [f"{how}{runs}" for how in shrunk_lines(finding)]
     shown.append(("Shrunk", size, ()))
     prevented, perception = prevention_text(finding.expect), finding.perception
-    shown.append(("Others", [*filter(None, [prevented, "" if perception is None else perception.sentence])], ()))
+    shown.append(
+        ("Others", [*filter(None, [prevented, "" if perception is None else f"found with {perception.described}"])], ())
+    )
     return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)
 
 

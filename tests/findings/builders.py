@@ -10,7 +10,7 @@ from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
-from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found, Perceived
+from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
@@ -20,7 +20,7 @@ from pytest_pafot.model.driving_style import BOUNDS, PAPERS, STYLES, Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import ACTS, SHIFTS, CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
-from pytest_pafot.model.sight import NOISES, OWN, Sight
+from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.strategies import manoeuvres
@@ -212,18 +212,12 @@ def rates():
 @st.composite
 def perceptions(draw):
     numbers = st.floats(0, 1e6)
-    sight = Sight(
+    return Sight(
         range=draw(st.none() | numbers),
         latency=draw(numbers),
         noise=draw(st.dictionaries(st.sampled_from(sorted(NOISES)), numbers)),
         dropout=draw(st.floats(0, 1)),
-        occlusion=draw(st.booleans()),
-        shuffled=draw(st.booleans()),
-        ghosts=draw(st.just({}) | st.fixed_dictionaries({"rate": st.floats(0, 100), "lifetime": numbers})),
-        own_bias=draw(st.dictionaries(st.sampled_from(sorted(OWN)), numbers)),
     )
-    names = st.lists(st.sampled_from(sight.imperfections), unique=True) if sight.imperfections else st.just([])
-    return Perceived(sight=sight, needed=draw(st.none() | names.map(tuple)))
 
 
 @st.composite

@@ -1,6 +1,10 @@
 """A finding of an ADS with imperfect sight: a session's report about it, and about its replay with different sight."""
 
+import pytest
+
+import pytest_pafot as pafot
 from pytest_pafot.corpus.reader import load
+from pytest_pafot.model.sight import Sight
 
 TEST = """
 class Blind:
@@ -13,21 +17,35 @@ def test_fails(run):
 """
 
 
-def test_finding_names_needed_perception_and_replay_the_change(project, tmp_path):
+def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
     page = tmp_path / "page.html"
     project.write(TEST.replace("PERCEPTION", "latency=0.1, range=0.0"))
     told = project.run(f"--pafot-report={page}")
-    told.stdout.fnmatch_lines(["only with a range of 0 m"])
-    assert load(project.only_file).perception.needed == ("range",)
-    assert "only with a range of 0 m" in page.read_text(encoding="utf-8")
+    told.stdout.fnmatch_lines(["*, found with a range of 0 m and 0.1 s of latency"])
+    assert load(project.only_file).perception == Sight(latency=0.1, range=0.0)
+    assert "found with a range of 0 m and 0.1 s of latency" in page.read_text(encoding="utf-8").lower()
 
     change = "found with a range of 0 m and 0.1 s of latency, run with"
-    project.write(TEST.replace("PERCEPTION", "occlusion=True"))
+    project.write(TEST.replace("PERCEPTION", "dropout=0.01"))
     result = project.run(generations=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["  drifted: *", f"    *{change} occlusion"])
+    result.stdout.fnmatch_lines(["  drifted: *", f"    *{change} 1 % dropout"])
 
     project.write(TEST.replace("PERCEPTION", "range=0.0"))
     result = project.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"replay: still failing, {change} a range of 0 m"])
+
+
+def no_collision(run):
+    assert not run.collision
+
+
+@pytest.mark.parametrize("sight", [{"range": 90.0}, {"noise": {"position": 2.0}}, {"dropout": 0.1}])
+def test_run_is_reused_unless_perception_is_random(sight):
+    def careful():
+        return lambda observation: (0.0, 0.0)
+
+    common = {"world": pafot.Highway(duration=3.0), "algorithm": "pafot", "npcs": 1, "genes": 1, "runs": 100, "seed": 9}
+    found = pafot.explore(pafot.Perception(careful, **sight), holds=no_collision, **common)
+    assert bool(found.summary.known_runs) is ("range" in sight)

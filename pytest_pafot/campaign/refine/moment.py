@@ -38,7 +38,6 @@ from pytest_pafot.findings.decisions import (
     window,
 )
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
@@ -88,7 +87,7 @@ def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) ->
         return sighting
     moment = None if harness.against is None else _first_difference(run.trace, state, bench)
     ask = partial(_decided_aside, sighting, run.trace, state, bench)
-    answers, moment = yield from _on_vehicles(sighting, run, moment, harness.policy.sight, ask)
+    answers, moment = yield from _on_vehicles(sighting, run, moment, ask)
     return replace(sighting, answers=answers, moment=moment)
 
 
@@ -158,7 +157,7 @@ def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
 
 
 def _on_vehicles(
-    sighting: Sighting, run: Run, moment: Moment | None, sight: Sight | None, ask: Ask
+    sighting: Sighting, run: Run, moment: Moment | None, ask: Ask
 ) -> Refining[tuple[Answers | None, Moment | None]]:
     """Return how many decisions depend on the vehicle of a failure, and the moment, unless there is one already."""
     expect, trace = sighting.finding.expect, run.trace
@@ -193,7 +192,7 @@ def _on_vehicles(
             if hardest >= braked + HARDER and hardest > answers.masked:
                 answers = replace(answers, masking=other, masked=round(hardest, 3))
     if number is not None:
-        moment = yield from _moment_of(trace, npc, number, whole, without_it, ask, sight)
+        moment = yield from _moment_of(trace, npc, number, whole, without_it, ask)
         if moment.hidden == "" and expect.check is None and run.attribution.fault != "entered-lane":
             asides = {}
             for other in others:
@@ -202,7 +201,7 @@ def _on_vehicles(
                     asides[other] = aside
             about = yield from _braked_for(number, whole, asides, ask, is_needless=run.attribution.fault in NEEDLESS)
             if about is not None:
-                moment = yield from _moment_of(trace, about, number, whole, asides[about], ask, sight)
+                moment = yield from _moment_of(trace, about, number, whole, asides[about], ask)
     return answers, moment
 
 
@@ -253,13 +252,8 @@ def _decided_aside(
         record.clear()
 
 
-def _moment_of(
-    trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside, ask: Ask, sight: Sight | None = None
-) -> Refining[Moment]:
-    """Return what a policy saw, answered and would have answered at a decision.
-
-    ``sight`` is the policy's sight; None for perfect sight.
-    """
+def _moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside, ask: Ask) -> Refining[Moment]:
+    """Return what a policy saw, answered and would have answered at a decision."""
     seen, action = whole.at, whole.of(number)
     is_planner = isinstance(seen, Observation)
     where = ""
@@ -272,7 +266,7 @@ def _moment_of(
         where = placed(way.ahead, way.right, way.speed - seen.ego.speed, own, (way.heading, way.length, way.width))
     elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
         where = "nowhere"
-    elif sight is None or not (sight.latency or sight.noise or sight.own_bias):  # else only the world knows where
+    else:
         where = seen_of(trace, npc, number)
     hidden = otherwise = None
     tries = [] if is_planner else [("", without_it.at)]

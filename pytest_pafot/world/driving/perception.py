@@ -1,11 +1,11 @@
-"""A factory of ADSs with imperfect sight, which wraps any factory of a planner or a policy."""
+"""A factory of ADSs with imperfect sight, which wraps any factory of a planner."""
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field, fields
 from typing import Any
 
 from pytest_pafot.model.sight import Sight, SightWithout
@@ -13,34 +13,25 @@ from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads
 from pytest_pafot.world.driving.seeing import SeeingAds
-from pytest_pafot.world.guard.failure import Around
 
 DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, so nothing can be hidden from it"
 
 
 @dataclass(frozen=True)
 class Perception:
-    """A factory that wraps an ADS factory, so that the ADS sees the other vehicles, or itself, imperfectly.
+    """A factory that wraps an ADS factory, so that the ADS sees the other vehicles imperfectly.
 
     The ADS sees the road and fixed objects exactly. All random values follow from the scenario's seed,
     so a scenario gives the same run each time and in any process.
 
     Attributes:
-        ads: the wrapped factory, of planners in SI units, or of policies for an environment with the observation
-            Kinematics, OccupancyGrid, TimeToCollision or LidarObservation; it may have a parameter ``env``.
+        ads: the wrapped factory, of planners in SI units.
         range: largest distance between centres at which it sees a vehicle [m].
         latency: age of what it sees of others [s], rounded up to whole physics ticks; before, it sees the start. Its
             own state is current.
         noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
             ``"speed"`` [m/s]. Sampled for each vehicle at each decision.
         dropout: probability that it does not see a vehicle at a decision.
-        occlusion: if true, it does not see a vehicle if the lines from the ego's centre to its centre and corners all
-            run through others.
-        shuffled: if true, the others are in a random order, sampled at each decision, and ``ids``, too.
-        ghosts: vehicles that do not exist: how many appear per second, ``"rate"`` [1/s], up to 100, and their mean
-            ``"lifetime"`` [s], such as ``{"rate": 0.5, "lifetime": 1.0}``.
-        own_bias: standard deviations of normal errors of its own ``"position"``, along x and along y [m], ``"heading"``
-            [rad] and ``"speed"`` [m/s], sampled once a run. It sees the others moved and turned with it.
 
     Raises:
         FieldError: for an impossible value, such as a negative latency.
@@ -53,10 +44,6 @@ class Perception:
     latency: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict, hash=False)
     dropout: float = 0.0
-    occlusion: bool = False
-    shuffled: bool = False
-    ghosts: Mapping[str, float] = field(default_factory=dict, hash=False)
-    own_bias: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         _ = self.sight
@@ -75,10 +62,6 @@ class Perception:
     def sight(self) -> Sight:
         """The imperfections of the ADS's sight."""
         return Sight(**{each.name: getattr(self, each.name) for each in fields(Sight)})
-
-    def seeing(self, sight: Sight) -> Perception:
-        """Return the same factory with a different sight."""
-        return replace(self, **{each.name: getattr(sight, each.name) for each in fields(sight)})
 
     @property
     def __wrapped__(self) -> AdsFactory:
@@ -104,32 +87,18 @@ class Perception:
         return SeeingAds(ads, self.sight)
 
 
-class _Noting(Around):
-    """An ADS whose observations are noted, and that decides for one run at a time."""
-
-    def __init__(self, ads: Any, note: Callable[[Any], object]) -> None:
-        super().__init__(ads)
-        self._note = note
-
-    def __call__(self, observation: Any) -> Any:
-        self._note(observation)
-        return self._ads(observation)
-
-
-def without(factory: AdsFactory, npc: int | None, note: Callable[[Any], object] | None = None) -> AdsFactory:
-    """Return a factory of the same ADSs, from which one NPC of the scenario is hidden; with None, none is.
-
-    ``note`` is called with each of their observations.
+def without(factory: AdsFactory, npc: int) -> AdsFactory:
+    """Return a factory of the same ADSs, from which one NPC of the scenario is hidden.
 
     Raises:
         AdsFactoryError: when it makes an ADS, if that is a vehicle class.
     """
-    seen = sight_of(factory) or Sight()
-    sight = SightWithout(npc=npc, **{each.name: getattr(seen, each.name) for each in fields(Sight)})
+    seen = sight_of(factory)
+    sight = SightWithout(npc=npc, **({} if seen is None else seen.imperfections))
 
     def make(*observations: Any, **arguments: Any) -> Any:
         ads, _ = deciding(factory(*observations, **arguments))
-        return SeeingAds(ads if note is None else _Noting(ads, note), sight)
+        return SeeingAds(ads, sight)
 
     make = functools.wraps(factory, updated=())(make)
     make.sight = sight  # type: ignore[attr-defined]  # a factory must say how its ADSs see

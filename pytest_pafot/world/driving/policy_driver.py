@@ -16,7 +16,7 @@ from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.observations import observer
-from pytest_pafot.world.driving.seeing import PolicySight
+from pytest_pafot.world.driving.seeing import HiddenVehicle
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
@@ -35,7 +35,7 @@ class PolicyDriver(ObjectDriver):
         every: the number of physics ticks between decisions.
         view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
             decision.
-        sight: what limits the ADS's sight; then both environments contain only what it sees.
+        hidden: what hides a vehicle from the ADS, in both environments; None if it sees all.
         ego: the ego in the loop; by default a body that follows the environment's vehicle.
     """
 
@@ -46,7 +46,7 @@ class PolicyDriver(ObjectDriver):
         guard: HangGuard,
         every: int,
         view: View | None = None,
-        sight: PolicySight | None = None,
+        hidden: HiddenVehicle | None = None,
         ego: Body | None = None,
     ) -> None:
         check_action_space(env.action_space)
@@ -55,7 +55,7 @@ class PolicyDriver(ObjectDriver):
         self._ads = ads
         self._observe = observer(env)
         self._view = view
-        self._sight = sight
+        self._hidden = hidden
 
     def decide(self, tick: int) -> AdsError | None:
         """Observe, call the ADS, and check and apply its action, unless the decisions are passed in."""
@@ -70,7 +70,7 @@ class PolicyDriver(ObjectDriver):
         env = self.env
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
-        with nullcontext() if self._sight is None else self._sight.shown():
+        with nullcontext() if self._hidden is None else self._hidden.shown():
             if self._view is not None:
                 self._view.show(tick)
             return self._observe()
@@ -92,16 +92,13 @@ class PolicyDriver(ObjectDriver):
 
     def actuate(self) -> None:
         """Apply the low-level control of highway-env's controlled vehicles."""
-        if self._sight is not None:
-            self._sight.note()
         self.vehicle.act()
 
 
 class ModelPolicyDriver(PolicyDriver):
     """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
 
-    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision, or at every
-    tick with an imperfect sight.
+    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision.
     """
 
     def __init__(
@@ -111,12 +108,12 @@ class ModelPolicyDriver(PolicyDriver):
         guard: HangGuard,
         every: int,
         view: View | None,
-        sight: PolicySight | None,
+        hidden: HiddenVehicle | None,
         lanes: StraightRoad | Network,
     ) -> None:
         self._compiled = CompiledRoad(env.road, lanes)
         self._model = self._compiled.vehicle(env.vehicle)
-        super().__init__(ads, env, guard, every, view, sight, self._model)
+        super().__init__(ads, env, guard, every, view, hidden, self._model)
 
     def show_ego(self) -> None:
         """Let the environment's vehicle be where the ego is."""
@@ -135,9 +132,6 @@ class ModelPolicyDriver(PolicyDriver):
 
     def actuate(self) -> None:
         """Set the controls of a tick."""
-        if self._sight is not None:
-            self._compiled.show(self.vehicle, self._model)
-            self._sight.note()
         self._model.act([])
 
     def step(self, dt: float) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -18,7 +17,7 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.ads import give_route
 from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
-from pytest_pafot.world.driving.seeing import ImperfectSensor, PolicySight
+from pytest_pafot.world.driving.seeing import ImperfectSensor, hidden_from_policy
 from pytest_pafot.world.driving.vehicles import compiled_network, straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -96,7 +95,6 @@ class Start:
         view: copy of the environment that an ADS may simulate in; None if the ADS does not request it.
         seed: seed of the episode and of the errors of an imperfect sight.
         sight: sight of the ADS; None if it is perfect.
-        eyes: maker of the imperfect observations of a policy with a sight; None without a sight.
         around: guard that interrupts steps of the environment.
         physics_hz: ticks per second.
         ticks: largest number of ticks of the episode.
@@ -112,7 +110,6 @@ class Start:
     view: View | None = None
     seed: int = 0
     sight: Sight | None = None
-    eyes: PolicySight | None = field(init=False, default=None)
     around: EnvironmentGuard = field(init=False)
     physics_hz: int = field(init=False)
     every: int = field(init=False)
@@ -132,10 +129,7 @@ class Start:
         self.road = straight_road(self.env.road.network)
         if self.kind == "policy":
             check_action_space(self.outer.action_space)
-            if self.sight is not None:
-                self.eyes = PolicySight(self.env, self.sight, self.seed)
-                self.eyes.observe_through()
-                self.seen, _ = self.outer.reset(seed=self.seed)  # reset again, to observe it with this sight
+            hidden_from_policy(self.env, self.sight)
             return
         if self.kind == "planner":
             _ = self.straight  # raises now if the road is not straight
@@ -225,8 +219,7 @@ class Start:
             BadAction: if the policy returns no valid action. Exceptions of the policy are raised unchanged.
         """
         if self.view is not None:
-            with nullcontext() if self.eyes is None else self.eyes.shown():
-                self.view.show(tick)
+            self.view.show(tick)
         return checked_action(self.guarded(self.ads, seen), self.outer.action_space)
 
     def record(self) -> array[float]:

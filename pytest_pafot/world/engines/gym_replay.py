@@ -29,7 +29,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
 from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
-from pytest_pafot.world.driving.seeing import PolicySight, policy_sight
+from pytest_pafot.world.driving.seeing import HiddenVehicle, hidden_from_policy
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
@@ -87,7 +87,7 @@ class _HeldVehicle(StockVehicle):
     position = property(lambda self: vars(self)["position"].copy(), lambda self, _: None)
 
     def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
-        """Let copies move, such as those that a policy with an imperfect sight sees."""
+        """Let copies move, such as those in which a planner simulates."""
         return object.__new__, (StockVehicle,), vars(self)
 
 
@@ -106,7 +106,7 @@ class StockPolicy(GuardedDriver):
         every: int,
         guard: HangGuard,
         view: View | None,
-        sight: PolicySight | None,
+        hidden: HiddenVehicle | None,
     ) -> None:
         plain = outer.unwrapped
         check_action_space(plain.action_space)
@@ -120,9 +120,9 @@ class StockPolicy(GuardedDriver):
         self._ads = ads
         self.outer = outer
         self._view = view
-        self._sight = sight
-        if sight is not None:
-            sight.observe_through()
+        self._hidden = hidden
+        if hidden is not None:
+            hidden.observe_through()
 
     def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any]) -> None:
         """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
@@ -140,7 +140,7 @@ class StockPolicy(GuardedDriver):
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
-            with nullcontext() if self._sight is None else self._sight.shown():
+            with nullcontext() if self._hidden is None else self._hidden.shown():
                 self._view.show(tick)
         self._action = checked_action(self._ads(self._seen), self.outer.action_space)
         return self._action
@@ -168,14 +168,8 @@ class StockPolicy(GuardedDriver):
             let_through(error)
             self.failure = error
 
-    def note(self) -> None:
-        """Note where all vehicles are, for an imperfect sight."""
-        if self._sight is not None:
-            self._sight.note()
-
     def actuate(self) -> None:
         """Apply the low-level control of highway-env's controlled vehicles."""
-        self.note()
         self.outer.unwrapped.vehicle.act()
 
 
@@ -262,8 +256,8 @@ def replay_environment(
             body_of(env.vehicle),
             HangGuard(rules.hang_limit),
         )
-        every, eyes = rules.physics_hz // rules.ads_hz, policy_sight(env, ads.sight, scenario)
-        driver = StockPolicy(ads.decides, seen, ego, every, guard, view, eyes)
+        every, hidden = rules.physics_hz // rules.ads_hz, hidden_from_policy(env, ads.sight)
+        driver = StockPolicy(ads.decides, seen, ego, every, guard, view, hidden)
         limit = environment.step_limit if environment.wrappers is None else None  # else wrappers count themselves
         return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects, limit).run()
 
@@ -669,7 +663,6 @@ class _Loop:
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
         self._make_npcs(StockVehicle)  # a `reset` may call the environment's `step`
         if self._road_act is not None and isinstance(driver, StockPolicy):
-            driver.note()
             self._road_act()
         else:
             driver.actuate()

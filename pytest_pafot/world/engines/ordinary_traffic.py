@@ -207,8 +207,6 @@ class Steps:
 
     def _act(self) -> None:
         """Let all vehicles decide; the environment has interpreted the action of a policy."""
-        if self._start.eyes is not None:
-            self._start.eyes.note()
         if self._driver is not None and self._record is not None:
             self._plan(self._driver, self._record)
         self._guarded(self._act_itself)
@@ -296,7 +294,7 @@ class CompiledSteps(Steps):
         )
         self._is_watched = has_own_code(env)
         self._left: dict[int, Any] | None = None  # the road as the last step left it
-        if start.kind == "policy" and start.eyes is None:
+        if start.kind == "policy":
             env.observation_type.observe = observer(env)
 
     def step(self, action: Any) -> Step:
@@ -323,11 +321,7 @@ class CompiledSteps(Steps):
             if self.tick % self._driver.every == 0:
                 self.error = self._driver.decide(self.tick)
             self._driver.actuate()
-        elif start.kind == "policy":
-            if start.eyes is not None:  # an imperfect sight stores the places of all vehicles
-                self._show()
-                start.eyes.note()
-        elif not self._ego.drives_itself:
+        elif start.kind != "policy" and not self._ego.drives_itself:
             self._show()
             self._guarded(self._move_ego)
 
@@ -523,8 +517,6 @@ def drive(
             ads, sight = made.decides, made.sight
             start = Start(outer=outer, seen=seen, ads=ads, kind=kind, guard=guard, view=view, seed=seed, sight=sight)
             at_the_end.enter_context(start.around)
-            if start.eyes is not None:
-                at_the_end.callback(start.eyes.close)
             reason = why_not(start) if may_compile else "that was requested"
             steps = Steps(start, reason) if reason else CompiledSteps(start)
             if kind != "policy":

@@ -24,7 +24,7 @@ from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.policy_driver import ModelPolicyDriver, PolicyDriver, View, copies_on
-from pytest_pafot.world.driving.seeing import policy_sight
+from pytest_pafot.world.driving.seeing import hidden_from_policy
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.engines.egos import built_as, vehicle_of
 from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun
@@ -146,12 +146,12 @@ def _policy_driver(
     sight: Sight | None,
 ) -> PolicyDriver:
     """Return the driver of a policy's ego, which the kernel moves if it knows the class of the ego and the road."""
-    seen, every = policy_sight(env, sight, scenario), rules.physics_hz // rules.ads_hz
+    hidden, every = hidden_from_policy(env, sight), rules.physics_hz // rules.ads_hz
     lanes = environment.compiled_lanes
     is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
     if is_known and lanes is not None:
-        return ModelPolicyDriver(ads, env, guard, every, view, seen, lanes)
-    return PolicyDriver(ads, env, guard, every, view, seen)
+        return ModelPolicyDriver(ads, env, guard, every, view, hidden, lanes)
+    return PolicyDriver(ads, env, guard, every, view, hidden)
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard, env: Any) -> SteppedRun:

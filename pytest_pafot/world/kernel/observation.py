@@ -179,8 +179,7 @@ class Observation:
         decision_period: time between decisions [s].
         acceleration, steering: the ego's in the last tick [m/s^2, rad]; 0 at the start.
         lateral_velocities: speeds to the right of ego and others, with the slip of turned wheels [m/s].
-        ids: of ``others``, constant in a run: the index in ``run.npcs``, or a larger number for a ghost of an imperfect
-            sight.
+        ids: of ``others``, constant in a run: the index in ``run.npcs``.
         lane_centres: y of each lane's centre line, from the left [m].
         road_length: the x at which the lanes end [m]; they begin at x = 0.
         crossing: NPCs on ways that cross the ego's (:class:`pytest_pafot.CrossingVehicle`), which ``ids`` and ``array``
@@ -282,7 +281,7 @@ class Observation:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """The id of each vehicle in ``others``: the NPC's index in ``run.npcs``, or a larger number for a ghost."""
+        """The id of each vehicle in ``others``: the NPC's index in ``run.npcs``."""
         return self._detailed()[3]
 
     @property

@@ -24,12 +24,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
-from pytest_pafot.world.driving.seeing import misjudged
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director, Start
 from pytest_pafot.world.kernel.idm import GoalVehicle
-from pytest_pafot.world.kernel.observation import Observation, Sensor
+from pytest_pafot.world.kernel.observation import Sensor
 from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces, seated
 from pytest_pafot.world.kernel.recorded import RecordedNetworkDirector
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
@@ -136,28 +135,6 @@ class Column:
     speed: list[float]
     sharpest: list[float]
     part: list[int]
-
-
-class ImperfectRoadSensor(RoadSensor):
-    """The maker of imperfect observations on a bent road.
-
-    The driver of a :class:`pytest_pafot.Drive` reads the ego's place from a sensor, too, and that place stays exact.
-
-    Args:
-        places, road: the first arguments of :class:`RoadSensor`, up to its ``every``.
-        sight, seed: the imperfections, and the scenario's seed, from which all errors follow.
-    """
-
-    def __init__(self, places: RoadPlaces, *road: Any, sight: Sight, seed: int) -> None:
-        super().__init__(*(places, *road, (sight, seed)))
-        *_, physics_hz, _ = road
-        self._misjudging = sight, sight.own_errors(seed), seed
-        self._hz, self._npcs = physics_hz, len(places.vehicles) - 1
-
-    def observation(self, tick: int) -> Observation:
-        """Make an imperfect observation at the current tick."""
-        seen = super().observation(tick)
-        return misjudged(seen, *self._misjudging, tick, self._hz, self._npcs, self.has_lane)
 
 
 Shaped = Callable[..., tuple[tuple[Column, ...], list[Lane]]]
@@ -428,9 +405,7 @@ class NetworkRoad(Road):
         if seat:
             leaning, zones = seated(leaning, seat), seated([None, *zones], seat)[1:] if zones else zones
         on_road = cast("RoadPlaces", places), record, self.bends, leaning, zones, common, *rates
-        if sight is None:
-            return RoadSensor(*on_road, None)
-        return ImperfectRoadSensor(*on_road, sight=sight, seed=scenario.seed)
+        return RoadSensor(*on_road, None if sight is None else (sight, scenario.seed))
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
         """Return where an NPC goes along its lane.

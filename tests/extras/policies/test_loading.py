@@ -122,13 +122,6 @@ def test_planner_class_is_not_asked_for_policy_properties():
     assert pafot.explore(Planner, holds=lambda run: None, world=WORLD, runs=1).summary.runs == 1
 
 
-def test_so_is_one_with_an_imperfect_sight():
-    with pytest.raises(TypeError, match="None None"):
-        pafot.Highway().rollout(CUT_IN, pafot.Perception(Loader(), latency=0.2))
-    seeing = pafot.Perception(Loader(frames=3), range=1000.0)
-    assert WORLD.rollout(CUT_IN, seeing).actions == WORLD.rollout(CUT_IN, Loader(frames=3)).actions
-
-
 def test_a_policy_of_the_world_drives_in_it():
     assert WORLD.rollout(CUT_IN, Loader()).error is None
 
@@ -217,5 +210,5 @@ def test_search_notes_the_hint_of_its_policy_once():
         return pafot.explore(ads, holds=lambda run: None, world=WORLD, population=2, generations=2).summary.notes
 
     hinting = Loader(loading_hint="mind the statistics")
-    assert notes(hinting) == notes(pafot.Perception(hinting, latency=0.2)) == ("mind the statistics",)
+    assert notes(hinting) == ("mind the statistics",)
     assert notes(Loader()) == ()

