@@ -392,7 +392,6 @@ def _option_default(option: Option) -> str:
         "runs": f"`{RUNS}`",
         "shrink_rollouts": "by the ADS",
         "population": "by the algorithm",
-        "memory": "by the machine",
     }
     return stated.get(option.name, plain)
 

@@ -125,8 +125,7 @@ class SearchSummary:
         runs, shrink_runs, moment_runs: simulated scenarios; further runs to simplify findings; to find their moments.
         decisions, confirm_decisions, shrink_decisions, moment_decisions: decisions of the policy in this session's
             `runs`, to confirm findings, in `shrink_runs` and in `moment_runs`, not in replays.
-        known_runs: scenarios not run
-            again.
+        known_runs: scenarios that were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in [the
             summary](items.md#the-summary-and-the-health-of-a-search): `npc` at fault, `avoidable` of these,
             `unpreventable`, `common` with the reference.

@@ -159,7 +159,6 @@ class Harness:
             for driver in self.drivers.values():
                 Policy(driver).preload()
         owner = owner or self.node_id
-        memory = self.request.settings.memory
         return Job(
             world=world,
             policy=self.policy,
@@ -167,7 +166,6 @@ class Harness:
             owner=owner,
             world_data=data,
             root=self.root,
-            memory=memory,
         )
 
     @property

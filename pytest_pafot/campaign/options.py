@@ -223,12 +223,6 @@ class Settings:
         "[More](../guide/planners.md#if-it-raises-hangs-or-ends-its-process).",
         default=False,
     )
-    memory: int | None = option(
-        "integer",
-        "Memory [MB] that a process of --pafot-isolate or --pafot-workers may use; 0 for no limit.",
-        "More than it starts with; beyond it allocations fail, which is a finding. By default three quarters of the "
-        "memory of machine or container, shared among the workers, at least 2048. Only on Linux.",
-    )
     dask: str | None = option(
         "address",
         "Run the scenarios that a search draws on the workers of the Dask scheduler at ADDRESS.",

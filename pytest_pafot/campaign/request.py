@@ -105,7 +105,6 @@ class SearchArguments(TypedDict, total=False):
     shrink_rollouts: int
     max_saved: int
     isolate: bool
-    memory: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -347,7 +347,7 @@ def cause(lost: LostRun, way_out: str) -> str:
     if lost.npc is not None:
         return "that driver is the cause, and not the policy: correct it, or leave it out of drivers="
     if lost.end == OUT_OF_MEMORY:
-        return f"the ADS uses more and more memory, or needs that much (then give a larger {flag('memory')})"
+        return "the ADS uses more and more memory, or needs more than its limit"
     if lost.end == WORLD_HANGS:
         return f"the world hangs, or needs that long (then give it a longer hang_limit and {way_out})"
     if not lost.is_hang:

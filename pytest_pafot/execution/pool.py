@@ -29,7 +29,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
-from pytest_pafot.support.errors import OutOfTime, flag, page
+from pytest_pafot.support.errors import OutOfTime, page
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
@@ -55,7 +55,7 @@ FAREWELL = 2.0
 KILLED = "was ended by SIGKILL"
 """The words for the end of a process that was killed from outside, as Linux does if there is too little memory."""
 
-OUT_OF_MEMORY = f"ran out of the memory that it may use ({flag('memory')})"
+OUT_OF_MEMORY = "ran out of the memory that it may use"
 """The words for the end of a process in which an allocation of memory failed."""
 
 WORLD_HANGS = "was ended, because its world neither asked the ADS nor ended the run for very long"
@@ -138,8 +138,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
         patience: the longest time for which a process may not answer a signal before it is killed [s]. Python answers
             signals between two instructions.
         grace: the additional time after which a process is ended if a decision of an ADS ignores its interrupt [s].
-        memory: the memory that a process may use in addition to the memory with which it starts [bytes], or None for no
-            limit. Beyond the limit, allocations fail. Processes that it starts have the same limit. Only on Linux.
         idle: the longest time that a process waits for a task before it ends by itself [s], or None for no limit.
         ended: a function that is called with the id of each process of the pool that has ended, or that one of them had
             started.
@@ -156,7 +154,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
     method: str = START_METHOD
     patience: float
     grace: float = IGNORED
-    memory: int | None = None
     idle: float | None = None
     ended: Callable[[int], None] = lambda pid: None
     leave: Callable[[], Any] | None = None
@@ -323,7 +320,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace, self.memory, self.idle, self.leave)
+                idle = _Worker(self._context, self.work, others, self.grace, self.idle, self.leave)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -430,7 +427,6 @@ class _Worker(Generic[TaskT]):
         work: Work[Any],
         others: list[Connection],
         grace: float,
-        memory: int | None,
         idle: float | None,
         leave: Callable[[], Any] | None,
     ) -> None:
@@ -443,7 +439,7 @@ class _Worker(Generic[TaskT]):
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.gave_up, self.npc, grace, memory, idle, leave)
+        arguments = (work, end, inherited, self._beats, self.gave_up, self.npc, grace, idle, leave)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -558,7 +554,6 @@ def _serve(
     gave_up: Any,
     npc: Any,
     grace: float,
-    memory: int | None,
     idle: float | None,
     leave: Callable[[], Any] | None,
 ) -> None:
@@ -594,8 +589,6 @@ def _serve(
     if hasattr(signal, "SIGUSR2"):
         signal.signal(signal.SIGUSR2, beat)
     beat()
-    if memory is not None:
-        _limit_memory(memory)
     if leave is not None:
         signal.signal(signal.SIGTERM, interrupt)
     resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK), npc=npc)
@@ -666,22 +659,6 @@ def _sendable(result: object) -> bytes:
             "expected a result that can be sent to the session, received one that cannot be pickled: "
             f"{type(error).__name__}: {error}; let the ADS return plain numbers"
         ) from error
-
-
-def _limit_memory(more: int) -> None:
-    """Make allocations of this process fail if it uses ``more`` bytes more than now.
-
-    The limit is only for private, writable memory. The address space that CUDA and allocators reserve, and the code of
-    libraries, are not included. Only Linux has such a limit.
-    """
-    if sys.platform != "linux":
-        return
-    import resource  # noqa: PLC0415  (not available on Windows)
-
-    now = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    most = min(now + more, sys.maxsize if soft == resource.RLIM_INFINITY else soft)
-    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
 
 
 def _portable(error: BaseException) -> Exception:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 import pickle
 import sys
 import threading
@@ -27,7 +26,6 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts
-from pytest_pafot.support.versions import cgroup_limits
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.simulation import CLOSING, Simulators
@@ -124,9 +122,6 @@ NOT_REPEATED = (
     "the session, the ADS or its factory uses something that a different process cannot have, such as CUDA, a thread "
     "or a connection: open that in the factory, not before."
 )
-
-LEAST_MEMORY = 2 << 30
-"""The lowest default memory limit of a process [bytes]: libraries reserve some memory before they need it."""
 
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
@@ -243,8 +238,6 @@ class Job:
     """A function that drives a block in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
-    memory: int | None = None
-    """The additional memory that a process may use after its start [MB]; 0 for no limit, None for an equal share."""
     reference: str = ""
     """The name of the ADS if it is the reference of a search; empty for the tested one."""
 
@@ -306,7 +299,6 @@ def pool_for(job: Job, size: int) -> ScenarioPool:
         method=METHOD,
         patience=job.patience,
         grace=grace,
-        memory=_memory(job, size),
         ended=partial(_forget, job),
         **job.closing,
     )
@@ -316,22 +308,6 @@ def _close_simulators() -> CapturedOutput:
     with capture_output() as output:
         Simulators.close_all()
     return output
-
-
-def _memory(job: Job, size: int) -> int | None:
-    """Return the memory [bytes] that each of ``size`` processes may use in addition to the memory with which it starts.
-
-    None for no limit.
-    """
-    if job.memory is not None:
-        return job.memory << 20 or None
-    if METHOD != "fork":
-        return None
-    limits = [
-        os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"),
-        *(most for most, *_ in cgroup_limits("memory.max")),
-    ]
-    return max(min(limits) * 3 // 4 // size, LEAST_MEMORY)
 
 
 def _run_task(

@@ -50,19 +50,15 @@ def cores(root: Path = Path("/")) -> int:
         root: the folder with ``proc`` and ``sys``.
     """
     counts = [len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1]
-    for quota, *period in cgroup_limits("cpu.max", root):  # [us] of all cores together in each period
+    for quota, *period in cpu_limits(root):  # [us] of all cores together in each period
         counts.append(-(-quota // (period or [100_000])[0]))  # rounded up; the kernel's default
     return min(counts)
 
 
-def cgroup_limits(name: str, root: Path = Path("/")) -> Iterator[list[int]]:
-    """Yield the numbers in the file ``name`` of this process's cgroup and of those around it, where there is a limit.
+def cpu_limits(root: Path) -> Iterator[list[int]]:
+    """Yield the numbers in ``cpu.max`` of this process's cgroup and of those around it, where there is a limit.
 
     A container, a job of Slurm or a unit of systemd is a cgroup. Only version 2 is read, which Linux alone has.
-
-    Args:
-        name: such as ``cpu.max`` or ``memory.max``.
-        root: the folder with ``proc`` and ``sys``.
     """
     # Where a container hides its own path, this is its root, and the file is directly in the mounted folder.
     groups = [PurePosixPath()]
@@ -73,6 +69,6 @@ def cgroup_limits(name: str, root: Path = Path("/")) -> Iterator[list[int]]:
     for group in dict.fromkeys(groups):
         # The outermost cgroup of a machine has no limits, "max" is none, and a container may emulate the files badly.
         with suppress(OSError, ValueError):
-            numbers = [int(word) for word in (root / "sys/fs/cgroup" / group / name).read_text("ascii").split()]
+            numbers = [int(word) for word in (root / "sys/fs/cgroup" / group / "cpu.max").read_text("ascii").split()]
             if numbers and min(numbers) > 0:
                 yield numbers
