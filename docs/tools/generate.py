@@ -100,7 +100,6 @@ MARKER_TEXTS: Mapping[str, str] = {
     "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
     '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
     "around": "The recording that all scenarios vary, or a scenario of it.",
-    "decision_limit": "Slowest decision that is no finding [s], by the wall clock.",
     "acts": "Of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
     "gene_seconds": "Duration of one gene [s].",
     "ego_lane": "The ego's first lane, from 0 at the left.",
@@ -141,7 +140,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "`{track, later, pace, shift, steps}`. Speeds are in m/s; a [track](scenarios.md#recorded-tracks) is a block of "
     "lines.",
     "scenario.ego_track": "That of the recorded ego, if NPCs drive as recorded.",
-    "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung, `SlowDecision`.",
+    "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung.",
     "expect.assertion": "The failing assertion, with `N` for each number; the name of a failed check; of another "
     "exception, its statement or first line.",
     "expect.message": "First line of the message, if `assertion` does not say it.",
@@ -182,7 +181,7 @@ FILE_TEXTS: Mapping[str, str] = {
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
 RUN_INTERNALS = (
-    *("decision_limit", "world", "take_over", "avoided_by", "facts"),
+    *("world", "take_over", "avoided_by", "facts"),
     *("event_npc", "event_cell", "closest_time", "zone_of", "place_of"),
 )
 """Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""

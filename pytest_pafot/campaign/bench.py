@@ -166,7 +166,7 @@ class Bench:
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, policy.factory)
         self.runner.decisions += len(trace.actions)
         self.record.clear()
-        return Run(trace, decision_limit=self.harness.request.decision_limit)
+        return Run(trace)
 
     def confirm(self, run: Run) -> str:
         """Repeat the run of a finding; return what differs, empty if nothing does. Measure how long that takes.

@@ -175,7 +175,7 @@ class Harness:
 
     def run_of(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        run = (self.world if world is None else world).run_of(trace_of(made), self.request.decision_limit)
+        run = (self.world if world is None else world).run_of(trace_of(made))
         return replace(run, facts=made) if isinstance(made, Facts) else run
 
     def judge(self, run: Run) -> Verdict:

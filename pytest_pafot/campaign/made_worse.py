@@ -18,7 +18,6 @@ from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.findings.signature import SLOW_DECISION
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.plan import generation_rng
@@ -98,13 +97,13 @@ class MadeWorse:
         return False, reference.failed
 
     def _dismiss(self, sightings: Iterable[Sighting]) -> Iterator[SearchEvent]:
-        """Take findings back, unless the policy itself raised, hung or was slow: that is no question of how often."""
+        """Take findings back, unless the policy itself raised or hung: that is no question of how often."""
         state, harness = self.state, self.bench.harness
         way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"
         told = f"fails elsewhere, no worse than {harness.against_name}: {self.paired}; {way_out}"
         for sighting in list(sightings):
             expect = sighting.finding.expect
-            if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG) and expect.failure != SLOW_DECISION:
+            if expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
                 yield from self.store.dismiss(sighting, told)
         # A later session that finds one again decides again.
         state.finds = {signature: id_ for signature, id_ in state.finds.items() if id_ not in self.store.dismissed}

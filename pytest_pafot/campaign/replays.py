@@ -35,7 +35,7 @@ from pytest_pafot.findings.finding import (
     unhandled,
 )
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
-from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature
+from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.sight import Sight
@@ -371,8 +371,7 @@ class Replays:
                 return passed
             return replace(passed, note=f"{PAST_END}: another failure, {when}")
         note = f"{PAST_END}: the same {'mistake' if finding.signature.mistake else 'failure'}, {when}"
-        is_firm = finding.flaky is None and failure.kind != SLOW_DECISION
-        is_firm = is_firm and self._is_repeatable(saved, world, owner, run)
+        is_firm = finding.flaky is None and self._is_repeatable(saved, world, owner, run)
         return replace(failed, facts=replace(failed.facts, is_unsteady=not is_firm), note=note)
 
     def _is_repeatable(self, saved: Saved, world: BaseWorld, owner: str, run: Run) -> bool:

@@ -28,7 +28,7 @@ from pytest_pafot.model.vehicle_type import CAR, READY, VehicleType, named_vehic
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
-from pytest_pafot.support.errors import RequestError, flag, plain_number
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import described, factory_named, imported
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
@@ -93,7 +93,6 @@ class SearchArguments(TypedDict, total=False):
     arg: str
     fitness: str | Callable[[Trace], float]
     blame: str
-    decision_limit: float
     runs: int
     generations: int
     population: int
@@ -119,7 +118,6 @@ class Request:
     # ``preventable``: as ``ego``, and a failure counts only if a reference driver would have prevented it.
     # ``avoidable``: as ``ego``, and also for collisions that the rules excuse although braking late avoids them.
     blame: str = "any"
-    decision_limit: float | None = None  # the longest decision of the ADS that is not a finding [s]
     fitness: str | Callable[[Trace], float] = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
     road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
@@ -148,7 +146,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         algorithm = resolve_algorithm(settings.algorithm)
     except ValueError as error:
         raise RequestError(str(error)) from error
-    names = ("ads", "arg", "blame", "decision_limit", "world", "around")
+    names = ("ads", "arg", "blame", "world", "around")
     own = {name: arguments[name] for name in names if name in arguments}
     if isinstance(own.get("ads"), str) and ":" in own["ads"]:
         try:
@@ -167,7 +165,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         place=place,
         **own,
     )
-    world, limit, goal = request.world, request.decision_limit, request.fitness
+    world, goal = request.world, request.fitness
     if world is not None and request.road:
         part = next(iter(request.road))
         problem = f"expected either world= or arguments of the road, received both; pass {part} to the world"
@@ -186,8 +184,6 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     if generations is not None and int(generations) == 0:  # such a search would always pass
         problem = f"expected at least 1, since 0 searches nothing; to replay only, give pytest {flag('generations', 0)}"
         raise request.error("generations=0", problem)
-    if limit is not None and not (plain_number(limit) or 0) > 0:  # written so that NaN is refused, too
-        raise request.error("decision_limit=...", f"expected seconds, more than 0, received {limit!r}")
     if not (isinstance(goal, str) or callable(goal)):
         raise request.error(
             "fitness=...",

@@ -449,7 +449,6 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "world": codec.described(harness.world),
         "blame": request.blame,
         "fitness": request.fitness,
-        "decision_limit": request.decision_limit,
         "against": None if harness.against is None else harness.against.shown,
         "drivers": dict.fromkeys(harness.drivers, ""),
         "sight": None if sight is None else asdict(sight),

@@ -120,28 +120,26 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
     test_file = source_file(test) if test_file is None else test_file
-    broken = ads_failure(run)
-    if broken is None or run.ads_error is None:
-        is_excused, avoidable = blame != "any" and run.responsibility == "npc", run.attribution.avoidable
-        if is_excused and avoidable and blame != "avoidable":
-            verdict = Verdict(kind="avoidable", excused=" ".join(run.attribution.sentences[:1]))
-        elif is_excused and not avoidable:
-            verdict = Verdict(kind="npc")
-        else:
-            verdict = _verdict_of_test(run, test, test_file)
-        if blame == "preventable" and verdict.asserts:
-            outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
-            try:
-                is_preventable = next(preventing(outcomes, run.responsibility), None) is not None
-            except DriverError as error:  # Without the driver nobody knows whether the failure counts.
-                raise RequestError(f"blame='preventable': {error}; correct the world, or use blame='ego'") from error
-            if not is_preventable:
-                verdict = Verdict(kind="unpreventable")
-        if broken is None or verdict.failed:
-            return verdict
-    is_timed = run.ads_error is None or run.outcome is Outcome.HANG
-    exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
-    return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
+    if (broken := ads_failure(run)) is not None:
+        is_timed = run.outcome is Outcome.HANG
+        exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
+        return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
+    is_excused, avoidable = blame != "any" and run.responsibility == "npc", run.attribution.avoidable
+    if is_excused and avoidable and blame != "avoidable":
+        verdict = Verdict(kind="avoidable", excused=" ".join(run.attribution.sentences[:1]))
+    elif is_excused and not avoidable:
+        verdict = Verdict(kind="npc")
+    else:
+        verdict = _verdict_of_test(run, test, test_file)
+    if blame == "preventable" and verdict.asserts:
+        outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
+        try:
+            is_preventable = next(preventing(outcomes, run.responsibility), None) is not None
+        except DriverError as error:  # Without the driver nobody knows whether the failure counts.
+            raise RequestError(f"blame='preventable': {error}; correct the world, or use blame='ego'") from error
+        if not is_preventable:
+            verdict = Verdict(kind="unpreventable")
+    return verdict
 
 
 def reference_outcomes(

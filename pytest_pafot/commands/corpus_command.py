@@ -40,7 +40,6 @@ from pytest_pafot.corpus.writer import CorpusWriteError, free_path, text_of
 from pytest_pafot.corpus.writer import write as write_finding
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import sort_key
-from pytest_pafot.findings.signature import SLOW_DECISION
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.support.errors import CorpusError, RequestError, WorldError, command, day_argument, flag
 from pytest_pafot.support.files import way_out, write_whole
@@ -227,8 +226,7 @@ def _why_not_shrunk(finding: Finding) -> str:
         return "a flaky one, whose scenario does not give the same run each time"
     if finding.expect.is_crash:
         return "one in which a process died"
-    is_timed = finding.expect.outcome == "hang" or finding.signature.failure == SLOW_DECISION
-    return "one that depends on wall-clock time" if is_timed else ""
+    return "one that depends on wall-clock time" if finding.expect.outcome == "hang" else ""
 
 
 def _add(sources: Sequence[Path], folder: Path, *, write: bool) -> tuple[list[str], bool]:

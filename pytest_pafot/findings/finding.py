@@ -28,7 +28,6 @@ from pytest_pafot.findings.signature import (
     AT_ZONES,
     CHECK_FAILED,
     PROCESS_CRASH,
-    SLOW_DECISION,
     Failure,
     Signature,
     normalised,
@@ -80,7 +79,6 @@ MAX_KEY = 64
 MAX_DEPTH = 16
 MAX_NUMBER = 1e9
 
-_TOOK = re.compile(r"took [\d.]+ s")
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
 
@@ -101,8 +99,7 @@ class Expect:
     A corpus file has the fields in this order.
 
     Attributes:
-        failure: name of the exception class; `ProcessCrash` if the process died or hung, `SlowDecision` if a decision
-            took too long.
+        failure: name of the exception class; `ProcessCrash` if the process died or hung.
         assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
         check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
         message: first line of the exception's message; empty if ``assertion`` already says it.
@@ -506,14 +503,12 @@ def is_id(text: str) -> bool:
 def ads_failure(run: Run) -> Failure | None:
     """Return the failure of the ADS itself, whatever the test function asserts; None if the ADS did not fail.
 
-    An ADS fails if it raises, returns no valid action, hangs, or decides more slowly than the run's limit allows.
+    An ADS fails if it raises, returns no valid action, or hangs.
     """
-    if (error := run.ads_error) is not None:
-        return Failure(kind=error.kind, message=error.message, traceback=error.traceback)
-    if run.too_slow:
-        message = f"a decision took {run.max_decision_time:.3f} s, allowed are {run.decision_limit:g} s"
-        return Failure(kind=SLOW_DECISION, message=message)
-    return None
+    error = run.ads_error
+    if error is None:
+        return None
+    return Failure(kind=error.kind, message=error.message, traceback=error.traceback)
 
 
 def raised_failure(exception: BaseException, test_file: str) -> Failure:
@@ -572,10 +567,9 @@ def check_plain(name: str, value: object, depth: int = 0) -> None:
 
 
 def _portable_line(failure: Failure, root: str) -> str:
-    """Return the first line of a failure's message, in portable form and without measured times."""
+    """Return the first line of a failure's message, in portable form."""
     first = next((line.strip() for line in failure.message.splitlines() if line.strip()), "")
-    line = portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
-    return _TOOK.sub("took N s", line) if failure.kind == SLOW_DECISION else line
+    return portable(first[: 4 * MAX_MESSAGE], root)[:MAX_MESSAGE]
 
 
 def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:

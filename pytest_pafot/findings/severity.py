@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import ClassVar, Literal
 
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.signature import SLOW_DECISION, Failure, Signature, normalised
+from pytest_pafot.findings.signature import Failure, Signature, normalised
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
 
@@ -110,7 +110,7 @@ def severity_of(run: Run, failure: Failure) -> Severity | None:
 
 
 def _of_collision(signature: Signature, closing_speed: float | None) -> Severity | None:
-    if closing_speed is None or signature.failure == SLOW_DECISION or signature.is_property:
+    if closing_speed is None or signature.is_property:
         return None
     return Severity(kind="collision", value=closing_speed, unit="m/s")
 

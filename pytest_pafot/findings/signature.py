@@ -33,9 +33,6 @@ PROCESS_CRASH = "ProcessCrash"
 CHECK_FAILED = CheckFailed.__name__
 """The name of the failure of a check; its assertion is the name of the check."""
 
-SLOW_DECISION = "SlowDecision"
-"""The name of the failure of a run in which a decision took longer than the limit that the test sets."""
-
 _OF_COLLISIONS = frozenset(
     {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
      "sentences", "explain"}
@@ -118,7 +115,7 @@ class Signature:
         ended = cls(
             failure=told.failure, assertion=told.assertion, outcome=told.outcome, responsibility=told.responsibility
         )
-        if told.is_property or told.failure == SLOW_DECISION:  # it is the same however its run went on
+        if told.is_property:  # it is the same however its run went on
             return replace(ended, outcome=Outcome.SAFE, responsibility="none")
         if told.fault is not None:
             # At a zone the origin of the NPC says which way was not given; elsewhere the rule alone says the mistake.
@@ -138,7 +135,7 @@ class Signature:
         """
         if self.failure == CHECK_FAILED:
             return True
-        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG) or self.failure == SLOW_DECISION:
+        if self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             return False
         named, measures = _named(self.assertion)
         return bool(measures) and not named & _OF_COLLISIONS
@@ -166,8 +163,6 @@ class Signature:
             subject: str = self.side
         elif self.outcome in (Outcome.ADS_ERROR, Outcome.HANG):
             subject = outcome
-        elif self.failure == SLOW_DECISION:
-            subject = "slow-decision"
         else:
             words = re.findall(r"[a-z][a-z0-9_]*", self.assertion.lower())
             subjects = list(dict.fromkeys(word for word in words if word not in _NO_SUBJECT))

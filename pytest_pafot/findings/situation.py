@@ -20,7 +20,7 @@ from pytest_pafot.attribution.manoeuvres import DRIFTING, braking
 from pytest_pafot.attribution.responsibility import frame_of
 from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.findings.signature import AT_ZONES, SLOW_DECISION, Failure
+from pytest_pafot.findings.signature import AT_ZONES, Failure
 from pytest_pafot.model.trace import ALONG, LANE, FloatArray, Outcome, Trace
 from pytest_pafot.model.trace import SPEED as SPEEDS
 from pytest_pafot.oracle.run import Run
@@ -65,7 +65,7 @@ def situation_of(run: Run, failure: Failure, time: float) -> Situation | ZoneSit
     npc = run.event_npc
     if failure.check is not None:
         npc = failure.check.npc
-    elif run.ads_error is not None or run.outcome is Outcome.OFF_ROAD or failure.kind == SLOW_DECISION:
+    elif run.ads_error is not None or run.outcome is Outcome.OFF_ROAD:
         npc = None
     if npc is None or not np.isfinite(run.trace.states).all():
         return None

@@ -152,7 +152,6 @@ class Run:
 
     Attributes:
         trace: record of the run, tick by tick.
-        decision_limit: longest allowed decision of the ADS [s], or None for no limit.
         world: world of the run if it has reference drivers, else None.
         take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
         avoided_by: last decision from which braking, or staying in the lane, avoids the collision in simulation, which
@@ -162,7 +161,6 @@ class Run:
     """
 
     trace: Trace
-    decision_limit: float | None = field(default=None, kw_only=True)
     world: ReferenceWorld | None = field(default=None, kw_only=True)
     take_over: TakeOver | None = field(default=None, kw_only=True)
     avoided_by: Avoidance | None = field(default=None, kw_only=True)
@@ -217,11 +215,6 @@ class Run:
     def max_decision_time(self) -> float:
         """The longest wall-clock time of a decision [s]; not reproducible."""
         return self.trace.max_decision_seconds
-
-    @property
-    def too_slow(self) -> bool:
-        """True if a decision took longer than ``decision_limit``."""
-        return self.decision_limit is not None and self.max_decision_time > self.decision_limit
 
     # How dangerous it was for the ego: over all ticks and NPCs.
 

@@ -95,15 +95,15 @@ class Records:
 
     def _made(self, code: int | None) -> SessionRecord:
         """Make the record of the session so far; ``code`` is its exit code, None before its end."""
+        from pytest_pafot.findings.finding import portable  # noqa: PLC0415
         from pytest_pafot.report.session_record import (  # noqa: PLC0415
             SessionRecord,
             finding_entry,
-            same_everywhere,
             worst,
         )
         from pytest_pafot.support.versions import installed_versions  # noqa: PLC0415
 
-        record, same = self._record, partial(same_everywhere, root=str(self._config.rootpath))
+        record, same = self._record, partial(portable, root=str(self._config.rootpath))
 
         def result(node_id: str) -> str:
             return worst(record.results.get(node_id, ()))

@@ -9,7 +9,6 @@ The same result in a few lines of Markdown is for the page of a CI job.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass, field, replace
@@ -18,7 +17,7 @@ from typing import Any, NamedTuple
 
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.decisions import Moment
-from pytest_pafot.findings.finding import Finding, portable
+from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
@@ -32,9 +31,6 @@ VERSION = 1
 
 NOT_WRITTEN = ("outcomes", "responsibilities", "seconds", "process_notes")
 """The attributes of a search that only pages or the terminal show; of the last two, the same seed may give others."""
-
-SLOW = re.compile(r"(?<=^SlowDecision: a decision )took [\d.]+ s")
-"""The measured time in the headline of a decision that took longer than ``decision_limit``."""
 
 RESULTS = ("", "passed", "skipped", "xfailed", "failed", "error")
 """The results that an item can have, the worst last. The empty result is for an item that never ended."""
@@ -254,14 +250,6 @@ def to_text(record: SessionRecord) -> str:
         for name in NOT_WRITTEN:
             del search[name]
     return quiet_json(json.dumps(data, indent=2, sort_keys=True)) + "\n"
-
-
-def same_everywhere(text: str, root: str) -> str:
-    """Return a text of this session without what differs between processes, such as a measured time or an id.
-
-    ``root`` is the rootdir, to which paths become relative.
-    """
-    return SLOW.sub("took N s", portable(text, root))
 
 
 def worst(results: Iterable[str]) -> str:

@@ -305,10 +305,10 @@ class BaseWorld(ABC):
             return False
         return True
 
-    def run_of(self, trace: Trace, decision_limit: float | None = None) -> Run:
+    def run_of(self, trace: Trace) -> Run:
         """Return a trace that was made in this world as a test function sees it."""
         world = self.given if self.reference_drivers else None
-        return Run(trace, decision_limit=decision_limit, world=world, take_over=self.taking_over(trace))
+        return Run(trace, world=world, take_over=self.taking_over(trace))
 
     def taking_over(self, trace: Trace) -> TakingOver | None:
         """Return how drivers can take over in a run of this world; None if no driver can.

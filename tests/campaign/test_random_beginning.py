@@ -1,7 +1,5 @@
 """The share of a search's first random scenarios that fail by the ego's fault."""
 
-import time
-
 import pytest
 
 import pytest_pafot as pafot
@@ -67,22 +65,6 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
     told = " ".join(search_lines(found.summary))
     assert " failed by the ego's fault, " in told
     assert told.count(f"; {len(runs) - collided} more failed a check") == 1
-
-
-class Slow:
-    def __call__(self, observation):
-        time.sleep(0.002)
-        return 0.0, 0.0
-
-
-def test_slow_decisions_are_one_finding_and_no_ego_fault():
-    found = pafot.explore(
-        Slow, holds=lambda run: None, seed=6, shrink_rollouts=0, gene_seconds=5.0, genes=2, blame="any", runs=8,
-        algorithm="random", decision_limit=0.001,
-    )  # fmt: skip
-    assert [each.id.rpartition("-")[0] for each in found.findings] == ["slow-decision"]
-    summary = found.summary
-    assert (summary.random_failing, summary.random_otherwise, summary.random_checks) == (0, 8, 0)
 
 
 def test_early_stopped_search_gives_no_random_share():

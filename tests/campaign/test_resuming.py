@@ -282,7 +282,6 @@ def refused(search, match, **options):
         ({"lanes": 3}, "world.*4 in the file, 3 now"),
         ({"blame": "ego"}, "blame 'any' in the file, 'ego' now"),
         ({"fitness": "paper"}, "fitness 'default' in the file, 'paper' now"),
-        ({"decision_limit": 60.0}, "decision_limit None in the file, 60.0 now"),
     ],
 )
 def test_state_of_other_settings_names_both_values(search, begun, options, match):

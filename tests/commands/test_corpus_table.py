@@ -75,7 +75,6 @@ def ids(rows):
     [
         ({}, "collision after 12.4 s: NPC 0 in cell 2 (front)", ""),  # an older file
         ({"closing_speed": 7.533}, "collision after 12.4 s: NPC 0 in cell 2 (front)", "hits at 7.5 m/s"),
-        ({"closing_speed": 7.5, "failure": "SlowDecision"}, "collision after 12.4 s: NPC 0 in cell 2 (front)", ""),
         (
             {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
             | AHEAD,

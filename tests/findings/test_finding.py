@@ -104,11 +104,6 @@ def test_texts_contain_nothing_that_changes_between_runs(text, kept):
     assert (expect.message, expect.traceback) == (kept, f"Traceback\n  {kept}\n")
 
 
-def test_measured_time_is_not_part_of_message():
-    slow = Run(run_of(max_decision_seconds=0.25).trace, decision_limit=0.1)
-    assert Expect.of(slow, ads_failure(slow)).message == "a decision took N s, allowed are 0.1 s"
-
-
 def test_a_huge_text_takes_no_time():
     failure = Failure(kind="ValueError", message="/a" * 500_000, traceback="/a" * 500_000)
     assert len(Expect.of(broken_ads(), failure).message) == 300
@@ -125,13 +120,6 @@ def test_ads_traceback_is_saved_without_a_long_beginning():
 
 def test_ads_without_fault_has_no_failure():
     assert ads_failure(run_of(outcome=Outcome.COLLISION)) is None
-
-
-def test_slow_ads_fails_only_with_a_limit():
-    trace = run_of(max_decision_seconds=0.25).trace
-    assert ads_failure(Run(trace)) is None
-    failure = ads_failure(Run(trace, decision_limit=0.1))
-    assert failure == Failure(kind="SlowDecision", message="a decision took 0.250 s, allowed are 0.1 s")
 
 
 @table("name", ["", "a/b", "a b", "..", "a.", "-a", "a\n", "é", "a" * 121, "a[1]"])

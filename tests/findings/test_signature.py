@@ -207,7 +207,6 @@ def test_a_slug_names_the_subject_of_another_assertion():
     assert slug("assert run.min_ttc > 1.0") == "min-ttc"
     assert slug("assert not run.off_road") == "off-road"
     assert slug("assert not run.off_road", run=Run(approaching(outcome=Outcome.OFF_ROAD))) == "off-road"
-    assert slug("", kind="SlowDecision") == "slow-decision"
 
 
 def test_a_slug_names_a_fault_of_the_ads():

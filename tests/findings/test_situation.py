@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.findings.finding import Expect, Finding, Found, replay_label, unhandled
-from pytest_pafot.findings.signature import SLOW_DECISION, Failure
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.situation import Situation, missed, seconds_after
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import AdsError, Outcome, X
@@ -82,7 +82,6 @@ def test_failures_without_an_npc_have_no_situation():
     safe = trace_of(driven(0.0), driven(30.0, speed=18.0))
     error = AdsError(kind="ValueError", message="", traceback="", tick=6)
     assert situation(Run(safe), check(8.0, npc=None)) is None
-    assert situation(Run(safe), Failure(kind=SLOW_DECISION, message="took 3.0 s")) is None
     assert situation(Run(replace(safe, outcome=Outcome.ADS_ERROR, error=error))) is None
     assert situation(Run(replace(safe, outcome=Outcome.OFF_ROAD, off_road_tick=30))) is None
 

@@ -13,7 +13,7 @@ from pytest_pafot.commands.corpus_command import session_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, rewrite
 from pytest_pafot.findings.shrink import sort_key
-from pytest_pafot.findings.signature import PROCESS_CRASH, SLOW_DECISION
+from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.support.errors import command
 from tests.plugin.test_shrinking import COLLIDES
 
@@ -179,7 +179,6 @@ def test_link_is_refused(unshrunk, monkeypatch, capsys, place):
     [
         ({"flaky": "another run"}, "a flaky one, whose scenario does not give the same run each time"),
         ({"failure": PROCESS_CRASH}, "one in which a process died"),
-        ({"failure": SLOW_DECISION}, "one that depends on wall-clock time"),
     ],
 )
 def test_finding_that_may_not_repeat_is_refused(unshrunk, monkeypatch, capsys, changes, why):

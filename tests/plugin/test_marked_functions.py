@@ -198,7 +198,6 @@ WRONG = [
     ("5", "*expected keyword arguments only, received (5,)*"),
     ("commit='a'", "*this applies to the whole session; give --pafot-commit on the command line*"),
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, avoidable, received 'npc'*"),
-    ("decision_limit=0", "*(decision_limit=...): expected seconds, more than 0, received 0*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     ("world=pafot.Highway", "*(world=...): expected a world such as pafot.Highway(...), received <class*"),
     ("world=3", "*(world=...): expected a world such as pafot.Highway(...), received 3*"),

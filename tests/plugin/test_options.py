@@ -169,7 +169,6 @@ def test_search_arguments_match_the_table_of_options():
         "arg",
         "fitness",
         "blame",
-        "decision_limit",
         *ROAD_ARGUMENTS,
         *SPACE_ARGUMENTS,
     }

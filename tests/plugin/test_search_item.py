@@ -268,29 +268,6 @@ def test_runs(run):
     project.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_slow_decision_is_a_finding_only_with_limit(project):
-    project.write(
-        """
-import time
-
-def ads():
-    return lambda observation: (time.sleep(0.002), (0.0, 0.0))[1]
-
-@pafot.search(genes=1, gene_seconds=1, ads=ads)
-def test_any_time(run):
-    pass
-
-@pafot.search(genes=1, gene_seconds=1, ads=ads, decision_limit=0.001)  # stop_after=1
-def test_in_time(run):
-    pass
-"""
-    )
-    result = project.run()
-    result.assert_outcomes(failed=2, passed=1)
-    result.stdout.fnmatch_lines(["*SlowDecision*depends on wall-clock time*"])
-    assert "failure: SlowDecision" in project.only_file.read_text()
-
-
 def test_hang_is_a_finding_that_depends_on_time(project):
     project.write(
         """

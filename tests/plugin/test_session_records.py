@@ -212,23 +212,16 @@ def test_record_is_the_same_for_any_number_of_workers(project, seconds, generati
 
 
 @pytest.mark.processes
-def test_lost_process_and_slow_decision_are_recorded_alike(project):
-    slow = SLOW_ADS.format(seconds=0.02).replace("ads=slow", "ads=slow, decision_limit=0.01")
-    project.write(slow)
+def test_lost_process_is_recorded_alike(project):
+    project.write(SLOW_ADS.format(seconds=0.02).replace("0.02 and time.sleep(0.02)", "import os; os.abort()"))
     texts = []
-    for _ in range(2):
-        project.run("--pafot-json=pafot.json", "--pafot-save=none")
-        texts.append((project.path / "pafot.json").read_text())
-    assert texts[0] == texts[1]
-    assert "SlowDecision: a decision took N s, allowed are 0.01 s" in texts[0]
-    project.write(slow.replace("0.02 and time.sleep(0.02)", "import os; os.abort()"))
     for _ in range(2):
         project.run(
             "--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", generations=None
         )
         texts.append((project.path / "pafot.json").read_text())
-    assert texts[2] == texts[3]
-    assert json.loads(texts[2])["findings"]
+    assert texts[0] == texts[1]
+    assert json.loads(texts[0])["findings"]
 
 
 @pytest.mark.processes
