@@ -1,12 +1,11 @@
 """Train the PPO policy of this folder and write its actor as plain numpy arrays.
 
-    pip install "pytest-pafot[train]"
+    pip install "pytest-pafot[sb3]"
     python -m example_ads.ppo.train
 
 This takes about six minutes on one core. Then it prints how often the result crashes in unmodified ``highway-v0``, and
 on how many observations its numpy form chooses the same action as stable-baselines3. ``--report-only`` prints the
-crashes
-of the weights in this package: 1 in 30 episodes, at 20 m/s.
+crashes of the weights in this package: 1 in 30 episodes, at 20 m/s.
 """
 
 from __future__ import annotations

@@ -23,10 +23,6 @@ if importlib.util.find_spec("fiss_planner"):
     from example_ads import fiss
 
     DRIVERS.append(pytest.param(HIGHWAY, fiss.make, id="fiss"))
-if importlib.util.find_spec("libsumo"):
-    from example_ads import sumo
-
-    DRIVERS.append(pytest.param(HIGHWAY, sumo.make, id="sumo"))
 
 
 def slow_ones_by_oracle(drivers):

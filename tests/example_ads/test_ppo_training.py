@@ -6,8 +6,8 @@ import pytest
 
 from example_ads import ppo
 
-torch = pytest.importorskip("torch", reason='needs pip install "pytest-pafot[train]"')
-sb3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[train]"')
+torch = pytest.importorskip("torch", reason='needs pip install "pytest-pafot[sb3]"')
+sb3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"')
 
 from example_ads.ppo import train  # noqa: E402
 

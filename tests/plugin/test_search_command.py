@@ -358,7 +358,7 @@ def test_session_of_a_search_that_is_killed_ends(here):
         ),
         (["my-planner:Planner"], "search: ADS: expected names that `import` takes, received 'my-planner' in my-"),
         (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
-        (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of avlite, "),
+        (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of blind_lane_change, "),
         (["a_planner:Planner", "--vehicles", "car,tram"], "search: --vehicles: expected one of car, van, truck, motor"),
         (
             ["a_planner:Planner", "--driver", "last"],
