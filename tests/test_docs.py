@@ -232,7 +232,10 @@ class Folder:
             assert done.code == 0
             return
         if program in ("python", "git"):
-            done = self.pytester.run(sys.executable if program == "python" else program, *arguments)
+            with pytest.MonkeyPatch.context() as patch:  # git bisect starts pytest
+                patch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
+                patch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+                done = self.pytester.run(sys.executable if program == "python" else program, *arguments)
             self.compare(block, done.stdout.str())
             assert done.ret == 0
             return
@@ -257,13 +260,7 @@ class Folder:
 def folder(pytester, monkeypatch, document):
     quick_sessions(monkeypatch)
     copied_workers(monkeypatch)
-    for name in (
-        "CI",
-        "BUILD_NUMBER",
-        "PYTEST_ADDOPTS",
-        "GITHUB_STEP_SUMMARY",
-        *(option.variable for option in OPTIONS),
-    ):
+    for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", "GITHUB_STEP_SUMMARY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
