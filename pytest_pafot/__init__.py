@@ -68,7 +68,7 @@ _NAMES = {
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
-_OF_EXTRAS = ("policies", "sumo", "training_env")  # see door.NAMES
+_OF_EXTRAS = ("policies", "sumo")  # see door.NAMES
 _MODULES = ("properties", "strategies")
 
 __all__ = [
@@ -77,7 +77,7 @@ __all__ = [
     "Observation", "Outcome", "Perception", "PositionInstruction", "Recorded", "Run", "SavedScenario",
     "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Step", "Trace", "Track", "Traffic",
     "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "check", "explore", "load",
-    "policies", "properties", "reject", "search", "strategies", "sumo", "target", "training_env",
+    "policies", "properties", "reject", "search", "strategies", "sumo", "target",
 ]  # fmt: skip
 
 

@@ -40,8 +40,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType({
         f"{EXTRAS}.episodes.rate_command",
         "count how often a policy crashes by itself",
         "Drive seeded episodes in the environment's own traffic, without a search, and count the crashes of one "
-        "policy, or of several on the same seeds. With --out it can be interrupted at any time; the same command "
-        "continues where it stopped.",
+        "policy, or of several on the same seeds.",
         is_gate=True,
     ),
     "export": Command(
@@ -60,7 +59,6 @@ ALGORITHMS: Mapping[str, str] = MappingProxyType({
 NAMES: Mapping[str, str] = MappingProxyType({
     "policies": f"{EXTRAS}.policies",
     "sumo": f"{EXTRAS}.sumo:sumo",
-    "training_env": f"{EXTRAS}.training:training_env",
 })  # fmt: skip
 """The public names of ``pytest_pafot`` that an extra has."""
 

@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.ads import AdsFactory
     from pytest_pafot.world.driving.policy import Policy
     from pytest_pafot.world.driving.policy_driver import checked_action
+    from pytest_pafot.world.engines.episode import Episode, drive_episode
     from pytest_pafot.world.engines.npc_drivers import register
-    from pytest_pafot.world.engines.ordinary_traffic import SteppedWorld, drive_episode
     from pytest_pafot.world.guard.hang_guard import check_time
     from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
@@ -92,7 +92,7 @@ _NAMES = {
     "world.driving.policy": "Policy",
     "world.driving.policy_driver": "checked_action",
     "world.engines.npc_drivers": "register",
-    "world.engines.ordinary_traffic": "SteppedWorld drive_episode",
+    "world.engines.episode": "Episode drive_episode",
     "world.guard.hang_guard": "check_time",
     "world.guard.own_worlds": "base_world rollout_of",
 }
@@ -111,7 +111,7 @@ __all__ = [
     "AlgorithmClass",
     "AlgorithmEvent",
     "AlgorithmRun",
-    "Encounters",
+    "Encounters", "Episode",
     "Evaluation",
     "ExecutionError",
     "Finding",
@@ -133,7 +133,6 @@ __all__ = [
     "Session",
     "SetupFaultError",
     "Severity",
-    "SteppedWorld",
     "Verdict",
     "WithStart",
     "WorkerPool",

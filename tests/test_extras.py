@@ -76,14 +76,6 @@ def test_rate_counts_crashes_of_a_policy_in_ordinary_traffic(told):
     assert (code, "the ADS failed in 2 episodes" in text) == (1, True), text
 
 
-def test_training_env_is_an_environment_of_scenarios():
-    env = pafot.training_env(FAST, [CUT_IN], share=1.0)
-    seen, _ = env.reset(seed=1)
-    again, reward, is_over, is_cut, _ = env.step(1)
-    assert seen.shape == again.shape == env.observation_space.shape
-    assert (np.isfinite(reward), is_over, is_cut) == (True, False, False)
-
-
 def test_export_writes_the_run_of_a_saved_file(told, here):
     code, text = told("export", SAVED, "--to", "csv", "--ads", "constant_speed")
     assert (code, text) == (0, "collision-xfail.csv\n")

@@ -23,12 +23,12 @@ CORE = (
     "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "extending", "__main__",
 )  # fmt: skip
 EXTRAS = (
-    "resumable", "algorithms", "executors", "policies", "testing", "comparison", "episodes", "training",
+    "resumable", "algorithms", "executors", "policies", "testing", "comparison", "episodes",
     "export", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
 """The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
-PUBLIC_NAMES = ("testing", "policies", "training")
+PUBLIC_NAMES = ("testing", "policies")
 """Modules that are only the public names of extras."""
 
 HOMES = {
@@ -36,7 +36,7 @@ HOMES = {
     "cloudpickle": {"executors"},
     "distributed": {"executors"},
     "highway_env": {"world"},
-    "gymnasium": {"world", "training"},
+    "gymnasium": {"world"},
     "hypothesis": {"strategies"},
     "pytest": {"plugin"},
     "_pytest": set(),
@@ -81,7 +81,7 @@ QUESTIONS = {
     "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
     "searching/space.py": 3,  # whether NPCs can cross at all
     "world/built_in.py": 1,  # hands the straight road to whoever draws starts on it
-    "world/driving/compiled_vehicle.py": 4,  # highway-env's vehicles have two compiled classes, by their lanes
+    "world/driving/compiled_vehicle.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes
     "world/engines/policies.py": 1,  # the same
     "world/guard/own_worlds.py": 1,  # the road of a user's world may be anything
     "world/gym_environment.py": 6,  # what options of highway-env do, and which routes it plans

@@ -89,7 +89,7 @@ def test_every_option_that_messages_name_exists_also_in_search():
 
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
-    "rate": ["extras/episodes/rate_command.py", "extras/episodes/rate.py", "extras/resumable.py"],
+    "rate": ["extras/episodes/rate_command.py"],
     "compare": [
         "extras/comparison/command.py",
         "extras/comparison/plan.py",
@@ -171,7 +171,6 @@ RUN_BY = {
     "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
     "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
     "report/terminal.py": "test_the_list_that_a_ci_job_names_has_the_findings",
-    "extras/episodes/rate_command.py": "test_rate_names_the_command_that_draws_a_crash",
 }
 """The test that runs the command of each place where a message names one."""
 
@@ -242,21 +241,6 @@ def test_options_that_a_session_of_search_names_repeat_it(here):
     for finding in json.loads((here / "j.json").read_text())["findings"]:
         assert finding["file"] is None
         assert finding["id"] in ran(finding["replay"])[1]
-
-
-@pytest.mark.processes
-def test_rate_names_the_command_that_draws_a_crash(here):
-    config = shlex.quote('{"vehicles_count": 30}')
-    given = f"--ads 'planner:idle:a b' --world highway-fast-v0 --config {config} --episodes 5 --workers 1"
-    code, told = ran(f"python -m pytest_pafot rate {given}")
-    assert code == 0, told
-    code, told = ran(named_in(told, "see a crash: "))
-    assert (code, "crashed after" in told) == (0, True), told
-    assert [*here.glob("*.png")]
-    told = ran("python -m pytest_pafot rate --ads 'planner:Planner:a b' --world highway-fast-v0 --episodes 1")[1]
-    (given,) = re.findall(r"use (--ads .+)", told)
-    code, told = ran(f"python -m pytest_pafot rate {given} --world highway-fast-v0 --episodes 1")
-    assert (code, "1 episode" in told) == (0, True), told
 
 
 TEST = """\

@@ -29,10 +29,8 @@ from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange
 from pytest_pafot.extras import policies
 from pytest_pafot.extras.comparison import algorithm_run
 from pytest_pafot.extras.comparison.command import add_arguments
-from pytest_pafot.extras.episodes.rate import EpisodeRow
 from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
-from pytest_pafot.extras.training import training_env
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.crossings import Zone
@@ -229,7 +227,6 @@ def sections() -> dict[str, str]:
         "zone": _fields_table(Zone),
         "perception": _fields_table(Perception),
         "program": _table(["Argument", "Meaning"], _arguments(policies.process)),
-        "training": _table(["Argument", "Meaning"], _arguments(training_env)),
         "baselines": _table(["Argument", "Meaning"], _arguments(policies.sb3)),
         "measures": _measures_table(),
         "file": _file_table(),
@@ -247,7 +244,6 @@ def sections() -> dict[str, str]:
         "free": _fields_table(Free),
         "step": _fields_table(Step),
         "recorded-track": _fields_table(Recorded),
-        "rate-rows": _table(["Name", "Meaning"], ([_code(name), text] for name, text in _field_comments(EpisodeRow))),
     }
 
 

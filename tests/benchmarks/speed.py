@@ -37,7 +37,7 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario, Trace, World, explore
-from pytest_pafot.extras.training import random_scenarios
+from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.model.trace import FloatArray, Outcome
 from pytest_pafot.searching import (
     Evaluation,
@@ -304,8 +304,8 @@ def roads(rounds: int) -> None:
             "policy by env.step": (environment, policy, True),
         }
         for kind, (world, ads, is_gym) in kinds.items():
-            draw = random_scenarios(world)
-            scenarios = [draw(np.random.default_rng(seed)) for seed in range(10)]
+            space = world.space(drawn_space(world, {}))
+            scenarios = [sample(space, np.random.default_rng(seed)) for seed in range(10)]
             run = world.rollout_in_gym if is_gym else world.rollout
             seconds = sum(run(scenario, ads).duration for scenario in scenarios)
             took = median_ms(lambda: [run(scenario, ads) for scenario in scenarios], rounds)  # noqa: B023  (called here)

@@ -16,7 +16,7 @@ from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.road_rules import EgosRoadRules, RoadRules
+from pytest_pafot.world.kernel.road_rules import EgosRoadRules
 from pytest_pafot.world.roads.network import NetworkRoad
 from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.run_config import Rules
@@ -72,17 +72,12 @@ class CompiledRoad:
             body = GoalVehicle(constants_of(vehicle), self._lanes.grid, self._lanes.speed_limit)
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
-        body.checks = bool(vehicle.check_collisions)
-        body.diagonal = float(vehicle.diagonal)
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
         if not hasattr(vehicle, "target_speed"):
             body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
         body.stay(self._numbers[vehicle.lane_index])
         body.timer = float(getattr(vehicle, "timer", body.timer))
-        if vehicle.impact is not None:
-            body.push(*map(float, vehicle.impact))
-            vehicle.impact = None
         self.take(vehicle, body)
         return body
 
@@ -92,11 +87,10 @@ class CompiledRoad:
         return float(x) - self._x, float(y) - self._y, float(vehicle.heading), float(vehicle.speed)
 
     def take(self, vehicle: Any, body: GoalVehicle) -> None:
-        """Copy the goal of a vehicle of highway-env, its controls, which a goal may replace, and whether it crashed."""
+        """Copy the goal of a vehicle of highway-env, and its controls, which a goal may replace."""
         if body.has_goal:
             body.aim(self._numbers[vehicle.target_lane_index], float(vehicle.target_speed))
         body.acceleration, body.steering = float(vehicle.action["acceleration"]), float(vehicle.action["steering"])
-        body.crashed = body.crashed or bool(vehicle.crashed)
 
     def show(self, vehicle: Any, body: GoalVehicle) -> None:
         """Copy the state of a compiled vehicle to a vehicle of highway-env."""
@@ -104,7 +98,6 @@ class CompiledRoad:
         vehicle.position = np.array([x + self._x, y + self._y])
         vehicle.action = {"steering": body.steering, "acceleration": body.acceleration}
         vehicle.lane_index, vehicle.lane = self._named[lane]
-        vehicle.crashed = body.crashed
         if body.has_goal:
             vehicle.target_lane_index, vehicle.target_speed = self._named[goal][0], wanted
         if body.drives_itself:
@@ -175,20 +168,11 @@ def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, netw
     way, is_regulated = rules.road, type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):
         return None
-    return EgosRoadRules(model, places, way.bends, *_regulation(road, network, rules.physics_hz))
-
-
-def road_rules(road: Any, lanes: StraightRoad | Network, physics_hz: int) -> RoadRules | None:
-    """Return the rules of a regulated road of highway-env for all its vehicles; None on other roads."""
-    is_regulated = isinstance(road, RegulatedRoad) and isinstance(lanes, Network)
-    return RoadRules(*_regulation(road, lanes, physics_hz)) if is_regulated else None
-
-
-def _regulation(road: Any, network: Any, physics_hz: int) -> tuple[Network, list[int], int, int, float]:
     frequency = road.REGULATION_FREQUENCY
     priorities = [int(each.priority) for each in road.network.lanes_list()]
-    every = int(1 / (1 / physics_hz) / frequency)  # as highway-env rounds it
-    return network, priorities, road.steps, every, road.YIELD_DURATION * frequency
+    every = int(1 / (1 / rules.physics_hz) / frequency)  # as highway-env rounds it
+    regulation = priorities, road.steps, every, road.YIELD_DURATION * frequency
+    return EgosRoadRules(model, places, way.bends, network, *regulation)
 
 
 def obstacles_on(road: Any) -> list[Body]:
@@ -196,7 +180,7 @@ def obstacles_on(road: Any) -> list[Body]:
     bodies: list[Body] = []
     for each in road.objects:
         if not isinstance(each, Landmark):
-            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH), float(each.diagonal)))
+            bodies.append(StaticObstacle(float(each.LENGTH), float(each.WIDTH)))
             x, y = map(float, each.position)
             bodies[-1].place(x, y, float(each.heading), float(each.speed))
     return bodies

@@ -46,13 +46,6 @@ def is_patched(cls: type) -> bool:
     return False
 
 
-def shadowed(thing: object) -> set[str]:
-    """Return the names of methods in place of which an object has its own values."""
-    own = vars(thing).keys()  # views meet quickly; this is asked of every vehicle in every step of an environment
-    classes = [vars(cls) for cls in type(thing).__mro__]
-    return {name for each in classes for name in own & each.keys() if isinstance(each[name], FunctionType)}
-
-
 def takes(constants: Mapping[str, Any]) -> bool:
     """Return whether the model has an answer with these constants, of a class or of one vehicle."""
     if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in constants.values()):

@@ -1,63 +1,37 @@
-"""An episode of an environment with its own random traffic: its start and its result."""
+"""Episodes of an unchanged environment: its own start, its own steps and traffic, and its own flag for crashes."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from array import array
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Literal
+from dataclasses import dataclass
+from types import MethodType
+from typing import Any
 
-import numpy as np
-
-from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import AdsError, FloatArray, Lane, Outcome
-from pytest_pafot.support.errors import WorldError
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
-from pytest_pafot.world.driving.ads import give_route
+from pytest_pafot.world.driving.ads import AdsFactory, give_route
+from pytest_pafot.world.driving.object_driver import body_of
+from pytest_pafot.world.driving.observations import observe_fast
+from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import ImperfectSensor, hidden_from_policy
-from pytest_pafot.world.driving.vehicles import compiled_network, straight_road
+from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
-from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import EnvironmentGuard
+from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
+from pytest_pafot.world.guard.hang_guard import HangGuard, WorldHang
+from pytest_pafot.world.gym_environment import EnvironmentGuard, vehicle_classes_kept
+from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ
-from pytest_pafot.world.roads.straight import StraightRoad
 
-POINT_STEP = 2.0
-"""The distance between the points of a lane that is not straight [m]."""
 LONGEST = 3600.0
 """The longest episode of an environment that does not specify a duration [s]."""
-
-Step = tuple[Any, float, bool, bool, dict[str, Any]]
-"""The result of ``env.step``: observation, reward, terminated, truncated, info."""
-
-Kind = Literal["policy", "vehicle", "planner"]
-"""The kinds of an ADS. A policy uses the environment's observations and actions. A vehicle is a vehicle class that
-drives itself. A planner uses observations and actions in SI units."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EpisodeRecording:
-    """The recorded places of all vehicles in an episode.
-
-    Attributes:
-        states: x [m], y [m], heading [rad] and speed [m/s] of each vehicle, the ego first; shape [ticks + 1, vehicles,
-            4]. NaN at ticks at which a vehicle was not on the road.
-        sizes: length and width of each vehicle [m], shape [vehicles, 2].
-        lanes: lanes of the road; lanes that are not straight have points.
-        physics_hz: ticks per second.
-    """
-
-    states: FloatArray
-    sizes: FloatArray
-    lanes: tuple[Lane, ...]
-    physics_hz: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,201 +42,222 @@ class Episode:
         seed: seed of the episode.
         outcome: ``collision`` if highway-env flagged the ego as crashed, ``ads_error`` or ``hang`` if the ADS did not
             decide, else ``safe``.
-        seconds: time driven until the crash, the error or the end of the episode [s].
         error: error of the ADS, if it did not decide, else None.
-        steps: reason why the environment's own code moved its traffic; empty if compiled code did.
-        recording: recording of the episode, if requested, else None.
     """
 
     seed: int
     outcome: Outcome
-    seconds: float
     error: AdsError | None = None
-    steps: str = ""
-    recording: EpisodeRecording | None = None
 
 
-@dataclass(eq=False, kw_only=True)
-class Start:
-    """The start of an episode: an environment after its reset, with an ADS that will drive its ego.
+def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False) -> Episode:
+    """Drive an episode of a world's own traffic with a new ADS.
 
-    Attributes:
-        outer: environment with its wrappers.
-        seen: observation that the reset returned.
-        ads: ADS that drives the ego.
-        kind: kind of the ADS.
-        guard: guard that interrupts the ADS's decisions if they take too long.
-        view: copy of the environment that an ADS may simulate in; None if the ADS does not request it.
-        seed: seed of the episode and of the errors of an imperfect sight.
-        sight: sight of the ADS; None if it is perfect.
-        around: guard that interrupts steps of the environment.
-        physics_hz: ticks per second.
-        ticks: largest number of ticks of the episode.
-        every: ticks per step of the environment.
-        road: straight road; None if the road is not straight.
+    Args:
+        world: world, whose environment is reset with the seed.
+        factory: factory of an ADS of any kind.
+        seed: seed of the episode.
+        is_planner: whether the ADS receives an :class:`pytest_pafot.Observation` and returns acceleration and steering.
+
+    Raises:
+        AdsFactoryError: if the factory returns an object that cannot drive.
+        WorldError: if the environment cannot be used, or its road is not straight and the ADS is a planner.
+    """
+    environment, limit, error = world.environment, world.hang_limit, None
+    environment.unwrapped  # noqa: B018  (it imports the user's module, whose changes to classes are not undone)
+    with vehicle_classes_kept(), HangGuard(limit) as guard:
+        outer = environment.with_traffic()
+        env = outer.unwrapped
+        observe_fast(env)
+        try:
+            with environment.in_time():
+                seen, _ = outer.reset(seed=seed)
+        except WorldError:
+            raise
+        except Exception as wrong:
+            expected = f"that {environment.env_id}, in its wrappers, can be reset with the seed {seed}"
+            raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
+        view, policy = None, Policy(factory)
+        try:
+            if policy.simulates:
+                view = View(environment.make().unwrapped, env)
+            made = policy.make() if view is None else policy.make(env=view.env)
+        except (AdsFactoryError, WorldError):
+            raise
+        except UNFIT as wrong:
+            return Episode(seed=seed, outcome=Outcome.ADS_ERROR, error=error_of(wrong, 0, guard))
+        with closing(made.given, limit), EnvironmentGuard(limit) as around:
+            drive = _Drive(outer, made, guard, around, view, seed, is_planner=is_planner)
+            try:
+                error = drive.run(seen)
+            finally:
+                drive.clear()
+        ended = Outcome.COLLISION if env.vehicle.crashed else Outcome.SAFE
+        outcome = ended if error is None else Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
+        return Episode(seed=seed, outcome=outcome, error=error)
+
+
+class _Drive:
+    """The steps of an episode, from a reset environment on.
+
+    A vehicle class, or a planner's car, takes the place of the environment's own ego.
     """
 
-    outer: Any
-    seen: Any
-    ads: Any
-    kind: Kind
-    guard: HangGuard
-    view: View | None = None
-    seed: int = 0
-    sight: Sight | None = None
-    around: EnvironmentGuard = field(init=False)
-    physics_hz: int = field(init=False)
-    every: int = field(init=False)
-    ticks: int = field(init=False)
-    road: StraightRoad | None = field(init=False)
+    def __init__(
+        self,
+        outer: Any,
+        made: Ads,
+        guard: HangGuard,
+        around: EnvironmentGuard,
+        view: View | None,
+        seed: int,
+        *,
+        is_planner: bool,
+    ) -> None:
+        self._outer, self._env, self._made, self._view, self._seed = outer, outer.unwrapped, made, view, seed
+        self._guard, self._around = guard, around
+        self._is_vehicle, self._is_planner = made.drives_itself, is_planner and not made.drives_itself
+        self._error: AdsError | None = None
+        self._is_stock = type(self._env).__module__.partition(".")[0] == "highway_env"
 
-    def __post_init__(self) -> None:
-        config = self.env.config
-        self.around = EnvironmentGuard(self.guard.limit)
-        self.physics_hz = int(config["simulation_frequency"])
-        self.every = int(config["simulation_frequency"] // config["policy_frequency"])
-        longest = min(float(config.get("duration", LONGEST)), LONGEST)
-        self.ticks = math.ceil(longest * self.physics_hz) + self.every
-        steps = getattr(self.outer.spec, "max_episode_steps", None)  # counted by a wrapper of gymnasium
-        if steps is not None:
-            self.ticks = min(self.ticks, steps * self.every)
-        self.road = straight_road(self.env.road.network)
-        if self.kind == "policy":
-            check_action_space(self.outer.action_space)
-            hidden_from_policy(self.env, self.sight)
-            return
-        if self.kind == "planner":
-            _ = self.straight  # raises now if the road is not straight
-        # A vehicle of the given class replaces the environment's own ego.
-        env, old, vehicle_class = self.env, self.env.vehicle, self.ads if self.kind == "vehicle" else StockVehicle
-        ego = vehicle_class(env.road, old.position, old.heading, old.speed)
+    def run(self, seen: Any) -> AdsError | None:
+        """Take steps until the episode is over, and return the error of an ADS that did not decide."""
+        env, outer, config = self._env, self._outer, self._env.config
+        is_policy = not (self._is_vehicle or self._is_planner)
+        if not is_policy:
+            self._replace_ego()
+        else:
+            check_action_space(outer.action_space)
+            hidden_from_policy(env, self._made.sight)
+        every = int(config["simulation_frequency"] // config["policy_frequency"])
+        steps = math.ceil(min(float(config.get("duration", LONGEST)), LONGEST) * config["policy_frequency"]) + 1
+        for step in range(min(steps, getattr(outer.spec, "max_episode_steps", None) or steps)):
+            try:
+                action = None
+                if is_policy:
+                    if self._view is not None:
+                        self._view.show(step * every)
+                    action = checked_action(self._decided(self._made.decides, seen), outer.action_space)
+                seen, _, *ends, _ = self._stepped(outer if is_policy else env, action)
+            except UNFIT as error:
+                if isinstance(error, WorldError):
+                    raise
+                return error_of(error, step * every, self._guard)
+            if self._error or env.vehicle.crashed or any(ends):
+                break
+        return self._error
+
+    def clear(self) -> None:
+        """Restore what an environment that is used again has lost."""
+        if self._is_stock:
+            for name in ("_reward", "_info"):
+                vars(self._env).pop(name, None)
+
+    def _replace_ego(self) -> None:
+        """Put a vehicle of the given class in the place of the environment's ego."""
+        env, old = self._env, self._env.vehicle
+        ego = (self._made.decides if self._is_vehicle else StockVehicle)(env.road, old.position, old.heading, old.speed)
         give_route(ego, getattr(old, "route", None))
         env.road.vehicles = [ego if each is old else each for each in env.road.vehicles]
         env.controlled_vehicles = [ego]
         try:
             env.define_spaces()
         except Exception as error:
-            raise self.unfit(error) from error
+            raise self._unfit(error) from error
+        env.observation_type.observe = lambda: 0.0
+        if self._is_stock:  # whose rewards may need an action, and nothing reads them
+            env._reward, env._info = lambda *_: 0.0, lambda *_: {}
+        if self._is_planner:
+            ego.act = self._planned()
+        else:
+            for name in ("act", "step"):
+                setattr(env.road, name, self._guarded(name))
 
-    @cached_property
-    def compiled_lanes(self) -> StraightRoad | Network | None:
-        """The lanes for compiled code, which is fastest on a plain straight road; None if it does not know them."""
-        return compiled_network(self.env.road.network) if self.road is None or self.more_than_lanes else self.road
+    def _guarded(self, name: str) -> MethodType:
+        """Return a method of the road whose errors are those of the vehicle class; after one, nothing moves."""
+        road, method = self._env.road, getattr(self._env.road, name)
 
-    @cached_property
-    def more_than_lanes(self) -> str:
-        """The kinds of things that a straight road has besides lanes of one kind; empty if there are none."""
-        road, lanes = self.env.road, self.env.road.network.lanes_list()
-        if road.objects or any(getattr(each, "route", None) for each in road.vehicles):
-            return "objects or routes"
-        if any(lane.forbidden for lane in lanes):
-            return "lanes closed to lane changes"
-        return "several speed limits" if len({lane.speed_limit for lane in lanes}) > 1 else ""
+        def guarded(called: Any, *arguments: float) -> None:
+            if called is not road:  # a copy, in which the ADS simulates
+                getattr(type(called), name)(called, *arguments)
+            elif self._error is None:
+                try:
+                    with self._around.paused():
+                        self._decided(method, *arguments)
+                    body_of(self._env.vehicle)  # it raises BadAction for NaN
+                except UNFIT as error:
+                    self._error = error_of(error, 0, self._guard)
 
-    @property
-    def straight(self) -> StraightRoad:
-        """The straight road of the environment.
+        return MethodType(guarded, road)
 
-        Raises:
-            WorldError: if the road is not straight, so that no planner can drive on it.
-        """
-        if self.road is None:
-            raise WorldError(
-                f"world: expected a straight road for a planner in SI units, received the road of "
-                f"{type(self.env).__name__}; give a policy with the environment's own observations and actions, or a "
-                "vehicle class"
-            )
-        return self.road
+    def _stepped(self, stepped: Any, action: Any) -> Any:
+        """Return the result of a step of the environment."""
+        try:
+            with self._around.call():
+                return stepped.step(action)
+        except WorldHang:
+            raise
+        except Exception as error:
+            raise self._unfit(error) from error
 
-    def unfit(self, error: Exception) -> WorldError:
+    def _unfit(self, error: Exception) -> WorldError:
         """Return the error for an environment that raised an exception, as it may with an ego of a different class."""
-        name, ego = type(self.env).__name__, type(self.env.vehicle).__name__
+        name, ego = type(self._env).__name__, type(self._env.vehicle).__name__
         return WorldError(
             f"world: expected an environment whose steps work with an ego of the class {ego}, received {name}, "
             f"which raised {described(error)}; rate a policy that returns the environment's own "
             "actions, or use a different environment"
         )
 
-    @property
-    def env(self) -> Any:
-        """The environment without wrappers."""
-        return self.outer.unwrapped
+    def _decided(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call the ADS's code under the time limit of a decision, and return its result."""
+        self._guard.decision_starts()
+        try:
+            result = call(*arguments)
+        finally:
+            self._guard.decision_ends()
+        self._guard.raise_swallowed()
+        return result
 
-    @property
-    def vehicles(self) -> list[Any]:
-        """The vehicles of the environment, the ego first."""
-        ego = self.env.vehicle
-        return [ego, *(each for each in self.env.road.vehicles if each is not ego)]
+    def _planned(self) -> Callable[[], None]:
+        """Return what lets a planner see the vehicles that were there at the start, and control its car."""
+        env, road, hz = self._env, straight_road(self._env.road.network), int(self._env.config["simulation_frequency"])
+        every, duration = hz // PLANNER_HZ or 1, float(env.config.get("duration", LONGEST))
+        if road is None:
+            raise WorldError(
+                f"world: expected a straight road for a planner in SI units, received the road of "
+                f"{type(env).__name__}; give a policy with the environment's own observations and actions, or a "
+                "vehicle class"
+            )
+        ego = env.vehicle
+        vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]
+        row = len(vehicles) * COLUMNS
+        record, body = (
+            array("d", bytes(8 * row * math.ceil((min(duration, LONGEST) + 2) * hz))),
+            Body(ego.LENGTH, ego.WIDTH),
+        )
+        sizes = [(each.LENGTH, each.WIDTH) for each in vehicles]
+        sensor: Sensor = Observer(record, sizes, road.grid, road.speed_limit, hz, every)
+        if self._made.sight is not None:
+            sensor = ImperfectSensor(sensor, self._made.sight, self._seed, road.grid, hz)
+        lanes: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width, "every": every}
+        driver = PlannerDriver(self._made.decides, self._guard, (), body, body, sensor, dt=1 / hz, **lanes)
 
-    @property
-    def lanes(self) -> tuple[Lane, ...]:
-        """The lanes of the road, as in a recording."""
-        if self.road is not None:
-            return self.road.lanes
-        return tuple(map(_bent, self.env.road.network.lanes_list()))
+        ticks = itertools.count()
 
-    def guarded(self, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Call the ADS's code under the time limit of a decision and return its result."""
-        with self.around.paused():
-            self.guard.decision_starts()
-            try:
-                result = call(*arguments)
-            finally:
-                self.guard.decision_ends()
-            self.guard.raise_swallowed()
-            return result
+        def plan() -> None:
+            tick = next(ticks)
+            for number, each in enumerate(vehicles):
+                at = tick * row + number * COLUMNS
+                pose = road.project(float(each.position[0]), float(each.position[1]), float(each.heading))
+                held = each.action["acceleration"], each.action["steering"]
+                record[at : at + 6] = array("d", (*pose, each.speed, *held))
+            x, y = map(float, ego.position)
+            body.place(*road.project(x, y, ego.heading), ego.speed)
+            if tick % every == 0 and self._error is None:
+                with self._around.paused():
+                    self._error = driver.decide(tick)
+            driver.actuate()
+            ego.control(body.acceleration, body.steering)
 
-    def action(self, seen: Any, tick: int) -> Any:
-        """Return the policy's action for an observation.
-
-        Raises:
-            BadAction: if the policy returns no valid action. Exceptions of the policy are raised unchanged.
-        """
-        if self.view is not None:
-            self.view.show(tick)
-        return checked_action(self.guarded(self.ads, seen), self.outer.action_space)
-
-    def record(self) -> array[float]:
-        """Return an empty array for the states of all vehicles at all ticks."""
-        return array("d", bytes(8 * (self.ticks + 1) * len(self.vehicles) * COLUMNS))
-
-    def driver(self, body: Body, record: array[float]) -> PlannerDriver:
-        """Return the driver that makes a planner's observations from a record and applies its decisions to a body."""
-        road = self.straight
-        sizes = [(each.LENGTH, each.WIDTH) for each in self.vehicles]
-        every = max(1, self.physics_hz // PLANNER_HZ)
-        sensor: Sensor = Observer(record, sizes, road.grid, road.speed_limit, self.physics_hz, every)
-        if self.sight is not None:
-            sensor = ImperfectSensor(sensor, self.sight, self.seed, road.grid, self.physics_hz)
-        common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width, "every": every}
-        return PlannerDriver(self.ads, self.guard, (), body, body, sensor, dt=1 / self.physics_hz, **common)
-
-    def ended(
-        self,
-        seed: int,
-        tick: int,
-        error: AdsError | None,
-        *,
-        steps: str = "",
-        recording: EpisodeRecording | None = None,
-    ) -> Episode:
-        """Return the result of an episode that ended at a tick; the ego crashed if the environment has flagged it."""
-        outcome = Outcome.COLLISION if self.env.vehicle.crashed else Outcome.SAFE
-        if error is not None:
-            outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
-        seconds = tick / self.physics_hz
-        return Episode(seed=seed, outcome=outcome, seconds=seconds, error=error, steps=steps, recording=recording)
-
-
-def _bent(lane: Any) -> Lane:
-    places = np.linspace(0.0, lane.length, max(2, math.ceil(lane.length / POINT_STEP)))
-    points = [lane.position(float(place), 0) for place in places]
-    return Lane(
-        x=float(points[0][0]),
-        y=float(points[0][1]),
-        heading=float(lane.heading_at(0.0)),
-        length=float(lane.length),
-        width=float(lane.width_at(0.0)),
-        speed_limit=float(lane.speed_limit or 0.0),
-        points=tuple((float(x), float(y)) for x, y in points),
-    )
+        return plan

@@ -386,7 +386,7 @@ def movers_of(
 
 def _standing(x: float, y: float, heading: float, length: float, width: float) -> StaticObstacle:
     """Return a fixed object, behind which models of traffic brake."""
-    body = StaticObstacle(length, width, math.hypot(length, width))
+    body = StaticObstacle(length, width)
     body.place(x, y, heading, 0.0)
     return body
 

@@ -91,16 +91,6 @@ def rollout(
         return _begun(rules, scenario, driver, guard, env).finish()
 
 
-def begin(
-    environment: GymEnvironment, rules: Rules, scenario: Scenario, guard: HangGuard, sight: Sight | None
-) -> SteppedRun:
-    """Begin a run to which the caller passes the actions, for an ADS with the given sight."""
-    env = _env_of(environment, scenario)
-    put_policys_ego(environment, env, rules, scenario)
-    driver = _policy_driver(environment, rules, scenario, None, env, guard, None, sight)
-    return _begun(rules, scenario, driver, guard, env)
-
-
 def ends_beside(
     environment: GymEnvironment, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard
 ) -> OwnEnds | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 MODULES = (
     "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "road_directors", "recorded", "observation",
-    "places", "road_sensor", "idm", "lane_network", "network_vehicle", "road_rules", "loop", "traffic", "features",
+    "places", "road_sensor", "idm", "lane_network", "network_vehicle", "road_rules", "loop", "features",
 )  # fmt: skip
 """The modules of this package, each after those that it imports."""
 VARIABLE = "PAFOT_KERNEL"

@@ -11,10 +11,8 @@ cdef class GoalVehicle(Body):
     cdef Lanes _lanes
     cdef double _speed_limit, _acc_max, _comfort, _braking, _distance, _time, _delta, _politeness, _min_gain
     cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _kp_speed, _max_steering, _target_speed
-    cdef public bint has_goal, drives_itself, checks, crashed
-    cdef public double taken_for, timer, diagonal
-    cdef readonly double push_x, push_y
-    cdef readonly bint is_pushed
+    cdef public bint has_goal, drives_itself
+    cdef public double taken_for, timer
     cdef double _next_x, _next_y, _next_heading, _next_speed
     cdef bint _changes_lanes, _is_led
     cdef public int waited
@@ -29,8 +27,6 @@ cdef class GoalVehicle(Body):
     cpdef void stay(self, int lane)
 
     cpdef void lead(self, double x, double y, double heading, double speed)
-
-    cpdef void push(self, double x, double y)
 
     cpdef tuple seen(self)
 

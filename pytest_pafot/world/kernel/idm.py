@@ -7,9 +7,6 @@ Sources: Treiber, Hennecke, Helbing, "Congested traffic states in empirical obse
 Physical Review E 62, 2000; Kesting, Treiber, Helbing, "General lane-changing model MOBIL for car-following models",
 Transportation Research Record 1999, 2007. For NPCs, which are no IDM vehicles, the model assumes that each desires its
 current speed.
-
-In highway-env's ordinary traffic, all vehicles are of this class. A crashed vehicle stops there, and a vehicle in a
-contact is pushed aside; :mod:`pytest_pafot.world.kernel.traffic` finds the contacts.
 """
 
 from __future__ import annotations
@@ -43,24 +40,17 @@ class GoalVehicle(Body):
             outside, for instance by meta-actions.
         taken_for: the desired speed that others assume [m/s]. NaN stands for the speed of its goal, or without a goal
             for its current speed.
-        checks: true if it tests for crashes; a pair is tested if one of the two does.
-        crashed: true if highway-env would flag it as crashed.
-        is_pushed: true if a contact will move it by ``push_x`` and ``push_y`` [m] in the next tick.
-        diagonal: the length for the first test of a contact, usually the diagonal of its box [m].
         timer: the time since its last decision on lanes [s].
         waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
     """
 
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
         super().__init__(constants["LENGTH"], constants["WIDTH"])
-        self.has_goal = self.drives_itself = self.checks = True
+        self.has_goal = self.drives_itself = True
         self.taken_for = float("nan")
-        self.crashed = False
-        self.diagonal = math.hypot(self.length, self.width)
         self.waited = -1
-        self._is_led = self.is_pushed = False
+        self._is_led = False
         self._next_x = self._next_y = self._next_heading = self._next_speed = 0.0
-        self.push_x = self.push_y = 0.0
         self._lanes = lanes
         self._speed_limit = speed_limit
         self._acc_max = constants["ACC_MAX"]
@@ -113,12 +103,6 @@ class GoalVehicle(Body):
         self._next_heading = heading
         self._next_speed = speed
 
-    def push(self, x: float, y: float) -> None:
-        """Move by this much in addition in the next tick, and be crashed then [m]."""
-        self.is_pushed = True
-        self.push_x = x
-        self.push_y = y
-
     def seen(self) -> tuple[float, float, float, float, int, int, float, float]:
         """Return x [m], y [m], heading [rad], speed [m/s], its lane, its goal's lane and speed, and its timer [s]."""
         return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed, self.timer
@@ -135,8 +119,6 @@ class GoalVehicle(Body):
             if self.has_goal and not self._is_led:
                 self.pursue()
             return
-        if self.crashed:
-            return
         self._follow_road()
         if self._changes_lanes:
             self._choose_lane(others)
@@ -148,20 +130,12 @@ class GoalVehicle(Body):
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
 
     def step(self, dt: float) -> None:
-        """Move for one time step [s]; a crashed vehicle stops, and a vehicle in a contact is pushed aside."""
-        if self.crashed:
-            self.steering = 0.0
-            self.acceleration = -self.speed
+        """Move for one time step [s]."""
         self.timer += dt
         if self._is_led:
             self.place(self._next_x, self._next_y, self._next_heading, self._next_speed)
         else:
             Body.step(self, dt)  # C methods have no super()
-        if self.is_pushed:
-            self.x += self.push_x
-            self.y += self.push_y
-            self.crashed = True
-            self.is_pushed = False
         self._closest = self._found(self)
 
     # What a road of another shape replaces.

@@ -9,7 +9,7 @@ from pytest_pafot.world.kernel.lane_network cimport Network
 cdef double PURSUIT, ON_LANE, NOWHERE
 
 cdef class StaticObstacle(Body):
-    cdef readonly double diagonal
+    pass
 
 cdef class NetworkVehicle(GoalVehicle):
     cdef Network _network

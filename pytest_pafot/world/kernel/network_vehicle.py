@@ -21,14 +21,7 @@ PURSUIT = 0.1
 
 
 class StaticObstacle(Body):
-    """An object that stands on the road. Other vehicles drive behind it, but it is nobody's follower.
-
-    ``diagonal`` is the length for the first test of a contact [m], usually the diagonal of its box.
-    """
-
-    def __init__(self, length: float, width: float, diagonal: float) -> None:
-        super().__init__(length, width)
-        self.diagonal = diagonal
+    """An object that stands on the road. Other vehicles drive behind it, but it is nobody's follower."""
 
 
 class NetworkVehicle(GoalVehicle):

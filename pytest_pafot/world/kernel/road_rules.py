@@ -1,4 +1,4 @@
-"""highway-env's rules of a regulated road, operation by operation: which vehicles have to yield to others."""
+"""highway-env's rules of a regulated road, operation by operation: when an ego has to yield to others."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ LONGER, NARROWER = 1.5, 0.9
 """The factors of a vehicle's length and width in these predictions."""
 
 
-class RoadRules:
-    """The rules for vehicles with a route, of which those that drive themselves obey them.
+class EgosRoadRules:
+    """The rules for an ego that drives by IDM; no other vehicle obeys them.
 
-    Vehicles are predicted along their routes at their speeds, or with their steering if they have no goal.
+    The ego is predicted along its route, and an NPC along its way or its lane, at their speeds.
 
     Args:
+        ego: the ego.
+        places: the vehicles, and their places on the ego's way.
+        bends: the ego's way.
         network: the lanes of the road.
         priorities: the priority of each lane.
         steps: the number of steps that the road has done before.
@@ -33,38 +36,42 @@ class RoadRules:
         lasts: the number of decisions for which a vehicle yields beyond the first.
     """
 
-    def __init__(self, network: Network, priorities: Sequence[int], steps: int, every: int, lasts: float) -> None:
+    def __init__(
+        self,
+        ego: NetworkVehicle,
+        places: Places,
+        bends: Bends,
+        network: Network,
+        priorities: Sequence[int],
+        steps: int,
+        every: int,
+        lasts: float,
+    ) -> None:
+        self._ego = ego
+        self._places = places
+        self._bends = bends
         self._network = network
         self._priorities = array("i", priorities)
         self._steps = steps
         self._every = every
         self._lasts = lasts
-        self._predicted = array("d")  # x, y and heading at each moment, of one vehicle after the other
+        self._predicted = array("d", [0.0]) * (6 * MOMENTS)  # x, y and heading at each moment, of the ego and an NPC
 
-    def is_due(self) -> bool:
-        """Count a step of the road, and return whether it is time for a decision."""
+    def apply_to_ego(self) -> None:
+        """Count a step of the road, and make the ego yield if it is time and it has to."""
         self._steps += 1
-        return self._steps % self._every == 0
-
-    def apply(self, vehicles: list[Any]) -> None:
-        """Make vehicles yield that conflict with others."""
-        count = len(vehicles)
-        self._reserve(count)
-        for number in range(count):
-            vehicle: NetworkVehicle = vehicles[number]
-            self._release(vehicle)
-            self._predict(number, vehicle)
-        for first in range(count - 1):
-            one: NetworkVehicle = vehicles[first]
-            for second in range(first + 1, count):
-                other: NetworkVehicle = vehicles[second]
-                if self._conflict(first, one, second, other):
-                    _yield(one if self._comes_second(one, other) else other)
-
-    def _reserve(self, count: int) -> None:
-        """Make room for the predictions of this many vehicles."""
-        if len(self._predicted) < 3 * MOMENTS * count:
-            self._predicted = array("d", [0.0]) * (3 * MOMENTS * count)
+        if self._steps % self._every:
+            return
+        ego = self._ego
+        self._release(ego)
+        self._predict(ego)
+        for number in range(1, len(self._places.vehicles)):
+            npc = self._places.vehicles[number]
+            for moment in range(MOMENTS):
+                self._foresee_npc(3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1))
+            if self._conflict(ego, npc) and self._comes_second(ego, npc):
+                ego.want(0.0)
+                ego.waited = 0
 
     def _release(self, vehicle: NetworkVehicle) -> None:
         """Let a vehicle drive on that has yielded for long enough."""
@@ -74,19 +81,9 @@ class RoadRules:
         elif vehicle.waited >= 0:
             vehicle.waited += 1
 
-    def _predict(self, number: int, vehicle: NetworkVehicle) -> None:
-        """Predict a vehicle at each moment."""
-        network, row = self._network, 3 * MOMENTS * number
-        if not vehicle.has_goal:
-            body = Body(vehicle.length, vehicle.width)
-            body.place(vehicle.x, vehicle.y, vehicle.heading, vehicle.speed)
-            body.steering = vehicle.steering
-            for moment in range(MOMENTS):
-                body.acceleration = 0.0
-                body.step(APART)
-                self._foresee(row + 3 * moment, body.x, body.y, body.heading)
-            return
-        route = vehicle.route()
+    def _predict(self, vehicle: NetworkVehicle) -> None:
+        """Predict the ego at each moment."""
+        network, route = self._network, vehicle.route()
         network.locate(vehicle._closest, vehicle.x, vehicle.y)
         here = network.along
         for moment in range(MOMENTS):
@@ -97,16 +94,16 @@ class RoadRules:
                 place += 1
                 at = route[place]
             network.position(at, along, 0.0)
-            self._foresee(row + 3 * moment, network.x, network.y, network.heading_at(at, along))
+            self._foresee(3 * moment, network.x, network.y, network.heading_at(at, along))
 
     def _foresee(self, row: int, x: float, y: float, heading: float) -> None:
         self._predicted[row] = x
         self._predicted[row + 1] = y
         self._predicted[row + 2] = heading
 
-    def _conflict(self, first: int, one: Body, second: int, other: Body) -> bool:
+    def _conflict(self, one: Body, other: Body) -> bool:
         """Return whether two vehicles touch at a moment, as highway-env predicts them."""
-        row, its_row = 3 * MOMENTS * first, 3 * MOMENTS * second
+        row, its_row = 0, 3 * MOMENTS
         for _ in range(MOMENTS):
             x, y, heading = self._predicted[row], self._predicted[row + 1], self._predicted[row + 2]
             its_x, its_y = self._predicted[its_row], self._predicted[its_row + 1]
@@ -132,40 +129,6 @@ class RoadRules:
         ahead = math.cos(one.heading) * dx + math.sin(one.heading) * dy
         return ahead > -(math.cos(other.heading) * dx + math.sin(other.heading) * dy)
 
-
-class EgosRoadRules(RoadRules):
-    """The rules for an ego that drives by IDM; no other vehicle obeys them.
-
-    An NPC is predicted along its way or its lane.
-
-    Args:
-        ego: the ego.
-        places: the vehicles, and their places on the ego's way.
-        bends: the ego's way.
-        common: as for :class:`RoadRules`.
-    """
-
-    def __init__(self, ego: NetworkVehicle, places: Places, bends: Bends, *common: Any) -> None:
-        super().__init__(*common)
-        self._ego = ego
-        self._places = places
-        self._bends = bends
-        self._reserve(2)
-
-    def apply_to_ego(self) -> None:
-        """Count a step of the road, and make the ego yield if it is time and it has to."""
-        if not self.is_due():
-            return
-        ego = self._ego
-        self._release(ego)
-        self._predict(0, ego)
-        for number in range(1, len(self._places.vehicles)):
-            npc = self._places.vehicles[number]
-            for moment in range(MOMENTS):
-                self._foresee_npc(3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1))
-            if self._conflict(0, ego, 1, npc) and self._comes_second(ego, npc):
-                _yield(ego)
-
     def _foresee_npc(self, row: int, body: Body, time: float) -> None:
         """Predict an NPC after a time [s]."""
         along, bends = body.x + body.speed * time, self._bends
@@ -178,12 +141,6 @@ class EgosRoadRules(RoadRules):
         x = bends.x_at(along) - math.sin(heading) * across
         y = bends.y_at(along) + math.cos(heading) * across
         self._foresee(row, x, y, bends.direction_at(body.lane, along) + bends.lean_at(body.lane, along))
-
-
-def _yield(vehicle: NetworkVehicle) -> None:
-    if vehicle.drives_itself:
-        vehicle.want(0.0)
-        vehicle.waited = 0
 
 
 def _has_corner_inside(

@@ -1,8 +1,6 @@
-"""The command from its arguments to its page, and rates as values."""
+"""The command from its arguments to its output, and rates as values."""
 
-import csv
 import json
-import os
 import re
 
 import gymnasium
@@ -11,13 +9,13 @@ from scipy.stats import binomtest
 
 import pytest_pafot as pafot
 from pytest_pafot.__main__ import main
-from pytest_pafot.extras.episodes import rate as rates
+from pytest_pafot.extending import Episode
 from pytest_pafot.extras.episodes import rate_command
-from pytest_pafot.extras.episodes.rate import EpisodeRow, Pair, Rate, shown
+from pytest_pafot.extras.episodes.rate_command import Pair, Rate
+from pytest_pafot.model.trace import AdsError, Outcome
 from tests.helpers.sessions import command_in_a_copy
 
 SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
-ONE_CRASH = ["--ads", "constant_speed@planner", "--episodes", "1", "--seed", "2"]
 
 
 @pytest.fixture(autouse=True)
@@ -30,56 +28,50 @@ def rate(*arguments):
     return main(["rate", *SHORT, *arguments])
 
 
+def episode(seed, outcome="safe"):
+    error = (
+        AdsError(kind="KeyError", message="'gap'", traceback="", tick=0) if outcome in ("ads_error", "hang") else None
+    )
+    return Episode(seed=seed, outcome=Outcome(outcome), error=error)
+
+
 def rated(name, **outcomes):
-    """Return a rate of episodes of 36 s, with the outcomes of some of the first ten seeds, `s0="collision"`."""
-    return Rate(
-        ads=name,
-        rows=tuple(
-            EpisodeRow(ads=name, seed=seed, outcome=outcomes.get(f"s{seed}", "safe"), seconds=36.0, error="", steps="")
-            for seed in range(10)
-        ),
-    )
+    """Return a rate of ten episodes, with the outcomes of some seeds, `s0="collision"`."""
+    return Rate(ads=name, rows=tuple(episode(seed, outcomes.get(f"s{seed}", "safe")) for seed in range(10)))
 
 
-def test_rate_prints_share_interval_crashes_and_seeds(tmp_path, capsys):
-    assert (
-        rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10", "--out", str(tmp_path))
-        == 0
-    )
+@pytest.fixture
+def crashing(monkeypatch):
+    """Return a function that replaces episodes by ones that crash up to a seed, by the name of the policy."""
+
+    def replace(crashes, first="safe"):
+        def driven(world, factory, seed, *, is_planner):
+            name = next(name for name, made in known.items() if made is factory)
+            return episode(seed, "collision" if seed < crashes.get(name, 0) else first if seed == 0 else "safe")
+
+        known = {}
+        monkeypatch.setattr(rate_command, "ads_factory", lambda name: known.setdefault(name, lambda: name))
+        monkeypatch.setattr(rate_command, "drive_episode", driven)
+
+    return replace
+
+
+def test_rate_prints_share_interval_crashes_and_seeds(capsys):
+    assert rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10") == 0
     out, told = capsys.readouterr()
-    assert re.search(r"^constant_speed@planner in highway-fast-v0: \d of 10 episodes crashed, [\d.]+ % \(95 %: ", out)
-    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %); none in " in out
+    found = re.search(
+        r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %: ", out
+    )
+    assert int(found[1]) > 1
+    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %)\n" in out
     assert "0 only with idm_mobil, 0 with both" in out
-    assert "rate: 20 of 20 episodes, 100 %, after " in told
-    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
-    assert [int(row["seed"]) for row in rows] == [*range(10), *range(10)]
-    crashed = [row["seed"] for row in rows if row["outcome"] == "collision"]
-    assert len(crashed) > 1
-    assert f"seeds of the crashes: {', '.join(crashed)}\n" in out
-    page = (tmp_path / "report.md").read_text()
-    assert "| idm_mobil | 10 | 0 | 0 % | at most 30.8 % |" in page
-
-
-def test_interrupted_rate_continues_and_can_be_extended(tmp_path, capsys, monkeypatch):
-    def driven(world, name, factory, seed, **options):
-        is_first = seed not in seeds
-        seeds.append(seed)
-        if seed == 30 and is_first and not whole.exists():
-            raise KeyboardInterrupt
-        return EpisodeRow(ads=name, seed=seed, outcome="safe", seconds=float(seed), error="", steps="0")
-
-    whole, seeds = tmp_path / "whole", []
-    monkeypatch.setattr(rates, "driven", driven)
-    for episodes in ("50", "50", "60"):
-        rate("--ads", "idm_mobil", "--episodes", episodes, "--out", str(tmp_path / "parts"))
-    assert "rate: interrupted; finished tasks of up to 25 episodes are saved" in capsys.readouterr().err
-    assert seeds == [*range(31), *range(25, 60)]
-    assert rate("--ads", "idm_mobil", "--episodes", "60", "--out", str(whole)) == 0
-    assert (tmp_path / "parts" / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+    assert "rate: 20 of 20 episodes\n" in told
 
 
 class Trained:
-    """A factory that may have a hint, as those of ``pafot.policies``."""
+    """A factory that doubts how its policy was loaded, as those of ``pafot.policies`` do."""
+
+    loading_hint = "mind the statistics"
 
     def __call__(self):
         return lambda observation: 1
@@ -88,26 +80,9 @@ class Trained:
 trained = Trained()
 
 
-def test_what_a_loader_doubts_stands_beside_the_rate(capsys, monkeypatch):
-    monkeypatch.setattr(Trained, "loading_hint", "mind the statistics", raising=False)
+def test_what_a_loader_doubts_stands_beside_the_rate(capsys):
     assert rate("--ads", f"{__name__}:trained", "--episodes", "1") == 0
     assert "\n  mind the statistics\n" in capsys.readouterr().out
-
-
-def test_results_of_changed_source_files_are_not_continued(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    planner = tmp_path / "planner_of_mine.py"
-    planner.write_text("def make():\n    return lambda observation: 1\n")
-    arguments = ("--ads", "planner_of_mine:make", "--episodes", "1", "--out", "out")
-    assert rate(*arguments) == rate(*arguments) == 0
-    told = "rate: 1 of 1 episodes are reused from before; only the source files of the policies"
-    assert capsys.readouterr().err.count(told) == 1
-    planner.write_text("def make():\n    return lambda observation: 0\n")
-    assert rate(*arguments) == 2
-    assert "does not agree: policies.planner_of_mine:make.code.planner_of_mine.py 'sha256:" in capsys.readouterr().err
-    planner.write_text(planner.read_text().replace("1", "0"))
-    assert rate(*arguments) == 2
 
 
 def test_failing_policy_is_counted_and_named(capsys):
@@ -132,7 +107,7 @@ def test_policy_that_raises_in_the_first_ten_episodes_ends_the_command(capsys):
     assert rate("--ads", f"{__name__}:fails", "--episodes", "200") == 2
     told = capsys.readouterr().err
     assert "in each of the first 10 episodes, from seed 0 on: RuntimeError: no weights\n  File " in told
-    assert ("test_rate_command.py" in told, "25 of 200 episodes" in told) == (True, False)
+    assert ("test_rate_command.py" in told, " of 200 episodes\n" in told) == (True, False)
 
 
 class Told(gymnasium.Wrapper):
@@ -157,7 +132,7 @@ def rated_in(world, *arguments):
 def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
     assert rated_in(f"{__name__}:wrapped:3", "--json") == 0
     data = json.loads(capsys.readouterr().out)
-    assert (data["world"], data["policies"][0]["hours"]) == (f"{__name__}:wrapped:3", 6 / 3600)
+    assert (data["world"], data["policies"][0]["episodes"]) == (f"{__name__}:wrapped:3", 2)
     assert rated_in(f"{__name__}:planned", "--against", "constant_speed") == 0
     assert "constant_speed in test" in capsys.readouterr().out
 
@@ -203,26 +178,16 @@ def test_json_has_the_figures_of_the_text(capsys):
     assert rate(*arguments) == 0
 
 
-def test_several_policies_are_compared_with_the_first_and_the_worst_is_first(tmp_path, capsys, monkeypatch):
-    crashed = {"constant_speed": 9, "constant_speed@planner": 2, "idm_mobil": 0}
-
-    def driven(world, name, factory, seed, **options):
-        outcome = "collision" if seed < crashed[name] else "safe"
-        return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
-
-    monkeypatch.setattr(rate_command, "worker_count", lambda _: 1)  # the episodes are made up in this process
-    monkeypatch.setattr(rates, "driven", driven)
+def test_several_policies_are_compared_with_the_first_and_the_worst_is_first(capsys, monkeypatch, crashing):
+    crashing({"constant_speed": 9, "constant_speed@planner": 2})
     names = ("--ads", "idm_mobil", "--against", "constant_speed@planner", "--against", "constant_speed")
-    assert rate(*names, "--episodes", "10", "--out", str(tmp_path)) == 0
+    assert rate(*names, "--episodes", "10") == 0
     lines = capsys.readouterr().out.splitlines()
     told = [line for line in lines if line.startswith(("on the same", "the worst"))]
     # McNemar's exact p is 2 / 2^2 of two seeds, and 2 / 2^9 of nine; Holm doubles the smaller one.
     assert told[0].endswith("p = 0.5 (McNemar, exact, two-sided); p = 0.5 of 2 (Holm)")
     assert told[1].endswith("p = 0.0039 (McNemar, exact, two-sided); p = 0.0078 of 2 (Holm)")
     assert told[2] == "the worst first: constant_speed 90.0 %, constant_speed@planner 20.0 %, idm_mobil 0 %"
-    rows = [line.split(" | ")[0] for line in (tmp_path / "report.md").read_text().splitlines() if line.startswith("| ")]
-    assert rows[-3:] == ["| constant_speed", "| constant_speed@planner", "| idm_mobil"]
-    assert "numpy==" in (tmp_path / "versions.txt").read_text()
     monkeypatch.setenv("COLUMNS", "60")
     assert rate(*names, "--episodes", "10") == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 60
@@ -234,24 +199,14 @@ def test_several_policies_are_compared_with_the_first_and_the_worst_is_first(tmp
     ("crashes", "limit", "code"),
     [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)],
 )
-def test_fail_above_compares_the_lower_end_of_the_interval(capsys, monkeypatch, crashes, limit, code):
-    def driven(world, name, factory, seed, **options):
-        outcome = "collision" if seed < crashes else "safe"
-        return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="", steps="")
-
-    monkeypatch.setattr(rate_command, "worker_count", lambda _: 1)  # the episodes are made up in this process
-    monkeypatch.setattr(rates, "driven", driven)  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+def test_fail_above_compares_the_lower_end_of_the_interval(capsys, crashing, crashes, limit, code):
+    crashing({"idm_mobil": crashes})  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
     assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
 
 
-def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, monkeypatch):
-    def driven(world, name, factory, seed, **options):
-        outcome = "safe" if seed else "ads_error"
-        return EpisodeRow(ads=name, seed=seed, outcome=outcome, seconds=1.0, error="KeyError", steps="")
-
-    monkeypatch.setattr(rate_command, "worker_count", lambda _: 1)
-    monkeypatch.setattr(rates, "driven", driven)
+def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, crashing):
+    crashing({}, first="ads_error")
     assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
     assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
     assert (
@@ -292,64 +247,24 @@ def test_wrong_argument_is_reported_with_the_way_out(arguments, text, capsys):
     assert text in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("below", ["", "deep"])
-def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below):
-    (tmp_path / "taken").touch()
-    assert rate("--ads", "idm_mobil", "--episodes", "2", "--out", str(tmp_path / "taken" / below)) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(
-        f"rate: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
-    )
-    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
-
-
-def tells_what_is_taken(arguments, taken, capsys):
-    assert rate(*arguments) == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith(f"rate: --out: expected a folder that can be written, received {taken}: ")
-    assert told.endswith(": rename or delete it, then run the same command again: finished tasks are not repeated")
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_unwritable_rows_are_reported_and_command_can_continue(tmp_path, capsys):
-    arguments = ("--ads", "constant_speed@planner", "--episodes", "1", "--out", str(tmp_path))
-    taken = tmp_path / "runs"
-    taken.touch()
-    tells_what_is_taken(arguments, taken, capsys)
-    taken.unlink()
-    assert rate(*arguments) == 0
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
-def test_unwritable_result_is_reported_and_command_can_continue(tmp_path, capsys):
-    arguments = (*ONE_CRASH, "--out", str(tmp_path))
-    for name in ("results.csv", "report.md"):
-        taken = tmp_path / name
-        taken.mkdir()
-        tells_what_is_taken(arguments, taken, capsys)
-        taken.rmdir()
-    assert rate(*arguments) == 0
-
-
-def test_rate_counts_driven_episodes_and_their_hours():
+def test_rate_counts_driven_episodes():
     rate = rated("a", s1="collision", s4="collision", s5="hang")
-    assert (rate.episodes, rate.crashed, rate.hours, rate.per_hour) == (9, (1, 4), 0.09, pytest.approx(22.2, abs=0.1))
-    assert rate.sentence.startswith("2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %); 22 an hour in 0.09 h")
-    assert repr(rate) == f"<Rate of a: {rate.sentence}>"
-    assert rate.interval()[0] < rate.share < rate.interval()[1]
+    assert (rate.episodes, rate.crashed, rate.share) == (9, (1, 4), 2 / 9)
+    assert rate.sentence == "2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %)"
+    assert rate.notes[0] == "seeds of the crashes: 1, 4"
 
 
 def test_of_many_seeds_the_first_ten_are_told():
-    assert shown(range(12)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more"
-    assert shown(range(10)) == "0, 1, 2, 3, 4, 5, 6, 7, 8, 9"
+    rate = Rate(ads="a", rows=tuple(episode(seed, "collision") for seed in range(12)))
+    assert rate.notes == ["seeds of the crashes: 0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more"]
 
 
 def test_comparison_uses_seeds_that_crash_only_one_policy():
     first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
     second = rated("b", s2="collision", s9="collision")
     pair = Pair.of(first, second)
-    assert (pair.first_only, pair.second_only, pair.both, len(pair.neither)) == ((0, 1), (), (2,), 6)
-    assert "2 crashed only with a, 0 only with b, 1 with both, 6 with neither: p = 0.5" in pair.sentence
+    assert (pair.first_only, pair.second_only, pair.both, pair.neither) == (2, 0, 1, 6)
+    assert "2 crashed only with a, 0 only with b, 1 with both, 6 with neither: p = 0.5" in pair.told(0.5, 1)
 
 
 ENDS = """\
@@ -363,6 +278,14 @@ def ends():
 def talks():
     return lambda seen: print("hello") or 1
 """
+
+
+@pytest.mark.processes
+def test_workers_give_the_same_rate_as_one_process(tmp_path, capsys):
+    given = ["rate", *SHORT[:-2], "--ads", "constant_speed@planner", "--episodes", "30", "--json"]
+    assert [main([*given, "--workers", number]) for number in ("1", "2")] == [0, 0]
+    one, two = capsys.readouterr().out.split("}\n{")
+    assert one + "}" == "{" + two.rstrip()
 
 
 @pytest.mark.processes

@@ -19,7 +19,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.interrupts import interrupted_by_signals
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.engines.ordinary_traffic import drive
+from pytest_pafot.world.engines.episode import drive_episode
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, LastResort, WorldHang, last_resort, runs_end_in
 from pytest_pafot.world.gym_environment import EnvironmentGuard
@@ -231,13 +231,13 @@ def test_time_of_decisions_within_a_step_is_not_that_of_the_environment(clock):
 
 def test_episode_of_own_traffic_ends_as_a_hang(clock):
     world = wrapped(Slow)
-    episode = drive(world.environment, idle, 3, hang_limit=30.0)
+    episode = drive_episode(world, idle, 3)
     assert (episode.outcome, episode.error.message.split()[0]) == (Outcome.HANG, "Slow.step")
     world = wrapped(Starting)
     world.check_fits(SCENARIO)
     Starting.left = 1
     with pytest.raises(WorldError, match=r"received Starting.reset did not return"):
-        drive(world.environment, idle, 3, hang_limit=30.0)
+        drive_episode(world, idle, 3)
 
 
 def test_hang_outside_of_the_main_thread_is_interrupted(clock):

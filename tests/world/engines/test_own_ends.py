@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import copy
-import importlib
 import random
 import time
 import warnings
-from contextlib import suppress
 
 import gymnasium
 import numpy as np
@@ -112,8 +110,6 @@ class Fenced(gymnasium.Wrapper):
 @pytest.fixture
 def register(monkeypatch):
     """Register an environment for one test."""
-    with suppress(ImportError):  # its first import registers an environment for good
-        importlib.import_module("pytest_pafot.extras.training")
     monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     return gymnasium.register
@@ -463,21 +459,6 @@ class Idle:
         return IDLE
 
 
-def test_runs_in_training_end_there_too(register):
-    register("ending-v0", entry_point=Crawling)
-    world = World("ending-v0", config={"action": {"type": "DiscreteMetaAction", "target_speeds": [20, 25, 30]}})
-    slow = Scenario(npcs=[[PositionInstruction(Cell.REAR, 0.0)] * 3], ego_speed=20.0, gene_seconds=10.0)
-    fast = Scenario(npcs=slow.npcs, ego_speed=25.0, gene_seconds=10.0)
-    alone = [world.rollout(each, Idle) for each in (slow, fast)]
-    assert [each.ended for each in alone] == ["Crawling._is_truncated", ""]
-    training = pytest.importorskip("pytest_pafot.extras.training")
-    env = training.training_env(world, [slow], share=1.0)
-    env.reset(seed=1)
-    results = [env.step(IDLE)[2:4] for _ in range(3)]
-    assert results == [(False, False), (False, False), (False, True)]
-    assert (env.trace.ended, env.trace.ticks) == (alone[0].ended, alone[0].ticks)
-
-
 class Wrong(HighwayEnvFast):
     """Its end has an error, which shows after 60 m."""
 
@@ -657,16 +638,6 @@ def test_an_end_need_not_be_a_method_of_the_class(register, entry_point):
     assert trace.ticks == expected.rollout(scenario, idle).ticks
     assert World("ending-v0", ends="duration").rollout(scenario, idle).ended == ""
     assert World("ending-v0", ends="duration").to_dict()["ends"] == "duration"
-
-
-def test_training_goes_on_behind_an_end_that_does_not_count(register):
-    register("ending-v0", entry_point=Goal)
-    training = pytest.importorskip("pytest_pafot.extras.training")
-    world = World("ending-v0", ends="duration", duration=5.0)
-    env = training.training_env(world, [scenario_in(world)], share=1.0)
-    env.reset(seed=1)
-    results = [any(env.step(IDLE)[2:4]) for _ in range(5)]
-    assert results == [False] * 4 + [True]
 
 
 def test_the_checks_of_worlds_know_ends(register):
