@@ -21,7 +21,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, run_apart, runner_for
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
-from pytest_pafot.findings.failure_rate import FailureRate, with_other_seed
+from pytest_pafot.findings.failure_rate import ENOUGH, RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
     HAS_EVENT,
@@ -390,8 +390,8 @@ class Replays:
         then fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that
         time is only a text.
 
-        A file with a rate is run many times, and what the replay says of the change of its rate is a note. It fails if
-        any of these runs does, and is ``fixed`` only if no run fails and so many are unlikely to be luck.
+        A file with a rate is run ten times more, and a note says how many of these runs fail. It fails if any of them
+        does, and is ``fixed`` only if none fails, unless it failed too rarely before.
 
         With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
         if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
@@ -435,23 +435,21 @@ class Replays:
         return replace(now, facts=replace(facts, is_handled=not unhandled(finding, now.run)))
 
     def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
-        """Run the scenario of a file with a rate with other seeds, or again and again, and compare how often it fails.
+        """Run the scenario of a file with a rate with ten other seeds, or ten times again, and count the failures.
 
-        The runs end when as many were made as for the file, if one has failed, or else when they show a fix. One of
-        them must handle the situation of the file; the others may never come to it.
+        One of these runs must handle the situation of the file; the others may never come to it.
         """
         __tracebackhide__ = True
         finding, harness = _finding(saved), self.harness
         then, job = finding.rate, harness.job(world, owner)
         assert then is not None  # noqa: S101  (only of such files)
-        shown, runs, failing = _by_chance(finding, now), 0, 0
+        shown, failing = _by_chance(finding, now), 0
         with (
             harness.recording(job) as record,
             runner_for(job, record, isolate=self._is_apart(saved, owner)) as runner,
         ):
-            while runs < (then.runs if failing else max(then.runs, then.clean)):
-                runs += 1
-                scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, runs)
+            for number in range(1, RUNS + 1):
+                scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, number)
                 run = finding.expect.known_of(harness.run_of(runner.run(scenario), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
@@ -460,9 +458,9 @@ class Replays:
                 is_fixed = verdict.passes and replay_label(finding, run, None, harness.versions) is Label.FIXED
                 if is_fixed and shown.facts.shows is Label.DRIFTED and not shown.facts.fails:
                     shown = replace(shown, facts=replace(shown.facts, shows=Label.FIXED))
-        rate = FailureRate(failing=failing, runs=runs)
-        facts = replace(shown.facts, is_as_often=then.change(rate) != "fixed")
-        note = "; ".join(filter(None, [now.note, then.compared(rate, finding.drawn)]))
+        rate = FailureRate(failing=failing)
+        facts = replace(shown.facts, is_rare=then.failing < ENOUGH)
+        note = "; ".join(filter(None, [now.note, f"fails in {rate} {finding.drawn}, {then} when it was found"]))
         return replace(shown, facts=facts, note=note, rate=rate)
 
     def world_changes(self, finding: Finding) -> list[str]:

@@ -18,7 +18,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from pytest_pafot.attribution.mistakes import LANE_CHANGES
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.yaml_document import MAX_BYTES, Field, Keys, one_of, parse
-from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import (
     MAX_NUMBER,
     NOT_ACCEPTED,
@@ -422,7 +422,7 @@ def _xfail(field: Field) -> Acceptance:
 
 def _rate(field: Field) -> FailureRate:
     fields = field.mapping(Keys(("failing", "runs")))
-    runs = fields["runs"].whole(1, MOST_CLEAN)
+    runs = fields["runs"].whole(1)
     return FailureRate(failing=fields["failing"].whole(0, runs), runs=runs)
 
 

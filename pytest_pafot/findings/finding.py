@@ -383,7 +383,7 @@ class Finding:
         if self.rate is None:
             return ""
         other = "other " if self.flaky is None else ""
-        return f"fails in {self.rate} {other}{self.drawn} ({self.rate.in_general})"
+        return f"fails in {self.rate} {other}{self.drawn}"
 
     @property
     def accepted(self) -> str:

@@ -59,7 +59,7 @@ class Observed:
         fails: True if it fails, or if its process dies.
         is_elsewhere: True if it was run in another world than the test's, or with another sight.
         is_unsteady: True if its runs differ, other than by the chance that a rate measures.
-        is_as_often: True if a failure that occurs by chance may still occur as often as the file says.
+        is_rare: True if the failure of the file occurs by chance, and so rarely that ten passing runs show no fix.
         is_hit: True if the NPC of the file's collision hits the ego soon after the end of a run that passes.
         is_handled: True if the situation of the file came up, and the ego handled it.
         reference_passes: whether the reference passes the same scenario; None without a reference.
@@ -69,7 +69,7 @@ class Observed:
     fails: bool = False
     is_elsewhere: bool = False
     is_unsteady: bool = False
-    is_as_often: bool = False
+    is_rare: bool = False
     is_hit: bool = False
     is_handled: bool = True
     reference_passes: bool | None = None
@@ -86,6 +86,6 @@ class Observed:
         if self.reference_passes is False and self.is_handled and not self.is_hit:
             # Also elsewhere, and in a run that does not show it: both policies drove the same scenario.
             return Label.FIXED
-        if self.shows is Label.FIXED and (self.is_elsewhere or self.is_as_often or self.is_hit):
+        if self.shows is Label.FIXED and (self.is_elsewhere or self.is_rare or self.is_hit):
             return Label.DRIFTED
         return Label.FIXED_BEFORE if self.shows is Label.FIXED and self.reference_passes else self.shows

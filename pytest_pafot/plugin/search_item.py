@@ -327,7 +327,7 @@ class SearchMessages:
         )
         details += [] if sighting.is_first else terminal.simplified_lines(sighting.finding)
         details += [f"its file   is as it was before: {sighting.unwritten}"] if sighting.unwritten else []
-        advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky and not sighting.is_random else ""
+        advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky else ""
         if sighting.difference == NOT_REPEATED:
             advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
         # A file in a corpus of the command line can only be run with the same option.

@@ -55,7 +55,7 @@ def _rate_of(sighting: Sighting) -> dict[str, Any] | None:
         return None
     return asdict(then) | {
         "of": finding.drawn,
-        "now": None if now is None else asdict(now) | {"change": then.change(now)},
+        "now": None if now is None else asdict(now),
     }
 
 
@@ -133,7 +133,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     ),
     "rate": Key(
         "of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of a "
-        "replay also `now`, with `failing`, `runs` and `change`: `fixed`, `better`, `as before` or `worse`.",
+        "replay also `now`, with `failing` and `runs`.",
         None, _rate_of,
     ),
     "flaky": Key(

@@ -3,8 +3,8 @@
 Sources: Clopper, Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
 Biometrika 26(4), 1934; McNemar, "Note on the sampling error of the difference between correlated proportions or
 percentages", Psychometrika 12(2), 1947, in its exact form; Holm, "A simple sequentially rejective multiple test
-procedure", Scandinavian Journal of Statistics 6(2), 1979; Fisher, "The design of experiments", 1935, chapter 2; Wald,
-"Sequential tests of statistical hypotheses", The Annals of Mathematical Statistics 16(2), 1945.
+procedure", Scandinavian Journal of Statistics 6(2), 1979; Wald, "Sequential tests of statistical hypotheses", The
+Annals of Mathematical Statistics 16(2), 1945.
 """
 
 from __future__ import annotations
@@ -46,14 +46,6 @@ def upper_bound(hits: int, trials: int, confidence: float = CONFIDENCE) -> float
         else:
             high = middle
     return high
-
-
-def rarer(hits: int, trials: int, other_hits: int, other_trials: int) -> float:
-    """Return the p-value of Fisher's exact test that hits are rarer in some trials than in others."""
-    all_hits, all_trials = hits + other_hits, trials + other_trials
-    least = max(0, all_hits - other_trials)
-    ways = sum(math.comb(trials, k) * math.comb(other_trials, all_hits - k) for k in range(least, hits + 1))
-    return ways / math.comb(all_trials, all_hits)
 
 
 def mcnemar(first_only: int, second_only: int) -> float:

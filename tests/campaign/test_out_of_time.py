@@ -412,14 +412,6 @@ def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
         turn.check(75.0)
 
 
-def test_time_is_kept_for_the_runs_that_compare_rates():
-    turn = Turn(end=1000.0, runs_to_compare=180)
-    turn.took(20.0, confirming=4.0)  # it takes many runs of 2 s each
-    turn.check(609.0)
-    with pytest.raises(OutOfBudget):
-        turn.check(610.0)
-
-
 def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):
     def cut_later(run):
         if clock.now > 40:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
-from pytest_pafot.findings.failure_rate import MOST_CLEAN, FailureRate
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.shrink import Shrunk
@@ -204,7 +204,7 @@ def simplifications():
 
 
 def rates():
-    return st.integers(1, MOST_CLEAN).flatmap(
+    return st.integers(1, 1000).flatmap(
         lambda runs: st.builds(FailureRate, failing=st.integers(0, runs), runs=st.just(runs))
     )
 

@@ -16,7 +16,7 @@ PASSES, FAILS = {"shows": Label.FIXED}, {"shows": Label.STILL_FAILING, "fails": 
         ("fixed", PASSES),
         ("drifted", PASSES | {"is_elsewhere": True}),
         ("drifted", PASSES | {"is_hit": True}),
-        ("drifted", PASSES | {"is_as_often": True}),
+        ("drifted", PASSES | {"is_rare": True}),
         ("drifted", {"shows": "drifted"}),
         (Label.JUDGED_OTHERWISE, {"shows": Label.JUDGED_OTHERWISE}),
         ("still failing", FAILS),

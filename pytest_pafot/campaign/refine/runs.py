@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
-from itertools import count, islice
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
@@ -12,7 +10,7 @@ from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.failure_rate import ENOUGH, FEW_RUNS, MANY_RUNS, ODDS, FailureRate, with_other_seed
+from pytest_pafot.findings.failure_rate import RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead
 from pytest_pafot.findings.sighting import Sighting
@@ -92,31 +90,11 @@ def check_time(bench: Bench) -> None:
 
 
 def failure_rate(sighting: Sighting, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
-    """Return how often the policy fails in a scenario of a finding."""
+    """Return how often the policy fails in a scenario of a finding, with other seeds, or again and again if flaky."""
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
-    several = fails_again(sighting, scenario, state, bench)
-    failing, runs = sum(islice(several, FEW_RUNS)), FEW_RUNS
-    if failing < ENOUGH:
-        failing, runs = failing + sum(islice(several, MANY_RUNS - FEW_RUNS)), MANY_RUNS
-    return FailureRate(failing=failing, runs=runs)
-
-
-def fails_again(sighting: Sighting, scenario: Scenario, state: State, bench: Bench, first: int = 1) -> Iterator[bool]:
-    """Run a scenario with one other seed after another, or again and again, and yield whether each run fails."""
-    for number in count(first):
+    failing = 0
+    for number in range(1, RUNS + 1):
+        check_time(bench)
         state.shrink_runs += 1
-        yield fails(scenario if sighting.is_flaky else with_other_seed(scenario, number), bench)
-
-
-def fails(scenario: Scenario, bench: Bench) -> bool:
-    """Return whether the test fails in a run of a scenario."""
-    check_time(bench)
-    return bench.finish(bench.run(scenario)).failed
-
-
-def is_as_often(as_found: FailureRate, several: Iterator[bool], most: int = FEW_RUNS, odds: float = ODDS) -> bool:
-    """Make as many runs of a simpler scenario as it takes to say whether it fails about as often as the finding."""
-    so_far = list[bool]()
-    while (answer := as_found.is_as_often(so_far, most, odds)) is None:
-        so_far.append(next(several))
-    return answer
+        failing += bench.finish(bench.run(scenario if sighting.is_flaky else with_other_seed(scenario, number))).failed
+    return FailureRate(failing=failing)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
@@ -13,9 +13,6 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.refine.runs import (
     announce,
     driven,
-    fails,
-    fails_again,
-    is_as_often,
     is_same,
     number_ahead,
     showing,
@@ -23,7 +20,7 @@ from pytest_pafot.campaign.refine.runs import (
 )
 from pytest_pafot.campaign.state import Answered, State
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.findings.failure_rate import FEW_RUNS, KNOWN_RUNS, MANY_RUNS, FailureRate, with_other_seed
+from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
 from pytest_pafot.findings.sighting import Sighting
@@ -57,9 +54,6 @@ One run is for the verdict on the shrunk scenario. The others are for reference 
 is not called.
 """
 
-RUNS_TO_COMPARE = KNOWN_RUNS + MANY_RUNS
-"""The number of runs to conclude that compare rates: of what is simplest, and of that once more for its file."""
-
 
 @dataclass(slots=True, kw_only=True)
 class Turn:
@@ -67,7 +61,6 @@ class Turn:
 
     Attributes:
         end: the time at which the share ends [s], or infinity.
-        runs_to_compare: the number of runs that compare rates at the end.
         to_conclude: the estimated time of the work after shrinking [s].
         attempts: the number of attempts to shrink so far.
         seconds: the time that the attempts have taken [s].
@@ -75,7 +68,6 @@ class Turn:
     """
 
     end: float
-    runs_to_compare: int = 0
     to_conclude: float = 0.0
     attempts: int = 0
     seconds: float = 0.0
@@ -96,10 +88,8 @@ class Turn:
         self.attempts += 1
         self.seconds += seconds
         if confirming is not None:
-            # It is confirmed by two runs. One that another process made in advance took no time here, and an attempt
-            # takes many where rates are compared.
-            run = confirming / 2 if self.runs_to_compare else max(seconds, confirming / 2)
-            self.to_conclude = (RUNS_TO_CONCLUDE + self.runs_to_compare) * run + confirming
+            # It is confirmed by two runs. One that another process made in advance took no time here.
+            self.to_conclude = RUNS_TO_CONCLUDE * max(seconds, confirming / 2) + confirming
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +98,6 @@ class Simplest:
 
     Attributes:
         scenario, shrunk: the scenario as driven, and the statistics of shrinking.
-        as_found: how often the finding fails, with which simpler scenarios were compared; None if they were not.
         rate: how often the scenario itself fails; None if that is not by chance, or not known yet.
         attempts: the number of attempts, without those of earlier turns and sessions.
         is_cut: True if no time was left for further attempts.
@@ -116,7 +105,6 @@ class Simplest:
 
     scenario: Scenario
     shrunk: Shrunk
-    as_found: FailureRate | None = None
     rate: FailureRate | None = None
     attempts: int = 0
     is_cut: bool = False
@@ -127,11 +115,10 @@ def simplest_of(
 ) -> Refining[Simplest]:
     """Shrink the scenario of a finding as it was found, until a time at which the turn of the finding ends [s]."""
     __tracebackhide__ = True
-    harness, space, id_, is_flaky = bench.harness, state.space, sighting.id, sighting.is_flaky
-    turn = Turn(end=turn_ends, runs_to_compare=RUNS_TO_COMPARE if sighting.finding.rate else 0)
+    harness, space, id_ = bench.harness, state.space, sighting.id
+    turn = Turn(end=turn_ends)
     answers = state.answers.setdefault(id_, [])
     asked, rollouts, top_speed = 0, rollouts_for(harness), harness.world.speed_limit
-    as_found: FailureRate | None = None
     repeats = _repeats_collision(sighting, harness)
     # What the ego did in failing scenarios. One that an earlier session has driven is driven again.
     actions = {} if sighting.run is None else {driven(sighting.run): sighting.run.trace.actions}
@@ -162,47 +149,18 @@ def simplest_of(
         asked += 1
         return answers[asked - 1]
 
-    def outcome(scenario: Scenario, texts: tuple[str, str]) -> Refining[Answered]:
-        yield Phase(f"measuring how often {id_} fails", id_)
-        return texts[fails(scenario, bench)], None
-
     def attempt(candidate: Scenario, best: Scenario) -> Refining[Answered]:
-        number = asked + 1 - (0 if as_found is None else KNOWN_RUNS)
-        yield Phase(f"shrinking {id_}, run {number} of {rollouts}", id_)
+        yield Phase(f"shrinking {id_}, run {asked + 1} of {rollouts}", id_)
         most = None
         if repeats is not None:  # in how many decisions it must fail
             most = len(actions_in(best)) + round(LATER * repeats.ads_hz)
-        show = partial(showing, sighting, candidate, state, bench, store, most)
-        if as_found is None or not is_flaky:
-            run = yield from show()
-            if run is None:
-                return candidate.id, None
-            scenario = driven(run) if as_found is None else candidate  # other runs of it may fail later
-            actions[scenario] = run.trace.actions
-            # With other seeds in each attempt: simple scenarios would else be fitted to a few seeds.
-            first = KNOWN_RUNS + 1 + asked * FEW_RUNS
-            others = fails_again(sighting, candidate, state, bench, first)
-            is_good = as_found is None or is_as_often(as_found, others)
-            return candidate.id, (scenario, starts_of(run, top_speed)) if is_good else None
-        failing, so_far = list[Run](), list[bool]()
-        while (answer := as_found.is_as_often(so_far)) is None:
-            run = yield from show()
-            failing += [] if run is None else [run]
-            so_far.append(run is not None)
-        return candidate.id, (candidate, starts_of(failing[0], top_speed)) if answer else None
+        run = yield from showing(sighting, candidate, state, bench, store, most)
+        if run is None:
+            return candidate.id, None
+        scenario = driven(run)
+        actions[scenario] = run.trace.actions
+        return candidate.id, (scenario, starts_of(run, top_speed))
 
-    try:
-        if rollouts and sighting.finding.rate is not None:  # As found: else many small losses would add up.
-            failing = 0
-            for number in range(1, KNOWN_RUNS + 1):
-                other = original if is_flaky else with_other_seed(original, number)
-                texts = f"{other.id} passes", f"{other.id} fails"
-                failing += (yield from answered(texts, outcome(other, texts)))[0] == texts[True]
-            as_found = FailureRate(failing=failing, runs=KNOWN_RUNS)
-            if is_flaky and not failing:
-                rollouts = 0  # Simpler scenarios cannot be compared with it, and none need fail at its seed.
-    except OutOfBudget:
-        rollouts = 0
     scenario, shrunk = original, Shrunk(rollouts=0, is_minimal=False)
     if rollouts:
         is_likely = None if repeats is None else _likely(sighting, turn, state, bench, actions_in)
@@ -233,7 +191,7 @@ def simplest_of(
                     question = asking.send(reply)
         except StopIteration as done:
             scenario, shrunk = done.value
-    return Simplest(scenario=scenario, shrunk=shrunk, as_found=as_found, attempts=turn.attempts, is_cut=turn.is_over)
+    return Simplest(scenario=scenario, shrunk=shrunk, attempts=turn.attempts, is_cut=turn.is_over)
 
 
 def _repeats_collision(sighting: Sighting, harness: Harness) -> Trace | None:

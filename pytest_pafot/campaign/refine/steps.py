@@ -10,16 +10,18 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Refining
-from pytest_pafot.campaign.refine.confirming import confirm_simplest
 from pytest_pafot.campaign.refine.drivers import with_drivers
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
-from pytest_pafot.campaign.refine.runs import check_time, failure_rate
-from pytest_pafot.campaign.refine.simplest import simplest_of
+from pytest_pafot.campaign.refine.runs import check_time, failure_rate, shows
+from pytest_pafot.campaign.refine.simplest import Simplest, simplest_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.findings.finding import ending
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Sighting
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.failure import is_interruption
@@ -116,14 +118,14 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
         sighting = replace(sighting, finding=replace(sighting.finding, rate=rate), is_first=False)
         sighting = store.rewritten(sighting)
         yield from store.publish(sighting)
-    if sighting.is_flaky and not (sighting.finding.rate and sighting.finding.rate.failing):
+    if sighting.is_flaky:
         return True
     # The simplest scenario that fails in the same way, and still does when it is run again.
     simplest = yield from simplest_of(sighting, original, state, bench, store, turn_ends)
     state.shrink_runs += simplest.attempts
     if simplest.is_cut and simplest.scenario == sighting.finding.scenario:
         return False
-    simplest, run, verdict, differs = yield from confirm_simplest(sighting, original, simplest, state, bench)
+    simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
     answers = state.answers[sighting.id]
     if differs and len(answers) > simplest.attempts:
         answers.clear()  # Some are from earlier sessions: the ADS may have changed since.
@@ -132,20 +134,43 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
         # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
         shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)
         simplest = replace(simplest, scenario=original, shrunk=shrunk, is_cut=False)
-        simplest, run, verdict, differs = yield from confirm_simplest(sighting, original, simplest, state, bench)
-    if differs and not sighting.is_flaky:
+        simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
+    if differs:
         sighting = replace(store.call_flaky(sighting, differs), is_first=False)
         yield from store.publish(sighting)
         if sighting.is_random:  # the runs that confirmed it were the same by chance
             answers.clear()
             return (yield from _simplified(sighting, state, bench, store, turn_ends))
-    elif not differs:
+    else:
         # Drivers in the ego's place say who could have prevented the failure, and how. With that, the simplest scenario
         # replaces the one in the file.
         refined = yield from with_drivers(sighting, simplest, run, verdict, bench)
         if refined is not sighting:
             yield from store.publish(store.rewritten(refined))
     return bool(differs) or not simplest.is_cut
+
+
+def _confirmed(
+    sighting: Sighting, simplest: Simplest, state: State, bench: Bench
+) -> Refining[tuple[Simplest, Run, Verdict, str]]:
+    """Run the simplest scenario of a finding again.
+
+    Return it with how often it fails, if that is by chance; its last run, with the verdict; and how that run differs
+    from the finding, empty if it is confirmed.
+    """
+    __tracebackhide__ = True
+    scenario, rate = simplest.scenario, sighting.finding.rate
+    run = bench.run(scenario)
+    verdict = bench.finish(run)
+    if not shows(sighting, run, verdict, state):
+        otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
+        differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
+    else:
+        is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
+        differs = "" if is_confirmed else bench.confirm(run)
+    if not differs and rate is not None and scenario != sighting.finding.scenario:
+        rate = yield from failure_rate(sighting, scenario, state, bench)
+    return replace(simplest, rate=rate), run, verdict, differs
 
 
 def _examined(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[None]:
