@@ -193,8 +193,6 @@ def modules_of_no_other_test(tmp_path_factory: pytest.TempPathFactory) -> Genera
     for name in {*sys.modules} - known:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(folder):
             del sys.modules[name]
-    if instructions := sys.modules.get("pytest_pafot.model.instructions"):  # kinds that those have registered
-        instructions.KINDS[:] = [kind for kind in instructions.KINDS if kind.__module__ in sys.modules]
 
 
 @pytest.fixture

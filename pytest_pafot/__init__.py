@@ -14,18 +14,12 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.explore import Exploration, explore
     from pytest_pafot.campaign.saved_scenario import SavedScenario, load
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
-    from pytest_pafot.model.driving_style import Traffic
     from pytest_pafot.model.grid import Cell
     from pytest_pafot.model.instructions import (
         CrossingInstruction,
-        Free,
         LaneInstruction,
-        Manoeuvre,
         PositionInstruction,
-        Recorded,
         ScenarioError,
-        Step,
-        Track,
     )
     from pytest_pafot.model.scenario import Chromosome, Scenario
     from pytest_pafot.model.trace import Collision, Outcome, Trace
@@ -53,10 +47,8 @@ _NAMES = {
     "campaign.explore": "Exploration explore",
     "campaign.saved_scenario": "SavedScenario load",
     "model.crossings": "CrossingVehicle Zone",
-    "model.driving_style": "Traffic",
     "model.grid": "Cell",
-    "model.instructions": "CrossingInstruction Free LaneInstruction Manoeuvre PositionInstruction Recorded "
-    "ScenarioError Step Track",
+    "model.instructions": "CrossingInstruction LaneInstruction PositionInstruction ScenarioError",
     "model.scenario": "Chromosome Scenario",
     "model.trace": "Collision Outcome Trace",
     "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",
@@ -73,9 +65,9 @@ _MODULES = ("properties", "strategies")
 
 __all__ = [
     "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
-    "CrossingVehicle", "Drive", "Exploration", "Free", "Highway", "LaneInstruction", "Manoeuvre", "NpcLimits",
-    "Observation", "Outcome", "Perception", "PositionInstruction", "Recorded", "Run", "SavedScenario",
-    "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Step", "Trace", "Track", "Traffic",
+    "CrossingVehicle", "Drive", "Exploration", "Highway", "LaneInstruction", "NpcLimits",
+    "Observation", "Outcome", "Perception", "PositionInstruction", "Run", "SavedScenario",
+    "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Trace",
     "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "check", "explore", "load",
     "policies", "properties", "reject", "search", "strategies", "sumo", "target",
 ]  # fmt: skip

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from pytest_pafot.execution.scenario_pool import ExecutionError, Job
     from pytest_pafot.findings.finding import Finding
     from pytest_pafot.findings.severity import Severity
-    from pytest_pafot.model.instructions.instruction import WithStart
     from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
     from pytest_pafot.oracle.checks import require
     from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
@@ -55,7 +54,6 @@ if TYPE_CHECKING:
     from pytest_pafot.world.driving.policy import Policy
     from pytest_pafot.world.driving.policy_driver import checked_action
     from pytest_pafot.world.engines.episode import Episode, drive_episode
-    from pytest_pafot.world.engines.npc_drivers import register
     from pytest_pafot.world.guard.hang_guard import check_time
     from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
@@ -76,7 +74,6 @@ _NAMES = {
     "execution.scenario_pool": "ExecutionError Job",
     "findings.finding": "Finding",
     "findings.severity": "Severity",
-    "model.instructions.instruction": "WithStart",
     "model.trace": "ACCELERATION HEADING LANE SPEED STEERING X Y FloatArray Lane",
     "oracle.checks": "require",
     "searching.algorithms.catalogue": "ALGORITHMS AlgorithmClass resolve_algorithm",
@@ -91,7 +88,6 @@ _NAMES = {
     "world.driving.ads": "AdsFactory",
     "world.driving.policy": "Policy",
     "world.driving.policy_driver": "checked_action",
-    "world.engines.npc_drivers": "register",
     "world.engines.episode": "Episode drive_episode",
     "world.guard.hang_guard": "check_time",
     "world.guard.own_worlds": "base_world rollout_of",
@@ -134,7 +130,6 @@ __all__ = [
     "SetupFaultError",
     "Severity",
     "Verdict",
-    "WithStart",
     "WorkerPool",
     "WorldData",
     "X",
@@ -159,7 +154,6 @@ __all__ = [
     "identity",
     "mutate",
     "refusals",
-    "register",
     "require",
     "resolve_algorithm",
     "rollout_of",

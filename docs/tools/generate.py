@@ -34,16 +34,12 @@ from pytest_pafot.extras.export.export_command import add_arguments as add_expor
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.driving_style import PARTS, STYLES, Traffic
+from pytest_pafot.model.driving_style import STYLES, DrivingStyle
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
     CrossingInstruction,
-    Free,
     LaneInstruction,
-    Manoeuvre,
     PositionInstruction,
-    Recorded,
-    Step,
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
@@ -90,15 +86,11 @@ MARKER_TEXTS: Mapping[str, str] = {
     "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"`, '
     '`"ego"`, `"avoidable"` or `"preventable"`.',
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
-    '`"paper"`, or `pafot.Traffic(...)`.',
+    'or `"paper"`.',
     "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
-    '`"lanes"`, `"manoeuvres"`, or `"both"` of the first two.',
+    '`"lanes"` or `"both"`.',
     "vehicles": "[What NPCs can be](scenarios.md#vehicles): names, or `pafot.VehicleType(...)`. With cars among them, "
     "one NPC in six is another one.",
-    "drivers": '[Who drives free NPCs](../explanation/default-search.md#free-npcs), half of all: `"idm"`, '
-    '`"mobil"`, `"policy"`, a list, or a mapping such as `{"last": LastVersion, "idm": "idm"}`.',
-    "around": "The recording that all scenarios vary, or a scenario of it.",
-    "acts": "Of NPCs on ways that meet the ego's: any of `pass`, `hold`, `stop` and `late`.",
     "gene_seconds": "Duration of one gene [s].",
     "ego_lane": "The ego's first lane, from 0 at the left.",
     "npcs": "Number of NPCs, 1 to 8.",
@@ -113,9 +105,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
     "gene_seconds": "sampled",
     "traffic": '`"hostile"`, or `"paper"`',
     "instructions": '`"both"`, or `"cells"`',
-    "vehicles": "all that fit the road; cars for the other algorithms and manoeuvres",
-    "drivers": "none, so no NPC is free",
-    "around": "none",
+    "vehicles": "all that fit the road; cars for the other algorithms",
     "ego_lane": "sampled",
     "ego_speed": "sampled",
 }
@@ -129,15 +119,11 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.seed": "Of all random choices in the run.",
     "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], also of NPCs that do not cross, at the start.",
     "scenario.gene_seconds": "Duration of a gene [s]; by default `10.0`.",
-    "scenario.traffic": "[The style](../explanation/traffic.md), or a mapping with changed parts, `{style: everyday, "
-    "least_gap: 4.0}`; by default the paper's.",
+    "scenario.traffic": "[The style](../explanation/traffic.md); by default the paper's.",
     "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of the NPCs: names, or `{name, length, width, ...}`. NPCs "
     "after the last are cars.",
-    "scenario.npcs": "A list of [instructions](scenarios.md) for each NPC: `{cell, speed}`, `{lane, speed}`, or one of "
-    "`{zone, slot, speed, act}`, `{beside, ahead, speed, steps}`, `{beside, ahead, speed, driver}`, "
-    "`{track, later, pace, shift, steps}`. Speeds are in m/s; a [track](scenarios.md#recorded-tracks) is a block of "
-    "lines.",
-    "scenario.ego_track": "That of the recorded ego, if NPCs drive as recorded.",
+    "scenario.npcs": "A list of [instructions](scenarios.md) for each NPC: `{cell, speed}`, `{lane, speed}`, or one "
+    "`{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung.",
     "expect.assertion": "The failing assertion, with `N` for each number; the name of a failed check; of another "
     "exception, its statement or first line.",
@@ -169,8 +155,6 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "
     "it names.",
     "expect.npc_manoeuvre, expect.ego_manoeuvre": "Shortly before the collision.",
-    "expect.departure": "Where an NPC left its recording: `npc`, `time` [s], `gap` and `recorded_gap` [m] (negative: "
-    "behind).",
     "expect.traceback": "Of an ADS that raised, without addresses, process ids and temporary folders.",
     "found.seed": "Of the search; no value for `--pafot-seed`.",
     "found.generation": "Counted from 0.",
@@ -240,10 +224,6 @@ def sections() -> dict[str, str]:
         ),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),
-        "manoeuvre": _fields_table(Manoeuvre),
-        "free": _fields_table(Free),
-        "step": _fields_table(Step),
-        "recorded-track": _fields_table(Recorded),
     }
 
 
@@ -289,10 +269,11 @@ def _fields_table(cls: type[Any]) -> str:
 
 
 def _traffic_table() -> str:
-    styles = [style for style in STYLES if PARTS[style] != PARTS["paper"]]
+    styles = [style for style in STYLES if STYLES[style].least_gap]
     rows = [
-        [_code(name), *(f"{PARTS[style].get(name, '')}" for style in styles), text]
-        for name, text in _attributes(Traffic)
+        [_code(name), *(f"{getattr(STYLES[style], name)}" for style in styles), text]
+        for name, text in _attributes(DrivingStyle)
+        if name not in ("described", "is_attentive")
     ]
     return _table(["Name", *map(_code, styles), "Meaning"], rows)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -55,9 +55,8 @@ from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sente
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.instructions.recorded import APART
 from pytest_pafot.model.sight import BoolArray
-from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, SPEED, Trace, X, Y
+from pytest_pafot.model.trace import ALONG, HEADING, LANE, SPEED, Trace, X, Y
 
 # Right of way where the NPC's way meets the ego's: which vehicle did not give way, and which entered a taken zone.
 #
@@ -341,9 +340,8 @@ class ZoneConflict:
 
 
 Responsibility = Literal["ego", "npc", "both", "none"]
-"""The vehicles that are responsible for a collision. It is ``none`` without a collision, if the ways of the vehicles
-met and neither could have foreseen the other in time, or if the rules blame only an NPC that drove as recorded, and the
-ego was near the recorded ego."""
+"""The vehicles that are responsible for a collision. It is ``none`` without a collision, and if the ways of the
+vehicles met and neither could have foreseen the other in time."""
 
 Fault = Literal[
     "entered-lane",
@@ -488,8 +486,7 @@ def rss_rule(trace: Trace) -> Attribution:
     ego is responsible, too, if a careful driver would have avoided a cut-in by braking. Without a lane change, the
     follower is responsible if braking with 6 m/s^2 after 1 s would have avoided the collision. An ego ahead is
     responsible only for braking hard, or stopping, with nothing in its way. If the NPC's way meets the ego's, right of
-    way is decided first. The ego is always responsible for touching a fixed object. If these rules blame only an NPC
-    that drove as recorded, and the ego was within 0.9 m of the recorded ego, nobody is responsible. The rules, their
+    way is decided first. The ego is always responsible for touching a fixed object. The rules, their
     numbers and their sources are in docs/explanation/verdicts.md.
 
     Sources: Shalev-Shwartz, Shammah, Shashua, "On a Formal Model of Safe and Scalable Self-driving Cars",
@@ -503,27 +500,7 @@ def rss_rule(trace: Trace) -> Attribution:
         hit = trace.collision
         return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
-    found = Conflict(trace, npc).attribution if zone is None else _where_ways_meet(trace, npc, zone)
-    apart = _apart_from_recording(trace, npc) if found.responsibility == "npc" else math.inf
-    if apart > APART:
-        return found
-    so_close = Fact(What.AS_RECORDED, npc + 1, trace.duration, gap_m=apart)
-    return replace(found, responsibility="none", facts=(*found.facts, so_close), avoidable=False)
-
-
-def _apart_from_recording(trace: Trace, npc: int) -> float:
-    """Return how far the ego was from the recorded one at the impact [m]; infinite if the NPC did not do as recorded.
-
-    It is measured a tick earlier, when the director last decided whether the NPC leaves its track.
-    """
-    scenario, tick = trace.scenario, max(trace.ticks - 1, 0)
-    instruction: Any = scenario.npcs[npc][0]
-    if scenario.ego_track is None or not instruction.follows_track or trace.handed_over[npc] is not None:
-        return math.inf
-    if not instruction.is_as_recorded:
-        return math.inf
-    driven = trace.track_of(0)[tick, [ALONG, ACROSS]] - trace.track_of(0)[0, [ALONG, ACROSS]]
-    return float(np.hypot(*(driven - scenario.ego_track.at([tick / trace.physics_hz])[0, :2])))
+    return Conflict(trace, npc).attribution if zone is None else _where_ways_meet(trace, npc, zone)
 
 
 def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Attribution:

@@ -39,9 +39,6 @@ class What(Enum):
     ENTERED = "{entered}"
     NONE_FORESAW = "Neither could have foreseen the other in time, by the rules."
     TOUCHED_ELSEWHERE = "{who} touched {whom} at {at}, outside the zone where their ways meet."
-    AS_RECORDED = (
-        "{who} drove as recorded, the ego within {it.gap_m:.1f} m of the recorded ego: the recording comes so close."
-    )
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     IGNORED = "{who} {braked}. By the rules, 6 m/s^2 from {due} on avoids it."
     HARDLY_BRAKED = "{who} {braked}."
@@ -140,7 +137,7 @@ class Fact(NamedTuple):
             which a vehicle that should have waited set off, or one that should not have sped up began to [s].
         due_s: latest time at which the vehicle should have begun to brake hard [s]; None if that does not help.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
-            is behind, 0 side by side. For :attr:`What.AS_RECORDED`, how far the ego was from the recorded one.
+            is behind, 0 side by side.
         asked_m: gap that the rules require [m].
         speed_m_per_s: speed that the vehicle reached when it sped up [m/s].
         faster_m_per_s: speed of the other minus speed of the vehicle [m/s]. The sentence does not mention it if

@@ -207,7 +207,7 @@ def difference(run: Run, bench: Bench) -> str:
             return NOT_REPEATED
         differs = _difference_in_gym(run, bench)
     except ProcessLostError as error:
-        return f"the process that ran it again {error.how}"
+        return f"the process that ran it again {error.end}"
     if not differs:
         return ""
     harness = bench.harness

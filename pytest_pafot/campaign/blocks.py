@@ -193,8 +193,7 @@ class Blocks:
 
     def _look_at(self, made: object, number: int) -> None:
         """Judge a run of a later block that has failed, so that it is saved before its turn."""
-        is_drivers = isinstance(made, ProcessLostError) and made.npc is not None
-        if is_drivers or not isinstance(made, (Facts, ProcessLostError)):
+        if not isinstance(made, (Facts, ProcessLostError)):
             return
         learnt = sum(isinstance(each, tuple) and isinstance(each[0], Learnt) for each in self._driven[number])
         generation = number * (self.plan.length or 0) + learnt

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NoReturn
 
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
-from pytest_pafot.campaign.harness import Harness, reference_of, with_drivers
+from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import (
@@ -25,7 +25,6 @@ from pytest_pafot.campaign.request import (
     build_world,
     check_names,
     checked_request,
-    drivers_of,
 )
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
@@ -342,8 +341,7 @@ def replays_of(
     settings, (module, _, test) = request.settings, node_id.partition("::")
 
     def fixture(name: str) -> NoReturn:
-        where = "drivers" if name in request.drivers.values() else "against"
-        raise request.error(where, f"expected a factory, or its name as module:factory, received {name!r}")
+        raise request.error("against", f"expected a factory, or its name as module:factory, received {name!r}")
 
     # Without a corpus, findings are not saved, but the search and its replays need the place where they would be.
     corpus = Path.cwd() / settings.corpus if settings.corpus else scratch / "corpus"
@@ -355,10 +353,9 @@ def replays_of(
     if settings.resume is not None:
         check_states(settings.resume, Path.cwd())
     policy, world = Policy(request.ads), build_world(request, Highway())
-    drivers = drivers_of(request, policy.factory, fixture)
     harness = Harness(
         request=request,
-        world=with_drivers(world, drivers),
+        world=world,
         policy=policy,
         test=holds,
         test_file=source_file(holds),
@@ -370,7 +367,6 @@ def replays_of(
         versions=installed_versions(world.packages),
         against=reference_of(settings.against, fixture, policy),
         executor=executor,
-        drivers=drivers,
         needs_only_run=needs_only_run,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -140,7 +140,6 @@ class Harness:
     executor: Executor | None = None  # the user's executor for the runs of a search, if any
     # True if the test function takes only the run, so that a process that was forked from this one can call it, too
     needs_only_run: bool = False
-    drivers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)  # of free NPCs, with the policy under test
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
@@ -156,8 +155,6 @@ class Harness:
         with refusals():  # only making the environment of a pafot.World shows whether it can be used
             data = codec.described(world)
             self.policy.preload()
-            for driver in self.drivers.values():
-                Policy(driver).preload()
         owner = owner or self.node_id
         return Job(
             world=world,
@@ -249,7 +246,7 @@ class Harness:
             with refusals("the reference"):
                 trace = runner.run(scenario)
         except ProcessLostError as error:
-            return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.how), is_ads=True)
+            return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.end), is_ads=True)
         except RequestError as error:
             text = str(error).removeprefix("ads: ").removeprefix(f"{self.against_name}: ")
             named = f" ({self.against_name})" if self.against_name else ""
@@ -270,16 +267,6 @@ class Harness:
     def left_behind(self, owner: str = "") -> list[Leftover]:
         """Return the crash records of processes that died in runs of this test, or of another ``owner``."""
         return left_by(owner or self.node_id, self.records)
-
-
-def with_drivers(world: BaseWorld, drivers: Mapping[str, Callable[..., Any]]) -> BaseWorld:
-    """Return a world with the drivers of free NPCs, if there are any and it can have them.
-
-    Raises:
-        RequestError: if one of them cannot drive there.
-    """
-    with refusals("a driver of free NPCs"):
-        return world.with_drivers(drivers) if drivers and world.has_free_npcs else world
 
 
 @contextmanager

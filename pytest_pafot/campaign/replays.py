@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals, with_drivers
+from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
 from pytest_pafot.campaign.verdict import Verdict, headline
@@ -36,7 +36,6 @@ from pytest_pafot.findings.finding import (
 )
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -168,8 +167,6 @@ class Replays:
                 world: BaseWorld = codec.named(finding.world, self.harness.world)
             else:
                 world = base_world(codec.of_file(finding.world, finding.scenario, self.harness.world))
-                world = with_drivers(world, self.harness.drivers)
-                world = world.driven_in((finding.scenario,), self.harness.policy.factory)
             with _naming(saved.path):
                 world.check_fits(finding.scenario)
         except (WorldError, TypeError, ValueError) as error:
@@ -338,7 +335,7 @@ class Replays:
                     error.add_note(PAST_END)
                     raise
                 # It is no failure of a file that is about something else.
-                note, is_lost = f"{PAST_END}, the process {error.how}", True
+                note, is_lost = f"{PAST_END}, the process {error.end}", True
         run, verdict = self.tried(saved, world, owner)
         return replace(first, run=run, verdict=verdict, note=note, is_lost=is_lost)
 
@@ -476,8 +473,8 @@ class Replays:
         elsewhere = ", ".join(codec.elsewhere(finding.world, finding.scenario, self.harness.world))
         told = [f"run in the world of the file, which is not the test's: {elsewhere}"] if elsewhere else []
         then, now = finding.scenario.traffic, self.harness.request.space.get("traffic")
-        if now is not None and Traffic.of(now) != then:
-            told.append(f"run in the traffic of the file, which is not the test's: {then} there, {Traffic.of(now)} now")
+        if now is not None and now != then:
+            told.append(f"run in the traffic of the file, which is not the test's: {then} there, {now} now")
         return [*self.world_changes(finding), *told, *self.sight_change(finding)]
 
     def sight_change(self, finding: Finding) -> list[str]:

@@ -5,24 +5,14 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
 
 import numpy as np
 
 from pytest_pafot.campaign.options import BY_NAME, Settings
-from pytest_pafot.model.driving_style import PAPERS, Traffic
-from pytest_pafot.model.instructions import (
-    BUILT_IN_DRIVERS,
-    KINDS,
-    Instruction,
-    Manoeuvre,
-    ScenarioError,
-    checked_driver,
-)
-from pytest_pafot.model.instructions.manoeuvre import MOST_ROOM, SPACING, places
-from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, Scenario
+from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, READY, VehicleType, named_vehicles
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
@@ -40,7 +30,7 @@ from pytest_pafot.world.validation import OTHER_KIND
 
 ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
 SPACE_ARGUMENTS = (
-    "npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "acts", "instructions", "vehicles",
+    "npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "instructions", "vehicles",
 )  # fmt: skip
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
@@ -62,8 +52,6 @@ SLICE = 3.0
 """The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
-MOST_OF_SCENARIO = 8
-"""The largest number of NPCs in any scenario."""
 BLAMES = ("any", "ego", "preventable", "avoidable")
 
 
@@ -83,12 +71,9 @@ class SearchArguments(TypedDict, total=False):
     gene_seconds: float
     ego_lane: int
     ego_speed: float
-    traffic: str | Traffic
-    acts: Sequence[str]
+    traffic: str
     instructions: str
     vehicles: str | VehicleType | Sequence[str | VehicleType]
-    drivers: str | Sequence[str] | Mapping[str, Any]
-    around: Any
     ads: Any
     arg: str
     fitness: str | Callable[[Trace], float]
@@ -122,9 +107,6 @@ class Request:
     world: Any = None  # the world of the mark, or None for the fixture's
     road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
-    # The drivers of free NPCs by name: a factory, the name of a fixture, or for those of the plugin their own name.
-    drivers: Mapping[str, str | Callable[..., Any]] = field(default_factory=dict)
-    around: Any = None  # the recording, or the scenario of recorded NPCs, that is searched around
     place: str = "@pafot.search"  # where the arguments are, for messages
 
     def option(self, name: str, value: object = None) -> str:
@@ -146,7 +128,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         algorithm = resolve_algorithm(settings.algorithm)
     except ValueError as error:
         raise RequestError(str(error)) from error
-    names = ("ads", "arg", "blame", "world", "around")
+    names = ("ads", "arg", "blame", "world")
     own = {name: arguments[name] for name in names if name in arguments}
     if isinstance(own.get("ads"), str) and ":" in own["ads"]:
         try:
@@ -161,7 +143,6 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
         road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
         space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
-        drivers=checked_drivers(arguments.get("drivers"), f"{place}(drivers=...)"),
         place=place,
         **own,
     )
@@ -191,56 +172,6 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
             f"float, received {goal!r}",
         )
     return request
-
-
-def checked_drivers(given: Any, place: str) -> dict[str, str | Callable[..., Any]]:
-    """Return the drivers of free NPCs by name, in the order of the mark or of the options that ``place`` names.
-
-    One that only has a name, and is none of the plugin's, has an empty text: the world must have it.
-    """
-    if given is None:
-        return {}
-    wrong = f"{place}: expected"
-    if not isinstance(given, Mapping):
-        names = (given,) if isinstance(given, str) else given
-        if not isinstance(names, Sequence):
-            raise RequestError(f"{wrong} {_some_drivers(BUILT_IN_DRIVERS)}, received {given!r}")
-        given = {name: name if name in BUILT_IN_DRIVERS else "" for name in names}
-    drivers = dict[str, str | Callable[..., Any]]()
-    for name, value in given.items():
-        try:
-            checked_driver(name)
-        except ScenarioError as error:
-            raise RequestError(f"{place}: {error}") from None
-        if name in BUILT_IN_DRIVERS and value != name:
-            problem = f"{name!r} to have no factory, because it is a driver of the plugin, received {value!r:.100}"
-            raise RequestError(f"{wrong} {problem}; choose another name, or write {name!r}: {name!r}")
-        if isinstance(value, str) and ":" in value:
-            try:
-                value = factory_named(value)  # noqa: PLW2901
-            except ValueError as error:
-                raise RequestError(f"{place}: {error}") from error
-        if value != "" and (problem := _problem_of_ads(value)):
-            raise RequestError(f"{place}: {name!r}: {problem}")
-        drivers[name] = value
-    return drivers
-
-
-def _some_drivers(known: Sequence[str]) -> str:
-    return f'some of {", ".join(map(repr, known))}, or a mapping such as {{"last": MyPlanner}}'
-
-
-def drivers_of(request: Request, policy: Callable[..., Any], fixture: Callable[[str], Any]) -> dict[str, Any]:
-    """Return the factories of the drivers of free NPCs by name, if named with the policy under test as ``policy``.
-
-    ``fixture`` returns the value of a fixture.
-    """
-    made: dict[str, Any] = {"policy": policy} if "policy" in request.drivers else {}
-    for name, each in request.drivers.items():
-        if name in BUILT_IN_DRIVERS or each == "":
-            continue
-        made[name] = fixture(each) if isinstance(each, str) else each
-    return made
 
 
 def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> None:
@@ -303,15 +234,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         RequestError: if an argument is out of range, if no scenario can be made, or if the world cannot be built.
     """
     world, given = base_world(world), ", ".join(request.space)
-    if request.around is not None:
-        return _space_around(request, world)
     try:
-        if "acts" in request.space and world.crossings is None:
-            raise request.error(
-                "acts=...",
-                f"expected a world in which NPCs cross the ego's way, received {world!r:.100}, in which none does; "
-                'leave acts out, or search in a world such as pafot.World("intersection-v0")',
-            )
         # World and algorithm declare what they can do. An error of the space would not say which of the two cannot.
         kinds = request.algorithm.instructions
         if request.space.get("instructions", kinds[0]) not in kinds:
@@ -326,12 +249,6 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which declares "
                 "none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can",
             )
-        if request.space.get("instructions") == "manoeuvres" and not world.has_manoeuvres:
-            raise request.error(
-                "instructions=...",
-                f"expected a world whose NPCs can have manoeuvres, received {world!r:.100}, which declares none; leave "
-                "instructions out, or write has_manoeuvres = True in its class if its NPCs can",
-            )
         if SearchSpace(**request.space).traffic != PAPERS and not world.has_traffic_styles:
             raise request.error(
                 "traffic=...",
@@ -345,24 +262,12 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected vehicles that NPCs can be in {world!r:.100}, received {odd.described}; a long one cannot "
                 "follow tight bends, and a world of your own has to declare has_vehicles = True in its class",
             )
-        if request.drivers:
-            _check_has_free_npcs(request, world)
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
-        if request.algorithm.draws_vehicles and request.space.get("instructions") != "manoeuvres":
+        if request.algorithm.draws_vehicles:
             drawn["vehicles"] = tuple(filter(world.can_drive, READY.values()))
         # What the user gives goes before what is drawn, and the world fills in the rest, such as the crossings.
         space: SearchSpace = world.space({**drawn, **request.space})
-        if space.instructions == "manoeuvres":
-            space = _with_room(space, world, "npcs" in request.space)
-        road = world.straight_road
-        lanes = 0 if road is None else road.lane_count
-        own_kinds = _registered_kinds(request) if lanes else ()  # what drives an NPC of theirs may know no other road
-        if request.drivers or own_kinds:
-            row = world.given.headway, world.given.clearance
-            space = replace(space, drivers=tuple(request.drivers), kinds=own_kinds, lanes=lanes, row=row)
-            if not lanes:  # the road may begin just behind the ego's start
-                space = _with_room(space, world, "npcs" in request.space)
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
@@ -370,100 +275,6 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     except (TypeError, ValueError) as error:
         raise request.error(given, error) from None
     return space
-
-
-def _registered_kinds(request: Request) -> tuple[type[Instruction], ...]:
-    """Return the kinds of packages of others that a search draws: the default one.
-
-    A mark that names its instructions asks for these alone. The order is that of names, whoever was imported first.
-    """
-    algorithm = request.algorithm
-    if algorithm.is_papers or "both" not in algorithm.instructions or "instructions" in request.space:
-        return ()
-    drawn = [kind for kind in KINDS if any("drawn" in vars(each) for each in kind.__mro__ if each is not Instruction)]
-    return tuple(sorted(drawn, key=lambda kind: kind.name))
-
-
-def _check_has_free_npcs(request: Request, world: BaseWorld) -> None:
-    """Refuse drivers of free NPCs where a search can have none."""
-    if not world.has_free_npcs:
-        raise request.error(
-            "drivers=...",
-            f"expected a world whose NPCs can have drivers, such as pafot.Highway, received {world!r:.100}, which "
-            "declares none; leave drivers out",
-        )
-    known = (*BUILT_IN_DRIVERS, *world.own_drivers)
-    if unknown := [name for name, each in request.drivers.items() if each == "" and name not in known]:
-        raise request.error("drivers=...", f"expected {_some_drivers(known)}, received {unknown[0]!r}")
-    problem, algorithm = "", request.algorithm
-    if algorithm.is_papers or "both" not in algorithm.instructions:
-        problem = f"an algorithm that draws free NPCs, such as distinct, received algorithm={algorithm.name!r}"
-    elif request.space.get("instructions") == "manoeuvres":
-        problem = "NPCs with Position- or Lane-Instructions, received instructions='manoeuvres'"
-    if problem:
-        raise request.error("drivers=...", f"expected {problem}; leave that or drivers out")
-    if "policy" in request.drivers and world.action_space is not None and "policy" not in world.given.npc_drivers:
-        raise request.error(
-            "drivers=...",
-            "expected no 'policy' in a world whose policy has the environment's observations and actions, which only "
-            "the ego has; name idm, mobil or a planner in SI units, or give pafot.World planner_hz=",
-        )
-
-
-def _space_around(request: Request, world: BaseWorld) -> SearchSpace:
-    """Return the space of changes of a recording, which begins with the recording itself."""
-    given, argument = request.around, "around=..."
-    if others := [*request.space, *(["drivers"] if request.drivers else [])]:
-        problem = f"expected no arguments of scenarios beside it, received {', '.join(others)}; leave them out"
-        raise request.error(argument, problem)
-    if "manoeuvres" not in request.algorithm.instructions:
-        problem = f"expected an algorithm that varies manoeuvres, received {request.algorithm.name}"
-        raise request.error(argument, f"{problem}; leave the algorithm out")
-    scenario = given.scenario() if callable(getattr(given, "scenario", None)) else given
-    if not isinstance(scenario, Scenario) or not any(chain[0].follows_track for chain in scenario.npcs):
-        problem = "expected pafot.recorded(...), or a scenario that its scenario() returns, received"
-        raise request.error(argument, f"{problem} {given!r:.100}")
-    road = world.straight_road
-    try:
-        if road is None or not all(chain[0].keeps_start for chain in scenario.npcs):
-            raise ScenarioError("expected a straight road, and NPCs with tracks and manoeuvres")
-        world.check_fits(scenario)
-        count = len(scenario.npcs)
-        space = SearchSpace(
-            npcs=count,
-            least_npcs=count,
-            genes=1,
-            gene_seconds=scenario.gene_seconds,
-            speed_limit=float(world.speed_limit),
-            ego_lane=scenario.ego_lane,
-            ego_speed=scenario.ego_speed,
-            ego_length=world.given.ego.length,
-            traffic=scenario.traffic,
-            lanes=road.lane_count,
-            around=scenario,
-        )
-    except (ValueError, WorldError) as error:
-        raise request.error(argument, error) from None
-    room = _with_room(space, world, is_number_given=True).room
-    return replace(space, room=room, most_npcs=(min(count + 1, MOST_OF_SCENARIO),))
-
-
-def _with_room(space: SearchSpace, world: BaseWorld, is_number_given: bool) -> SearchSpace:
-    """Return the space with the room for starts of manoeuvres along a world's road, and with no more NPCs than fit."""
-    room = []
-    for side in (-1, 1):
-        gap = MOST_ROOM
-        while gap > 0:
-            start = Manoeuvre(beside=0, ahead=side * gap, speed=0.0)
-            with suppress(ScenarioError):
-                world.check_fits(Scenario(npcs=((start,),), ego_lane=space.ego_lane, ego_speed=0.0))
-                break
-            gap -= SPACING  # each start takes that much, so a finer answer would be the same
-        room.append(gap)
-    ends = room[0], room[1]
-    most = max(1, places(ends, -1) + places(ends, 1))
-    npcs = space.npcs if is_number_given else min(space.npcs, most)
-    return replace(space, room=ends, npcs=npcs, most_npcs=tuple(min(each, most) for each in space.most_npcs))
 
 
 def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -476,14 +287,12 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     world = base_world(world)
     drawn: dict[str, Any] = {}
     if world.has_traffic_styles:
-        drawn["traffic"] = given.get("traffic", Traffic().style)
+        drawn["traffic"] = given.get("traffic", HOSTILE)
     in_lanes = world.has_lane_instructions and given.get("instructions") != "cells"
     if in_lanes:
         drawn["instructions"] = given.get("instructions", "both")
     draws_genes = "genes" not in given and "gene_seconds" not in given
     road = world.straight_road
-    if road is not None and given.get("instructions") == "manoeuvres":
-        drawn["lanes"] = road.lane_count
     if road is None:
         if draws_genes and in_lanes:
             drawn |= {"gene_seconds": SLICE, "genes": max(1, math.ceil(world.longest_run / SLICE - 1e-9))}
@@ -508,7 +317,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["ego_lanes"] = lanes
     if isinstance(world.given, (Highway, SimulatorWorld)) and "ego_speed" not in given:
         limit = world.speed_limit
-        slowest = max(min(SLOWEST_START, limit / 2), Traffic.of(drawn.get("traffic", PAPERS)).least_speed(limit))
+        slowest = max(min(SLOWEST_START, limit / 2), STYLES[drawn.get("traffic", PAPERS)].least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
 

@@ -30,11 +30,8 @@ COLUMNS: Mapping[str, str] = {
     "npcs": "number of NPCs",
     "gene_seconds": "duration of an instruction [s]",
     "traffic": "its style; `paper` in a world without styles",
-    "traffic_parts": "JSON: parts that differ from the style",
     "vehicles": "JSON: of the NPCs, up to the last that is no car",
-    "genes": "JSON: each NPC's instructions, in SI units: cell or lane and speed; zone, speed, slot, act; "
-    "`manoeuvre`, speed, lanes beside the ego, gap to it, steps; `free`, speed, lanes beside the ego, gap, driver; or "
-    "`recorded`, track, later, pace, shift, steps",
+    "genes": "JSON: each NPC's instructions, in SI units: cell or lane and speed; zone, speed, slot, act",
     "outcome": "how the run ended, such as `collision`",
     "verdict": "passed, failed, npc or avoidable (an NPC's fault, which blame excludes), unpreventable, common (the "
     "reference fails, too), invalid, rejected or skipped",
@@ -107,8 +104,7 @@ def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *
         "ego_speed": scenario.ego_speed,
         "npcs": len(scenario.npcs),
         "gene_seconds": scenario.gene_seconds,
-        "traffic": scenario.traffic.style,
-        "traffic_parts": json.dumps(scenario.traffic.own, separators=(",", ":")),
+        "traffic": scenario.traffic,
         "vehicles": json.dumps([each.plain() for each in scenario.vehicles], separators=(",", ":")),
         "genes": scenario.chains_text,
         "outcome": str(evaluation.outcome),

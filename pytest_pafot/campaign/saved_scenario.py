@@ -112,7 +112,6 @@ class SavedScenario:
             world = self.world
         try:
             base_world(world).check_fits(self.scenario)
-            world = base_world(world).driven_in((self.scenario,), ads)
             trace = rollout_of(world)(self.scenario, ads)  # the user's own world may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None

@@ -20,7 +20,6 @@ from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import drivers_error
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
@@ -81,7 +80,7 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
                     yield from _released(state, store)
                     if done is not None:
                         state.verdicts[(yield from lose(done, state, bench, store))] += 1
-                    taken = [plan.take(unknown(plan.scenario(), "" if done is None else drivers_error(done)))]
+                    taken = [plan.take(unknown(plan.scenario()))]
             yield from _released(state, store)
             yield from _counted(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.

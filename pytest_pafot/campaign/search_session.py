@@ -61,7 +61,6 @@ from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import is_interruption
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 from pytest_pafot.world.guard.own_worlds import base_world
-from pytest_pafot.world.limits import CONNECTED
 
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to find their moments."""
@@ -499,7 +498,7 @@ class SearchSession:
                 generations=settings.generations,
                 runs=settings.runs,
                 seed=self.store.seed,
-                seeds_matter=(self.harness.policy.sight or Sight()).is_drawn or bool(self.harness.drivers),
+                seeds_matter=(self.harness.policy.sight or Sight()).is_drawn,
                 resumed=resumed,
             )
             if resumed is None:
@@ -736,8 +735,6 @@ class SearchSession:
         policy = self.harness.policy
         given = world.options_without_effect(drives_itself=policy.drives_itself, simulates=policy.simulates)
         given.pop(f"write ego_lane={lane!r}", None)  # it has been written
-        if self.harness.request.drivers:  # IDM and MOBIL look for others there
-            given = {why: [name for name in names if name != CONNECTED] for why, names in given.items()}
         told = [f"{', '.join(names)} ({why})" for why, names in given.items() if names]
         return f"options of config= without effect in a search: {'; '.join(told)}" if told else ""
 
@@ -758,8 +755,7 @@ class SearchSession:
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
         where = getattr(world.given, "env_id", type(world.given).__name__)
         which = f"at {where} all NPCs drive along the ego's way: none {none}"
-        without = ", and acts= has no effect" if "acts" in self.harness.request.space else ""
-        return f"{which}, so the search says nothing about such traffic{without}"
+        return f"{which}, so the search says nothing about such traffic"
 
     def _left_undone(self, reason: Ending) -> Iterator[str]:
         """Yield notes on what the search left undone, and how to continue."""

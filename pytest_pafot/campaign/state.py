@@ -399,12 +399,9 @@ class State:
 def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, str]:
     """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
 
-    Return the kind of the verdict. It is no failure if the reference does not pass the scenario either, or if the
-    process died in the code of an NPC's driver.
+    Return the kind of the verdict. It is no failure if the reference does not pass the scenario either.
     """
     state.fatal.add(lost.task)
-    if lost.npc is not None:
-        return "invalid"
     if bench.is_common(lost.task):
         return "common"
     signature = expectation(lost).signature
@@ -450,7 +447,6 @@ def agreed(harness: Harness, algorithm: Algorithm[Any], space: SearchSpace) -> d
         "blame": request.blame,
         "fitness": request.fitness,
         "against": None if harness.against is None else harness.against.shown,
-        "drivers": dict.fromkeys(harness.drivers, ""),
         "sight": None if sight is None else asdict(sight),
         "versions": harness.versions,
         "code": _code(harness),
@@ -467,8 +463,7 @@ def _code(harness: Harness) -> dict[str, str]:
     )
     against = None if harness.against is None else harness.against.policy.factory
     given = (of_file, harness.test, harness.policy.factory, against, request.algorithm.made_by, own)
-    drivers = (each for name, each in harness.drivers.items() if name != "policy")
-    return source_digests(*given, *drivers, *codec.code_of(harness.world), here=harness.root)
+    return source_digests(*given, *codec.code_of(harness.world), here=harness.root)
 
 
 def _named(value: object) -> str:

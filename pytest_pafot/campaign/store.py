@@ -257,7 +257,7 @@ class Store:
                 "kill from outside; if it was killed from outside, delete the file"
             )
         else:
-            text += f"and the one that ran it again {again.how}: {cause(again, 'delete the file')}"
+            text += f"and the one that ran it again {again.end}: {cause(again, 'delete the file')}"
         expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
         if again is not None:
             expect, line = expectation(again), _headline(again)
@@ -269,7 +269,7 @@ class Store:
     def add_lost(self, lost: LostRun, generation: int, number: int) -> Sighting:
         """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
         again = "" if lost.is_hang else ", also when it was tried again"
-        text = f"the {lost.who} that ran this scenario {lost.how}{again}: "
+        text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         self._forget_pending(finding)
@@ -339,13 +339,11 @@ def _remove_pending(path: Path) -> None:
 
 
 def _headline(lost: LostRun) -> str:
-    return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.how}"
+    return f"{'hang' if lost.is_hang else 'crash'}: the process that ran this scenario {lost.end}"
 
 
 def cause(lost: LostRun, way_out: str) -> str:
     """Return why a process may have died or hung; with ``way_out``, what to do if the scenario is not the cause."""
-    if lost.npc is not None:
-        return "that driver is the cause, and not the policy: correct it, or leave it out of drivers="
     if lost.end == OUT_OF_MEMORY:
         return "the ADS uses more and more memory, or needs more than its limit"
     if lost.end == WORLD_HANGS:

@@ -276,23 +276,19 @@ def evaluated(
     )
 
 
-def unknown(scenario: Scenario, users_error: str = "") -> Evaluation:
-    """Return the evaluation of a scenario in which a process died: nothing is known about it.
-
-    The run is invalid if ``users_error`` says that code other than the policy's was the cause.
-    """
+def unknown(scenario: Scenario) -> Evaluation:
+    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
     return Evaluation(
         scenario=scenario,
         executed=scenario,
         fitness=0.0,
         failing=False,
-        outcome=Outcome.INVALID if users_error else Outcome.SAFE,
+        outcome=Outcome.SAFE,
         duration=0.0,
         genes_started=0,
         genes_reached=0,
         interaction=False,
-        discarded=not users_error,
-        users_error=users_error,
+        discarded=True,
     )
 
 

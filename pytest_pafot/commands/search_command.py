@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, RUNS
-from pytest_pafot.campaign.request import BLAMES, checked_drivers
+from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import (
     ABOUT_POLICIES,
     BAD_USE,
@@ -33,7 +33,6 @@ from pytest_pafot.commands.policy_reference import (
 )
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.model.instructions import BUILT_IN_DRIVERS
 from pytest_pafot.model.vehicle_type import named_vehicles
 from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag, page
 from pytest_pafot.support.files import way_out, write_if_free
@@ -88,12 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     add_world_arguments(parser, "default: a highway, in SI units")
     of_traffic = "how the other vehicles drive (default: hostile)"
-    parser.add_argument("--traffic", choices=STYLES, help=of_traffic)
+    parser.add_argument("--traffic", choices=tuple(STYLES), help=of_traffic)
     of_vehicles = "what vehicles NPCs can be, such as car,truck (default: all ready ones that fit the road)"
     parser.add_argument("--vehicles", metavar="A,B", help=of_vehicles)
-    of_driver = f"a driver of free NPCs, which half of them are then: {', '.join(BUILT_IN_DRIVERS)}, or another policy "
-    of_driver += "with a name, such as last=planner:Last; it may be given several times"
-    parser.add_argument("--driver", action="append", default=[], metavar="NAME[=MODULE:FACTORY]", help=of_driver)
     of_runs = f"the number of runs (default: {RUNS})"
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "the seed of the search (default: 0)"
@@ -275,9 +271,6 @@ def _test(arguments: argparse.Namespace) -> str:
     given += of_world
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
     given += [] if arguments.vehicles is None else [f"vehicles={json.dumps(_vehicles(arguments.vehicles))}"]
-    drivers = _drivers(arguments.driver, arguments.world)
-    only_names = [name for name, value in drivers.items() if value in ("", name)]
-    given += [f"drivers={json.dumps(only_names if len(only_names) == len(drivers) else drivers)}"] if drivers else []
     name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
     if arguments.blame != "ego":
         name = "never_in_a_collision"
@@ -314,21 +307,6 @@ def _vehicles(text: str) -> list[str]:
     except FieldError as error:
         raise RequestError(f"--vehicles: expected {error.expected}, received {error.received}") from None
     return names
-
-
-def _drivers(given: Sequence[str], world: str | None) -> dict[str, str]:
-    """Return the drivers of free NPCs in the values of ``--driver``, as the mark takes them.
-
-    Only a ``world`` that is named may have drivers of its own.
-    """
-    drivers = dict[str, str]()
-    for name, _, reference in (each.partition("=") for each in given):
-        if not reference and name not in BUILT_IN_DRIVERS and world is None:
-            expected = f"{', '.join(BUILT_IN_DRIVERS)}, or NAME=MODULE:FACTORY such as last=planner:Last"
-            raise RequestError(f"--driver: expected {expected}, received {name!r}")
-        drivers[name] = whole_name(reference) if reference else name if name in BUILT_IN_DRIVERS else ""
-    checked_drivers(drivers, "--driver")
-    return drivers
 
 
 def _import(module: str, name: str, alias: str, option: str) -> str:

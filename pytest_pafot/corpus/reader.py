@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING
 from dataclasses import fields as fields_of
 from functools import cache
 from pathlib import Path
@@ -32,17 +33,9 @@ from pytest_pafot.findings.finding import (
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
-from pytest_pafot.model.driving_style import PAPERS, STYLES, Traffic
+from pytest_pafot.model.driving_style import PAPERS, STYLES
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import (
-    GROUP,
-    Instruction,
-    Step,
-    Track,
-    kind_of,
-    load_registered,
-    required_keys,
-)
+from pytest_pafot.model.instructions import CrossingInstruction, Instruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
@@ -71,25 +64,26 @@ WORLDS: Mapping[str, Keys] = MappingProxyType(
 LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"))
 """The keys of ``limits`` in a world."""
 
-SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles", "ego_track"))
+SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles"))
 """The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
 
-ELSEWHERE = f"a kind of a package needs that package here, with a name in its entry points {GROUP}"
-"""The way out for an instruction with keys of no kind."""
+TARGETS: Mapping[str, type[Instruction]] = MappingProxyType(
+    {"cell": PositionInstruction, "lane": LaneInstruction, "zone": CrossingInstruction}
+)
+"""The kinds of instructions by the key of their target."""
 
 EGO = Keys(("lane", "speed"))
 XFAIL = Keys(("reason",), ("until", "flaky"))
 """The keys of ``xfail``, if it is not just a reason."""
 
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
-    {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",), Traffic: ("style",)}
+    {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",)}
 )
 """The fields of dataclasses that a file must have, although they have a default in code. A field without a default is
 required, too, and any other field may be left out."""
 
 SIGNED = frozenset({
     "slot", "value", "at_most", "at_least", "ahead", "lane", "npc_enters", "ego_enters", "ego_speed", "npc_speed",
-    "beside", "gap", "headway", "recorded_gap", "offset", "later", "shift",
 })  # fmt: skip
 """The fields of dataclasses whose numbers may be negative."""
 
@@ -240,7 +234,9 @@ def _world(field: Field) -> dict[str, Any]:
 @cache
 def _keys_of(kind: Any) -> Keys:
     """Return the keys of the mapping that holds a dataclass, in the order in which errors list them."""
-    names, needed = [each.name for each in fields_of(kind)], required_keys(kind).union(REQUIRED.get(kind, ()))
+    needed = {*REQUIRED.get(kind, ())}
+    needed |= {each.name for each in fields_of(kind) if each.default is MISSING and each.default_factory is MISSING}
+    names = [each.name for each in fields_of(kind)]
     return Keys(tuple(name for name in names if name in needed), tuple(name for name in names if name not in needed))
 
 
@@ -298,12 +294,10 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
         return field.number(-MAX_NUMBER if is_signed else 0.0)
     if kind in _SIMPLE:
         return _SIMPLE[kind](field)
-    if kind is Track:
-        return _track(field)
     if kind is Instruction:
         kind = _kind_of(field)
     value = _record(field, kind, **own)
-    if isinstance(value, Instruction | Step):
+    if isinstance(value, Instruction):
         for name in field.value:
             now = getattr(value, name)
             if type(now) is float and now != field.value[name]:  # the gene has rounded the number
@@ -313,16 +307,11 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
 
 
 def _kind_of(field: Field) -> type[Instruction]:
-    """Return the kind of instruction that a mapping holds: the one of whose marks most are among its keys."""
+    """Return the kind of instruction that a mapping holds, by its target."""
     keys = field.any_mapping()
-    kind = kind_of(keys)
+    kind = next((kind for target, kind in TARGETS.items() if target in keys), PositionInstruction)
     if not keys.keys() <= {*_keys_of(kind).all}:
-        try:
-            load_registered()
-        except FieldError as error:
-            raise _rule_broken(field, error) from None
-        kind = kind_of(keys)
-        field.mapping(Keys((), _keys_of(kind).all), f"these are the keys of a {kind.__name__}; {ELSEWHERE}")
+        field.mapping(Keys((), _keys_of(kind).all), f"these are the keys of a {kind.__name__}")
     return kind
 
 
@@ -335,24 +324,10 @@ def _scenario(field: Field) -> Scenario:
         "ego_lane": ego["lane"].whole(),
         "ego_speed": ego["speed"].number(),
         "gene_seconds": _given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
-        "traffic": _given(fields, "traffic", _traffic, PAPERS),
+        "traffic": _given(fields, "traffic", lambda inner: inner.choice(tuple(STYLES)), PAPERS),
         "vehicles": _given(fields, "vehicles", lambda inner: tuple(map(_vehicle, inner.items())), ()),
-        "ego_track": _given(fields, "ego_track", _track),
     }
     return _made(field, Scenario, values)
-
-
-def _track(field: Field) -> Track:
-    return _made(field, Track, {"text": field.text()})
-
-
-def _traffic(field: Field) -> Traffic:
-    if isinstance(field.value, str):
-        return Traffic(field.choice(STYLES))
-    if not isinstance(field.value, dict):
-        expected = f"{one_of(STYLES)}, or a mapping with a style and parts"
-        raise field.error(expected, "write such as `everyday`, or `{style: everyday, least_gap: 4.0}`")
-    return _record(field, Traffic)
 
 
 def _vehicle(field: Field) -> VehicleType:

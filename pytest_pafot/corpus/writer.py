@@ -23,7 +23,6 @@ from pytest_pafot.model.driving_style import PAPERS
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
-from pytest_pafot.support.text import visible
 
 
 class CorpusWriteError(RuntimeError):
@@ -148,28 +147,20 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
         yield f"  gene_seconds: {_number(scenario.gene_seconds)}"
     if scenario.traffic != PAPERS:
-        yield f"  traffic: {_flow(scenario.traffic.plain())}"
+        yield f"  traffic: {scenario.traffic}"
     if scenario.vehicles:
         yield from _filled("  vehicles: ", [each.plain() for each in scenario.vehicles])
-    if scenario.ego_track is not None:
-        yield from _block({"ego_track": scenario.ego_track.text}, 2)
     yield "  npcs:"
     for chain in scenario.npcs:
         for gene, each in enumerate(chain):
-            begin, told = "    - - " if gene == 0 else "      - ", each.in_file()
-            if _has_lines(told):
-                first, *others = _block(told, len(begin))
-                yield from (begin + first.lstrip(), *others)
-                continue
-            entry = begin + _flow(told)
-            remark = visible(each.remark)[:120]  # that of a registered kind may be any text
-            yield f"{entry:{COMMENT_COLUMN}}# {remark}" if remark else entry
+            entry = f"{'    - - ' if gene == 0 else '      - '}{_flow(each.in_file())}"
+            yield f"{entry:{COMMENT_COLUMN}}# {each.remark}" if each.remark else entry
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
     values = asdict(expect)  # in the order of the dataclass
-    for part in filter(values.get, ("check", "departure", "avoided_by")):
+    for part in filter(values.get, ("check", "avoided_by")):
         values[part] = {name: value for name, value in values[part].items() if value not in (None, "")}
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)

@@ -82,30 +82,24 @@ says before its answer: the finished share of the task as a float, or anything e
 class ProcessLostError(Exception, Generic[TaskT]):
     """Error for a task without a result, because the process that ran it died or hung.
 
-    ``end`` describes in a few words how the process ended; it is given as these words or as its exit code. ``how`` also
-    says in whose code, if that is not the policy's: ``npc`` is the NPC whose driver it was, or None. ``is_hang`` is
-    True if the process hung and was killed. A ``pid`` of 0 stands for an executor's worker, whose process id is
+    ``end`` describes in a few words how the process ended; it is given as these words or as its exit code. ``is_hang``
+    is True if the process hung and was killed. A ``pid`` of 0 stands for an executor's worker, whose process id is
     unknown.
     """
 
-    def __init__(
-        self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False, npc: int | None = None
-    ) -> None:
+    def __init__(self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False) -> None:
         self.who = f"process (pid {pid})" if pid else "worker"
         self.end = how if isinstance(how, str) else ending(how)
-        self.how = self.end if npc is None else f"{self.end} in the code of the driver of NPC {npc}"
-        super().__init__(f"the {self.who} that ran {task} {self.how}")
+        super().__init__(f"the {self.who} that ran {task} {self.end}")
         self.task = task
         self.pid = pid
         self.is_hang = is_hang
-        self.npc = npc
 
     @property
     def advice(self) -> str:
         """The message about a policy that has ended the process in which it drove."""
-        whose = "policy" if self.npc is None else f"driver of NPC {self.npc}"
         return (
-            f"expected a {whose} that drives to the end of the run, received one whose process {self.end}. It ends the "
+            f"expected a policy that drives to the end of the run, received one whose process {self.end}. It ends the "
             f"process itself, as sys.exit and os._exit do, or its compiled code crashes: see "
             f"{page('guide/planners.md')}"
         )
@@ -114,13 +108,12 @@ class ProcessLostError(Exception, Generic[TaskT]):
     def recovery(self) -> str:
         """The note on a process that died in a task that succeeded when it was tried again."""
         return (
-            f"a {self.who} {self.how} while it ran {self.task}, which ran to its end when it was tried "
+            f"a {self.who} {self.end} while it ran {self.task}, which ran to its end when it was tried "
             "again: there may be too little memory for so many workers, or the process was killed from outside"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        made = partial(ProcessLostError, self.task, pid=self.pid, how=self.end, is_hang=self.is_hang, npc=self.npc)
-        return made, ()
+        return partial(ProcessLostError, self.task, pid=self.pid, how=self.end, is_hang=self.is_hang), ()
 
 
 @dataclass(eq=False)
@@ -398,10 +391,9 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
-        how, npc = how or worker.process.exitcode, worker.npc.value - 1 if worker.npc.value else None
-        lost = ProcessLostError(task, pid=worker.pid, how=how, is_hang=is_hang, npc=npc)
+        lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
         if not worker.has_begun:
-            self._fail(task, self.failure or f"a process {lost.how} before it had begun")
+            self._fail(task, self.failure or f"a process {lost.end} before it had begun")
         elif task in self._wanted and (is_hang or task in self._followed):
             self._answer(task, lost)
         elif task in self._wanted:
@@ -433,13 +425,12 @@ class _Worker(Generic[TaskT]):
         self.task: TaskT | None = None
         self.share = 0.0
         self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
-        self.npc = context.RawValue("l", 0)  # as LastResort.npc
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.gave_up, self.npc, grace, idle, leave)
+        arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave)
         # A daemon, so that an executor's worker that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -552,7 +543,6 @@ def _serve(
     inherited: list[Connection],
     beats: Any,
     gave_up: Any,
-    npc: Any,
     grace: float,
     idle: float | None,
     leave: Callable[[], Any] | None,
@@ -591,7 +581,7 @@ def _serve(
     beat()
     if leave is not None:
         signal.signal(signal.SIGTERM, interrupt)
-    resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK), npc=npc)
+    resort = LastResort(end=end, grace=grace, end_world=partial(end, WORLD_STUCK))
     with last_resort(resort), suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             may_raise = True

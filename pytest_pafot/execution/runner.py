@@ -33,7 +33,6 @@ from pytest_pafot.execution.scenario_pool import (
     ScenarioPool,
     Timed,
     capture_output,
-    drivers_error,
     made_apart,
     made_from,
     pool_for,
@@ -529,8 +528,7 @@ def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario]
             answer = None if pool is None else pool.fetch(scenario)
             if isinstance(answer, ProcessLostError):
                 raise answer
-            there = base.driven_in((scenario,), ads)
-            return there.run_of(rollout_of(there)(scenario, ads))
+            return base.run_of(rollout_of(base)(scenario, ads))
 
         yield drive
 
@@ -589,13 +587,6 @@ def retry(
     with suppress(ExecutionError):  # The first run of the search reports it.
         answer = answer_apart(job, scenario, judge, isolate=isolate)
     lost = answer if isinstance(answer, ProcessLostError) else None
-    if lost is not None and (error := drivers_error(lost)):
-        note = (
-            f"a process (pid {leftover.pid}) died while it ran {scenario}, and again: {error}, which says nothing "
-            f"about the ADS: correct that driver, leave it out of drivers=, or search with {flag('isolate')}, so "
-            "that it can die without harm"
-        )
-        return Retried(notes=(note,), pending=leftover, fatal=scenario)
     if answer is None or has_died_twice or not _came_to_its_end(answer):
         keep(leftover, scenario, lost)
         leftover.discard()

@@ -389,16 +389,11 @@ def made_apart(answer: Answer) -> Trace | Facts:
     raise TypeError(f"answer: expected a trace or an exception, received {answer!r:.100}")
 
 
-def drivers_error(lost: LostRun) -> str:
-    """Return a line on the driver of an NPC in whose code a process died or hung; empty if it was other code."""
-    return "" if lost.npc is None else lost.task.drivers_error(lost.npc, f"its process {lost.end}")
-
-
 def expectation(lost: LostRun) -> Expect:
     """Return the expectation that a saved scenario stores if the process that ran it died or hung.
 
     The ADS is assumed to be the cause.
     """
     outcome = Outcome.HANG if lost.is_hang else Outcome.ADS_ERROR
-    message = f"the process that ran this scenario {lost.how}"
+    message = f"the process that ran this scenario {lost.end}"
     return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)

@@ -1,70 +1,23 @@
-"""SUMO as a world: ``pafot.sumo()``, by libsumo (``pip install "pytest-pafot[sumo]"``).
+"""Nets of SUMO as a world: ``pafot.sumo()``, by sumolib (``pip install "pytest-pafot[sumo]"``).
 
-The ego and the NPCs with instructions are moved by the package's own model of a vehicle, and placed into SUMO at each
-tick, as co-simulations of SUMO with other simulators do. SUMO keeps such a place exactly, on a road or beside it.
-Free NPCs with one of SUMO's drivers are moved by SUMO, and see all the others. So who is steered, who touches whom and
-who is to blame is found as in the other worlds, and SUMO's own detection of collisions is off. In a run without one of
-its drivers SUMO would only give back what it is given, so it is not started.
-
-libsumo has one simulation in a process, and ``libsumo.start`` replaces it. Runs in a process follow each other, so each
-begins with that.
+The ego and the NPCs are moved by the package's own model of a vehicle, along the lanes of the net. So who is steered,
+who touches whom and who is to blame is found as in the other worlds.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 from pytest_pafot import Simulator, SimulatorWorld, WorldError
 from pytest_pafot.support.errors import install
 
-BRAKING = 8.0
-"""How hard every vehicle can brake, as NPCs do by default [m/s^2]; SUMO's default for emergencies is 9 m/s^2. SUMO's
-drivers choose their gaps by what the vehicle ahead can do."""
 LANE_WIDTH = 4.0
 """The width of the lanes of the straight road [m], as in ``pafot.Highway``."""
-ENDLESS = 1_000_000.0
-"""The length of the straight road [m]. The cost of a run does not depend on it."""
-EAST = 90.0
-"""The direction along the x axis, in degrees of a compass."""
-AS_ASKED = 0
-"""SUMO's mode of lane changes in which a vehicle wants none, and does not ask others for room."""
-ANY_PLACE = 2
-"""SUMO's mode of ``moveToXY`` in which the vehicle is where it is put, also beside the road."""
-OPTIONS = (
-    "--no-step-log=true",
-    "--no-warnings=true",
-    "--xml-validation=never",
-    "--xml-validation.net=never",
-    "--xml-validation.routes=never",
-    "--collision.action=none",
-    "--time-to-teleport=-1",
-)
-
-DRIVERS: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {
-        "sumo-krauss": {"carFollowModel": "Krauss"},
-        "sumo-idm": {"carFollowModel": "IDM"},
-        "sumo-eidm": {"carFollowModel": "EIDM"},
-        "sumo-acc": {"carFollowModel": "ACC"},
-        "sumo-w99": {"carFollowModel": "W99"},
-    }
-)
-"""The drivers of free NPCs unless the user names others: SUMO's attributes of a vehicle type by the driver's name."""
-OURS = frozenset({"id", "length", "width", "maxSpeed", "speedFactor", "speedDev"})
-"""The attributes of a vehicle type that the scenario decides."""
-NAMED = re.compile(r"[A-Za-z]\w*", re.ASCII)
-"""The name of an attribute. Names are written into a file that SUMO obeys, and may come from a stranger's scenario."""
 
 
 def sumo(
@@ -74,14 +27,12 @@ def sumo(
     lanes: int = 4,
     speed_limit: float | None = None,
     hz: int = 20,
-    drivers: Mapping[str, Mapping[str, Any]] | None = None,
-    lane_change: float = 3.0,
     start_lane: int = 0,
     start_speed: float | None = None,
     start_at: float | None = None,
     **world: Any,
 ) -> SimulatorWorld:
-    """Return a world in which SUMO drives: a straight road, or a way through a net of the user's.
+    """Return a world on a straight road, or on a way through a net of SUMO.
 
     Args:
         net: the file of a net, as SUMO's netconvert and netedit write it (``.net.xml``); None for a straight road.
@@ -89,20 +40,16 @@ def sumo(
             shortest way between them is taken, so the first and the last are enough. None if the net has only one way.
         lanes: the number of lanes of the straight road, 4 m wide.
         speed_limit: its speed limit [m/s]; None for 26.8. In a net, it is the lowest one along the way.
-        hz: ticks per second; a divisor of 1000, because SUMO counts milliseconds.
-        drivers: the drivers of free NPCs by name, each with SUMO's attributes of a vehicle type, such as
-            ``{"calm": {"carFollowModel": "IDM", "tau": 2.0}}``; None for those that the guide lists.
-        lane_change: how long a driver of SUMO takes to change lanes [s].
+        hz: ticks per second.
         start_lane, start_speed, start_at: on a way with bends, the ego's first lane, counted from 0 at the left of the
             first edge, its first speed [m/s], and its place along the lane [m]; by default 22 m/s or the limit, with
             room behind it.
         world: other arguments of :class:`pytest_pafot.SimulatorWorld`, such as ``ads_hz``, ``duration``, ``limits``.
 
     Raises:
-        WorldError: if an argument cannot be used, the net does not fit, or libsumo is not installed.
+        WorldError: if an argument cannot be used, the net does not fit, or sumolib is not installed.
     """
-    arguments: dict[str, Any] = {"hz": hz, "lane_change": lane_change}
-    arguments["drivers"] = _checked(DRIVERS if drivers is None else drivers)
+    arguments: dict[str, Any] = {"hz": hz}
     if net is None:
         arguments |= {"lanes": lanes, "speed_limit": speed_limit}
     else:
@@ -111,27 +58,8 @@ def sumo(
     return SimulatorWorld(partial(Sumo, **arguments), **world)
 
 
-def _checked(drivers: Any) -> dict[str, dict[str, str]]:
-    """Return the attributes of each driver as texts.
-
-    Raises:
-        WorldError: if they are no attributes by name, or some that the scenario decides.
-    """
-    if not isinstance(drivers, Mapping):
-        received = f"{drivers!r:.200}"
-        raise WorldError(field="drivers", expected="SUMO's attributes of a vehicle type by driver", received=received)
-    for name, attributes in drivers.items():
-        is_named = isinstance(attributes, Mapping) and all(NAMED.fullmatch(str(key)) for key in attributes)
-        if not is_named or (ours := OURS.intersection(attributes)):
-            expected = f"SUMO's attributes of a vehicle type by name, without {', '.join(sorted(OURS))}"
-            received = ", ".join(sorted(ours)) if is_named else f"{attributes!r:.200}"
-            fix = "a scenario says how long and wide a vehicle is, and how fast it wants to drive"
-            raise WorldError(field=f"drivers[{name!r}]", expected=expected, received=received, fix=fix)
-    return {name: {key: str(value) for key, value in each.items()} for name, each in drivers.items()}
-
-
 class Sumo(Simulator):
-    """SUMO, for :class:`pytest_pafot.SimulatorWorld`; the arguments are those of :func:`sumo`.
+    """A net of SUMO, for :class:`pytest_pafot.SimulatorWorld`; the arguments are those of :func:`sumo`.
 
     Args:
         digest: of the net's content, in a file that names the net; a net with another one is refused.
@@ -142,8 +70,6 @@ class Sumo(Simulator):
 
     y_is_left = degrees = at_front = True
     headings = "y to x"
-    follows_recordings = True
-    one_at_a_time = True
     packages = ("libsumo",)
 
     def __init__(
@@ -154,25 +80,14 @@ class Sumo(Simulator):
         lanes: int = 4,
         speed_limit: float | None = None,
         hz: int = 20,
-        drivers: Mapping[str, Mapping[str, str]] = DRIVERS,
-        lane_change: float = 3.0,
         start_lane: int = 0,
         start_speed: float | None = None,
         start_at: float | None = None,
         digest: str = "",
     ) -> None:
-        self._sumo = _libsumo()
-        if not isinstance(hz, int) or hz < 1 or 1000 % hz:
-            expected = "a divisor of 1000, such as 10, 20, 25 or 50, because SUMO counts milliseconds"
-            raise WorldError(field="hz", expected=expected, received=repr(hz))
         self.hz = hz
-        self._attributes = _checked(drivers)
-        self.drivers = tuple(self._attributes)
-        self._options = [*OPTIONS, f"--step-length={1 / hz:g}", f"--lanechange.duration={lane_change:g}"]
-        self._net, self.edges = net, ["road"]
-        self._data: dict[str, Any] = {"hz": hz, "drivers": self._attributes}
-        self._data |= {"lane_change": lane_change}
-        self._is_asked = False
+        self.edges = ["road"]
+        self._data: dict[str, Any] = {"hz": hz}
         self._states: list[tuple[float, ...]] = []
         if net is None:
             self.lanes, self.lane_width = lanes, LANE_WIDTH
@@ -198,110 +113,12 @@ class Sumo(Simulator):
         return self._data
 
     def start(self, vehicles: Sequence[Any], seed: int) -> None:
-        """Begin a simulation with these vehicles at their places."""
-        self._names = ["ego", *(f"npc{number}" for number in range(len(vehicles) - 1))]
-        self._placed = [not each.driver for each in vehicles]
-        self._is_asked = not all(self._placed)
+        """Begin a run with these vehicles at their places."""
         self._states = [(each.x, each.y, each.heading, each.speed) for each in vehicles]
-        if not self._is_asked:
-            return
-        with TemporaryDirectory(prefix="pafot-sumo-") as folder:
-            net = self._net or self._written(folder, "net.net.xml", self._straight())
-            types = self._written(folder, "types.add.xml", self._types(vehicles))
-            options = [*self._options, f"--seed={seed % 2**31}"]
-            try:
-                self._sumo.start(["sumo", f"--net-file={net}", f"--additional-files={types}", *options])
-            except self._sumo.TraCIException as error:
-                received = f"{error}, of which SUMO has printed the reason to the standard error"
-                fix = "are the attributes in drivers= SUMO's, and does SUMO itself open the net?"
-                raise WorldError(field="Sumo.start", expected="that SUMO starts", received=received, fix=fix) from None
-        self._ticks = 1
-        moves = self._sumo.vehicle
-        for name, each in zip(self._names, vehicles, strict=True):
-            moves.add(name, "way", typeID=name)
-            if not each.driver:
-                moves.setLaneChangeMode(name, AS_ASKED)
-            moves.moveToXY(name, "", -1, each.x, each.y, each.heading, ANY_PLACE)
-        self._sumo.simulationStep()
-        missing = [name for name in self._names if name not in moves.getIDList()]
-        if missing:
-            expected = "that SUMO inserts every vehicle at its start"
-            fix = "let the way begin further behind the ego, with a longer first edge or another start_at="
-            raise WorldError(field="Sumo.start", expected=expected, received=f"none for {', '.join(missing)}", fix=fix)
-        for name, each in zip(self._names, vehicles, strict=True):
-            moves.setPreviousSpeed(name, max(each.speed, 0.0))
-
-    def _types(self, vehicles: Sequence[Any]) -> str:
-        """Return a vehicle type for each vehicle, as a file of SUMO."""
-        rows = []
-        for name, each in zip(self._names, vehicles, strict=True):
-            kind = {"id": name, "length": f"{each.length:g}", "width": f"{each.width:g}"}
-            kind |= {"speedDev": "0", "emergencyDecel": f"{BRAKING:g}"}
-            if each.driver:  # it wants to drive as fast as the scenario says, but at most as fast as the lane allows
-                kind |= {"speedFactor": "1", "maxSpeed": f"{max(each.wanted_speed, 0.1):g}"}
-                kind |= self._attributes[each.driver]
-            else:
-                kind |= {"decel": f"{BRAKING:g}", "maxSpeed": "100"}
-            rows.append(f"<vType {' '.join(f'{key}={quoteattr(value)}' for key, value in kind.items())}/>")
-        route = f"<route id='way' edges={quoteattr(' '.join(self.edges))}/>"
-        return f"<additional>{''.join(rows)}{route}</additional>"
-
-    def _straight(self) -> str:
-        """Return the straight road as a net of SUMO, which counts lanes from the right."""
-        ends = 'type="dead_end" y="0" incLanes="" intLanes="" shape=""'
-        count = self._data["lanes"]
-        lanes = [
-            f'<lane id="road_{index}" index="{index}" speed="{self.speed_limit}" length="{ENDLESS}" '
-            f'width="{LANE_WIDTH}" shape="0,{y} {ENDLESS},{y}"/>'
-            for index, y in ((index, -LANE_WIDTH * (count - 1 - index)) for index in range(count))
-        ]
-        return (
-            f'<net version="1.20"><edge id="road" from="a" to="b" priority="1">{"".join(lanes)}</edge>'
-            f'<junction id="a" x="0" {ends}/><junction id="b" x="{ENDLESS}" {ends}/></net>'
-        )
-
-    @staticmethod
-    def _written(folder: str, name: str, text: str) -> str:
-        path = Path(folder, name)
-        path.write_text(text, encoding="utf-8")
-        return str(path)
 
     def step(self, controls: Sequence[Any]) -> None:
-        """Place the vehicles that controls move, and let SUMO move the others."""
-        if not self._is_asked:
-            self._states = [(each.x, each.y, each.heading, each.speed) for each in controls]
-            return
-        moves, placed = self._sumo.vehicle, list(zip(self._names, controls, self._placed, strict=True))
-        if round(self._sumo.simulation.getTime() * self.hz) != self._ticks:
-            expected = "that nobody else uses libsumo in this process, which has one simulation"
-            fix = "a policy that runs SUMO itself drives in pafot.Highway"
-            raise WorldError(field="Sumo.step", expected=expected, received="another simulation", fix=fix)
-        for name, each, is_placed in placed:
-            if is_placed:
-                moves.moveToXY(name, "", -1, each.x, each.y, each.heading, ANY_PLACE)
-        self._sumo.simulationStep()
-        self._ticks += 1
-        for name, each, is_placed in placed:
-            if is_placed:  # SUMO places it at the end of the step, and others see its speed from then on
-                moves.setPreviousSpeed(name, max(each.speed, 0.0), each.acceleration)
-        there, before = set(moves.getIDList()), self._states
-        self._states = [
-            (each.x, each.y, each.heading, each.speed)
-            if is_placed
-            else (*moves.getPosition(name), moves.getAngle(name), moves.getSpeed(name))
-            if name in there
-            else self._beyond_end(name, state)
-            for (name, each, is_placed), state in zip(placed, before, strict=True)
-        ]
-
-    def _beyond_end(self, name: str, state: tuple[float, ...]) -> tuple[float, float, float, float]:
-        """Return where a vehicle is that SUMO has taken out where its way ends, if it drives on as it was."""
-        if name in self._sumo.simulation.getStartingTeleportIDList():
-            expected = "that SUMO moves a vehicle from place to place"
-            raise WorldError(field="Sumo.step", expected=expected, received=f"that it teleports {name}")
-        x, y, heading, speed = state
-        angle, distance = math.radians(EAST - heading), speed / self.hz
-        return x + distance * math.cos(angle), y + distance * math.sin(angle), heading, speed
+        """Put the vehicles where the package's own model moves them."""
+        self._states = [(each.x, each.y, each.heading, each.speed) for each in controls]
 
     def states(self) -> list[tuple[float, ...]]:
         """Return x, y, compass heading and speed of the front of each vehicle."""
@@ -328,7 +145,11 @@ class Way:
     """
 
     def __init__(self, path: str, route: Sequence[str] | None) -> None:
-        from sumolib.net import readNet  # noqa: PLC0415  (comes with libsumo, which not everybody has)
+        try:
+            from sumolib.net import readNet  # noqa: PLC0415  (comes with libsumo, which not everybody has)
+        except ImportError as error:
+            expected, fix = "an installed sumolib", install("sumo")
+            raise WorldError(field="pafot.sumo", expected=expected, received=f"{error}", fix=fix) from None
 
         try:
             self._net = readNet(path, withInternal=True)
@@ -442,18 +263,3 @@ def _line(lanes: Sequence[Any]) -> list[tuple[float, float]]:
             if not points or math.dist(points[-1], (x, y)) > 0.05:  # nets have centimetres
                 points.append((x, y))
     return points
-
-
-def _libsumo() -> Any:
-    """Import libsumo, which prints a warning if pyarrow is another version than the one that it has inside.
-
-    Raises:
-        WorldError: if it is not installed.
-    """
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            import libsumo  # noqa: PLC0415  (an extra that takes a second)
-    except ImportError as error:
-        expected, fix = "an installed libsumo", install("sumo")
-        raise WorldError(field="pafot.sumo", expected=expected, received=f"{error}", fix=fix) from None
-    return libsumo

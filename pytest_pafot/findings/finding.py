@@ -20,7 +20,6 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.sentences import ANSWERS, AT_FAULT, sentences
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.criticality.asked import Departure, departures
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.labels import Label, RunLabel
 from pytest_pafot.findings.shrink import Shrunk
@@ -118,8 +117,6 @@ class Expect:
         fault: rule by which the ego is responsible.
         mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
-        departure: where the NPC of the failure, or else the first that did, left its recording: ``npc``, ``time`` [s],
-            ``gap`` and ``recorded_gap`` [m] (negative: behind). None if no NPC did.
         reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
         avoided_by: the last decision from which braking, or staying in the lane, avoids the collision in simulation;
             None if there is none.
@@ -146,7 +143,6 @@ class Expect:
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
     situation: Situation | ZoneSituation | None = None
-    departure: Departure | None = None
     reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
     avoided_by: Avoidance | None = None
     against: str = ""
@@ -255,7 +251,6 @@ class Expect:
             side=None if hit is None else hit.side,
             closing_speed=None if hit is None else _rounded(hit.closing_speed, 3),
             situation=situation_of(run, failure, event.time),
-            departure=min(departures(trace), key=lambda each: (each.npc != event.npc, each.time), default=None),
             responsibility=run.attribution.responsibility,
             fault=run.attribution.fault,
             mistake=run.attribution.mistake if run.attribution.fault == "entered-lane" else None,

@@ -19,13 +19,13 @@ from functools import lru_cache, partial
 from itertools import combinations, islice, pairwise, permutations, product, zip_longest
 from typing import Any, NamedTuple, TypeVar
 
-from pytest_pafot.model.driving_style import PAPERS, Traffic
+from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES
 from pytest_pafot.model.instructions import (
-    KINDS,
     LANE_STARTS,
     MAX_SPEED,
     SPEED_STEPS_PER_MPS,
     Instruction,
+    LaneInstruction,
     PositionInstruction,
     ScenarioError,
     roughness,
@@ -139,7 +139,7 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     1. The number of NPCs, because a reader has to understand each of them.
     2. The number of instructions to read: equal instructions in a row are read as one, except changes of lanes.
     3. The number of moves to a different cell or lane, because staying is simpler. For an NPC that crosses, 1 if it
-       holds or stops, because passing is simpler. Each step of a manoeuvre is an instruction.
+       holds or stops, because passing is simpler.
     4. The number of NPCs in lanes, because a cell says where an NPC is, whereas the start of an NPC in lanes depends on
        the other NPCs.
     5. The number of NPCs that are no cars.
@@ -147,11 +147,9 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     7. The ego's start: lane 1 and 22 m/s are simplest, then round speeds. Genes of 10 s are simpler than genes of any
        other duration.
     8. The roughness of the speeds: multiples of 5 m/s are simpler than whole numbers, and whole numbers are simpler
-       than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths. The distances
-       of manoeuvres are as speeds, and a step's other numbers are simplest at their defaults. A recorded track is
-       simplest as it was recorded.
+       than tenths. For slots, whole seconds are simpler than halves, and halves are simpler than tenths.
     9. The sum of the instructions' speeds, because slower is simpler. For an NPC that crosses, the distance of its slot
-       from 0 instead of its speed; nothing for a manoeuvre; for a track, how far it is from the recording.
+       from 0 instead of its speed.
     10. The traffic: the paper's is simplest, because it adds no rules.
     11. The seed of the repair: 0 is simplest.
 
@@ -161,9 +159,9 @@ def sort_key(scenario: Scenario) -> tuple[int, ...]:
     start = round(scenario.ego_speed * SPEED_STEPS_PER_MPS)
     return (
         len(scenario.npcs),
-        sum(each.size for each in parts),
+        len(parts),
         sum(map(_moves, scenario.npcs)),
-        sum(chain[0].in_free_cell for chain in scenario.npcs),
+        sum(not chain[0].on_grid and not chain[0].crosses for chain in scenario.npcs),
         sum(vehicle != CAR for vehicle in scenario.vehicles),
         scenario.genes,
         sum(map(len, scenario.npcs)),
@@ -215,7 +213,7 @@ def shrink(
     """
     top = int(min(top_speed, MAX_SPEED) * SPEED_STEPS_PER_MPS + 1e-6)
     slowest = min(_tenths(gene) for chain in scenario.npcs for gene in chain)
-    low = min(round(scenario.traffic.least_speed(top_speed) * SPEED_STEPS_PER_MPS), slowest)
+    low = min(round(STYLES[scenario.traffic].least_speed(top_speed) * SPEED_STEPS_PER_MPS), slowest)
     gate = _Gate(
         best=scenario, rollouts=rollouts // FIRST_PART, low=low, top=top, tried={scenario: scenario},
         ahead=ahead if ahead > 1 else 0,
@@ -320,8 +318,6 @@ class _Gate:
         return is_new and sort_key(candidate) < sort_key(self.best)
 
     def _is_allowed(self, candidate: Scenario) -> bool:
-        if (candidate.ego_track is None) != (self.best.ego_track is None):
-            return False  # it would be no scenario around the recording
         return all(self.low <= _tenths(gene) <= self.top for chain in candidate.npcs for gene in chain)
 
     def driven(self, candidate: Scenario) -> Asking[Scenario | None]:
@@ -353,8 +349,8 @@ def _on_grid(scenario: Scenario) -> Candidates:
     free = iter([cell for cell in LANE_STARTS if all(chain[0].target != cell for chain in scenario.npcs)])
     chains = list(scenario.npcs)
     for npc, chain in enumerate(chains):
-        if chain[0].in_free_cell and chain[0].on_ring(LANE_STARTS[0]) is not None:
-            cell, cells = next(free), list[Instruction]()
+        if isinstance(chain[0], LaneInstruction):
+            cell, cells = next(free), list[PositionInstruction]()
             for gene in chain:
                 cells.append(gene.on_ring(cell))
                 cell = cells[-1].cell
@@ -379,9 +375,9 @@ def _fewer_npcs(scenario: Scenario) -> Candidates:
 
 
 def _cars(scenario: Scenario) -> Candidates:
-    """Let all NPCs be cars, then each of them that is something else; recorded ones keep their size."""
+    """Let all NPCs be cars, then each of them that is something else."""
     kinds = scenario.vehicles
-    others = [npc for npc, kind in enumerate(kinds) if kind != CAR and not scenario.npcs[npc][0].follows_track]
+    others = [npc for npc, kind in enumerate(kinds) if kind != CAR]
     if others:
         yield replace(scenario, vehicles=tuple(CAR if npc in others else kind for npc, kind in enumerate(kinds)))
     for npc in others:
@@ -399,7 +395,7 @@ def _shorter(scenario: Scenario) -> Candidates:
     """Remove the end of the scenario, then any other stretch of time, long stretches first."""
     yield from _ending(scenario)
     for start, end in _slices(scenario.genes, scenario.genes - 1):
-        cut = (chain if chain[0].is_alone else chain[:start] + chain[end:] for chain in scenario.npcs)
+        cut = (chain if chain[0].crosses else chain[:start] + chain[end:] for chain in scenario.npcs)
         yield _valid(scenario, tuple(cut))
 
 
@@ -431,7 +427,7 @@ def _plainer_duration(scenario: Scenario, seconds: float | None) -> Candidates:
 
     If no instruction has a duration, it has no effect, so try the usual one.
     """
-    if all(chain[0].is_alone for chain in scenario.npcs):
+    if all(chain[0].crosses for chain in scenario.npcs):
         yield replace(scenario, gene_seconds=GENE_SECONDS)
         return
     if seconds is None or seconds == scenario.gene_seconds:
@@ -470,11 +466,10 @@ def _staying(scenario: Scenario) -> Candidates:
 
 
 def _passing(scenario: Scenario) -> Candidates:
-    """Let an NPC do less: drive through its zone instead of holding at its line or stopping in the zone."""
-    for npc, chain in enumerate(scenario.npcs):
-        for gene, each in enumerate(chain):
-            for simpler in each.passing():
-                yield _with_chain(scenario, npc, (*chain[:gene], simpler, *chain[gene + 1 :]))
+    """Let an NPC drive through its zone instead of holding at its line or stopping in the zone."""
+    for npc, instruction in enumerate(scenario.crossings):
+        if instruction is not None and instruction.act != "pass":
+            yield _with_chain(scenario, npc, (replace(instruction, act="pass"),))
 
 
 def _rounder(scenario: Scenario) -> Candidates:
@@ -489,16 +484,15 @@ def _rounder(scenario: Scenario) -> Candidates:
 def _slower(scenario: Scenario) -> Candidates:
     """Reduce each speed to 0, or by 5, 1 or 0.1 m/s; the pass is repeated as long as it simplifies."""
     for npc, start, end, speed in _all_blocks(scenario):
-        for lower in (speed, FIVE, ONE, TENTH) if not scenario.npcs[npc][0].is_alone else ():
+        for lower in (speed, FIVE, ONE, TENTH) if not scenario.npcs[npc][0].crosses else ():
             yield _with_speed(scenario, npc, start, end, speed - lower)
 
 
-def _plainer(scenario: Scenario, kind: type[Instruction]) -> Candidates:
-    """Try the simpler numbers of each instruction of a kind."""
-    for npc, chain in enumerate(scenario.npcs):
-        for gene, each in enumerate(chain if type(chain[0]) is kind else ()):
-            for simpler in islice(each.plainer(), MOST_PLAINER):
-                yield _with_chain(scenario, npc, (*chain[:gene], simpler, *chain[gene + 1 :]))
+def _plainer(scenario: Scenario) -> Candidates:
+    """Try the simpler slots of each NPC that crosses."""
+    for npc, instruction in enumerate(scenario.crossings):
+        for simpler in () if instruction is None else instruction.plainer():
+            yield _with_chain(scenario, npc, (simpler,))
 
 
 def _plain_seed(scenario: Scenario) -> Candidates:
@@ -508,21 +502,16 @@ def _plain_seed(scenario: Scenario) -> Candidates:
 
 def _papers_traffic(scenario: Scenario) -> Candidates:
     """Replace hostile traffic, which is the default, by the paper's; the other styles stay."""
-    if scenario.traffic == Traffic():
+    if scenario.traffic == HOSTILE:
         yield replace(scenario, traffic=PAPERS)
 
-
-MOST_PLAINER = 1000
-"""The number of simpler instructions that are taken of one, because those of a registered kind may not end."""
 
 STRUCTURE: tuple[Pass, ...] = (_on_grid, _fewer_npcs, _cars, _shorter, _merged, _staying, _shorter_chains, _passing)
 
 
 def passes() -> tuple[Pass, ...]:
     """Return all passes, which are repeated until none finds a simpler scenario. The first ones shorten runs most."""
-    plain = [kind for kind in reversed(KINDS) if kind.plainer is not Instruction.plainer]
-    of_kinds = (partial(_plainer, kind=kind) for kind in plain)
-    return (*STRUCTURE, *of_kinds, _rounder, _slower, _plain_seed)
+    return (*STRUCTURE, _plainer, _rounder, _slower, _plain_seed)
 
 
 def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: bool) -> Candidates:
@@ -533,10 +522,8 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
 
     Their NPCs are cars; if the scenario has another vehicle, also all of them are the first other one. They are on the
     grid, in turn with those of other kinds of instructions that the scenario has. If it has NPCs that cross, try only
-    one NPC that crosses in a zone of the scenario. Around a recording there are none.
+    one NPC that crosses in a zone of the scenario.
     """
-    if any(chain[0].follows_track for chain in found.npcs):
-        return
     size = len(scenario.npcs), instructions(scenario)
     length = scenario.genes if size <= (1, 2) else found.genes  # longer chains fail more often
     starts = dict.fromkeys((plain, (scenario.ego_lane, scenario.ego_speed)))
@@ -549,7 +536,7 @@ def _small(scenario: Scenario, found: Scenario, plain: Start, *, is_limited: boo
     genes = {kind: tuple(kind.small(each, SMALL_SPEEDS)) for kind, each in by_kind.items()}
     genes[PositionInstruction] = tuple(PositionInstruction.small((), SMALL_SPEEDS))
     of_kinds = [
-        [((1, 1), ((gene,),)) for gene in each] if kind.is_alone else _small_ones(each, length)
+        [((1, 1), ((gene,),)) for gene in each] if kind.crosses else _small_ones(each, length)
         for kind, each in genes.items()
         if kind.crosses or not found.crossings
     ]

@@ -1,9 +1,8 @@
 """Chromosomes and scenarios, which a search evolves and a corpus file stores.
 
-Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, a
-Crossing-Instruction sends it across or into the ego's way, a Manoeuvre does what is asked for at a distance from the
-ego, and a Free NPC has a driver of its own. All genes of a chain are of one kind, and the NPCs of a scenario may have
-different kinds. Each kind is in a file of ``model/instructions/``.
+Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, and
+a Crossing-Instruction sends it across or into the ego's way. All genes of a chain are of one kind, and the NPCs of a
+scenario may have different kinds. Each kind is in a file of ``model/instructions/``.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -18,7 +17,7 @@ from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import Any, cast
 
-from pytest_pafot.model.driving_style import PAPERS, Traffic
+from pytest_pafot.model.driving_style import PAPERS, STYLES
 from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.model.instructions import (
     KINDS,
@@ -26,7 +25,6 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     ScenarioError,
-    Track,
     instruction_of,
 )
 from pytest_pafot.model.instructions.instruction import checked_number, encoded
@@ -70,13 +68,11 @@ class Scenario(_Hashed):
             (paper, section 2), or, if its chain is the longest, goes on with that gene.
         seed: of all random choices in the run, 0 to 2**63 - 1.
         ego_lane: its first lane, from 0 at the left.
-        ego_speed: first speed of ego and NPCs, unless an instruction says otherwise or a bend requires less [m/s].
+        ego_speed: first speed of ego and NPCs, unless an NPC crosses or a bend requires less [m/s].
         gene_seconds: duration of a gene [s].
-        traffic: driving style of the NPCs.
+        traffic: driving style of the NPCs: ``paper``, ``hostile``, ``assertive`` or ``everyday``.
         vehicles: of the NPCs, in their order: a ``VehicleType``, or the name of a ready one. All after the last are
             cars.
-        ego_track: the track of the vehicle in whose place the policy drives, if NPCs drive as recorded: they do so
-            while the ego is near it, and the run ends with it. Without it, they do so only while nobody is near.
 
     Raises:
         ScenarioError: if a rule is broken. For example, a cell is no ring neighbour of the previous cell, or two NPCs
@@ -88,9 +84,8 @@ class Scenario(_Hashed):
     ego_lane: int = EGO_LANE
     ego_speed: float = EGO_SPEED
     gene_seconds: float = GENE_SECONDS
-    traffic: Traffic = PAPERS
+    traffic: str = PAPERS
     vehicles: tuple[VehicleType, ...] = ()
-    ego_track: Track | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
@@ -105,13 +100,10 @@ class Scenario(_Hashed):
         if not 0 < self.gene_seconds <= LONGEST_GENE:
             expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
             raise ScenarioError(field="gene_seconds", expected=expected, received=repr(self.gene_seconds))
-        if not isinstance(self.traffic, Traffic):
-            fix = 'write pafot.Traffic(style="everyday")'
-            raise ScenarioError(field="traffic", expected="a Traffic", received=repr(self.traffic), fix=fix)
-        if not isinstance(self.ego_track, Track | None):
-            raise ScenarioError(field="ego_track", expected="a Track", received=f"{self.ego_track!r:.60}")
-        if self.ego_track is not None and not any(chain[0].follows_track for chain in self.npcs):
-            object.__setattr__(self, "ego_track", None)  # nobody's driving depends on it
+        if not isinstance(self.traffic, str) or self.traffic not in STYLES:
+            expected = f"one of {', '.join(STYLES)}"
+            raise ScenarioError(field="traffic", expected=expected, received=f"{self.traffic!r:.100}")
+        object.__setattr__(self, "traffic", str(self.traffic))
         if not are_valid([[gene.cell for gene in chain] for chain in self.positions]):
             _check_adjacency(self.npcs)
             _check_distinct(self.npcs)
@@ -125,9 +117,8 @@ class Scenario(_Hashed):
         ego_lane: int = EGO_LANE,
         ego_speed: float = EGO_SPEED,
         gene_seconds: float = GENE_SECONDS,
-        traffic: Traffic = PAPERS,
+        traffic: str = PAPERS,
         vehicles: Sequence[VehicleType | str] = (),
-        ego_track: Track | None = None,
     ) -> Scenario:
         """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
 
@@ -142,7 +133,6 @@ class Scenario(_Hashed):
             gene_seconds=gene_seconds,
             traffic=traffic,
             vehicles=_checked_vehicles(vehicles, len(npcs)),
-            ego_track=ego_track,
         )
 
     @classmethod
@@ -179,14 +169,8 @@ class Scenario(_Hashed):
 
     @property
     def seconds(self) -> float:
-        """The duration of the longest chain [s]; infinite if an NPC has a gene without a duration.
-
-        With the track of a recorded ego, it is that of the track.
-        """
-        if self.ego_track is not None:
-            return self.ego_track.seconds
-        has_duration = not any(chain[0].is_alone for chain in self.npcs)
-        return self.genes * self.gene_seconds if has_duration else math.inf
+        """The duration of the longest chain [s]; infinite if an NPC crosses, because its gene has no duration."""
+        return math.inf if self.crossings else self.genes * self.gene_seconds
 
     @property
     def id(self) -> str:
@@ -203,10 +187,9 @@ class Scenario(_Hashed):
 
     @property
     def _beside_chains(self) -> list[Any]:
-        track = [] if self.ego_track is None else [self.ego_track.text]
-        traffic: list[Any] = [] if self.traffic == PAPERS and not track else [self.traffic.plain()]
+        traffic: list[Any] = [] if self.traffic == PAPERS else [self.traffic]
         vehicles = [[each.plain() for each in self.vehicles]] if self.vehicles else []  # a list, as no other one is
-        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *track, *vehicles]
+        return [self.seed, self.ego_lane, self.ego_speed, self.gene_seconds, *traffic, *vehicles]
 
     @property
     def chains_text(self) -> str:
@@ -223,7 +206,6 @@ class Scenario(_Hashed):
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
         vehicles = others.pop() if others and isinstance(others[-1], list) else ()
-        traffic, track = others[:1], others[1:]
         chains = tuple(tuple(map(instruction_of, chain)) for chain in npcs)
         return cls(
             npcs=chains,
@@ -231,9 +213,8 @@ class Scenario(_Hashed):
             ego_lane=ego_lane,
             ego_speed=ego_speed,
             gene_seconds=gene_seconds,
-            traffic=Traffic.of(*traffic) if traffic else PAPERS,
+            traffic=others[0] if others else PAPERS,
             vehicles=tuple(vehicles),
-            ego_track=Track(*track) if track else None,
         )
 
     def rechained(self, npcs: Sequence[Sequence[Instruction]], gene_seconds: float | None = None) -> Scenario:
@@ -249,17 +230,11 @@ class Scenario(_Hashed):
             gene_seconds=self.gene_seconds,
             traffic=self.traffic,
             vehicles=self.vehicles,
-            ego_track=self.ego_track,
         )
 
     def vehicle_of(self, npc: int) -> VehicleType:
         """Return what vehicle an NPC is."""
         return self.vehicles[npc] if npc < len(self.vehicles) else CAR
-
-    def drivers_error(self, npc: int, error: str) -> str:
-        """Return a line on an error of the driver of an NPC."""
-        first = self.npcs[npc][0]
-        return f"the driver {getattr(first, 'driver', first.name)} failed: {error}"
 
     @property
     def all_vehicles(self) -> tuple[VehicleType, ...]:
@@ -305,13 +280,13 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
         chains = tuple(tuple(chain) for chain in npcs)  # type: ignore[attr-defined]
     except TypeError:
         expected = "one chain of instructions per NPC"
-        fix = "write [[PositionInstruction(cell, speed), ...], ...], or [[Manoeuvre(...)], ...]"
+        fix = "write [[PositionInstruction(cell, speed), ...], ...]"
         raise ScenarioError(field="npcs", expected=expected, received=repr(npcs), fix=fix) from None
     if not 1 <= len(chains) <= 8:
         raise ScenarioError(field="npcs", expected="1 to 8 NPCs, one per cell at most", received=str(len(chains)))
     for npc, chain in enumerate(chains):
         is_one_kind = len({*map(type, chain)}) == 1 and isinstance(chain[0], Instruction)
-        if is_one_kind and type(chain[0]) in KINDS and (len(chain) == 1 or not chain[0].is_alone):
+        if is_one_kind and (len(chain) == 1 or not chain[0].crosses):
             continue  # the usual chains, in a fraction of the time
         if not chain:
             expected = "at least one instruction"
@@ -321,13 +296,10 @@ def _checked_chains(npcs: object) -> tuple[Chromosome, ...]:
                 *names, last = [f"a {kind.__name__}" for kind in KINDS]
                 expected = f"{', '.join(names)} or {last}"
                 fix = "write PositionInstruction(cell, speed), or LaneInstruction(lane, speed)"
-            elif type(each) not in KINDS:
-                expected = "an instruction of a kind that is registered"
-                fix = f"call pytest_pafot.extending.register({type(each).__name__}, drives=...)"
             elif type(each) is not (kind := type(chain[0])):
                 expected = f"a {kind.__name__} like npcs[{npc}][0]"
                 fix = "give an NPC instructions of one kind"
-            elif gene and each.is_alone:
+            elif gene and each.crosses:
                 expected, fix = f"one {kind.__name__}", "it is the only one of its NPC; give the other to another NPC"
             else:
                 continue
@@ -400,9 +372,9 @@ def retimed(chain: Chromosome, seconds: float, wanted: float) -> Chromosome:
 
     Each new gene equals the old gene that was active at the middle of the new one. Longer genes may skip a cell, in
     which case the chain needs repair. If several new genes come from one Lane-Instruction, only the first of them
-    changes lanes. A Crossing-Instruction and a Manoeuvre have no duration, so their chain is unchanged.
+    changes lanes. A Crossing-Instruction has no duration, so its chain is unchanged.
     """
-    if chain[0].is_alone:
+    if chain[0].crosses:
         return chain
     count = max(1, math.ceil(len(chain) * seconds / wanted - 1e-9))
     olds = [min(int((gene + 0.5) * wanted / seconds), len(chain) - 1) for gene in range(count)]

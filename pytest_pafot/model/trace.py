@@ -43,8 +43,8 @@ class Outcome(StrEnum):
     COLLISION = "collision"
     """The ego's box touched an NPC's or a fixed object."""
     INVALID = "invalid"
-    """Two NPCs touched, an NPC touched a fixed object, or the user's code failed that drives a free NPC or ends
-    episodes; the run says nothing about the ego."""
+    """Two NPCs touched, an NPC touched a fixed object, or the user's code failed that ends episodes;
+    the run says nothing about the ego."""
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned no valid action."""
     HANG = "hang"
@@ -212,10 +212,6 @@ class RoadOfRun(ABC):
         """Return the offsets of one NPC at one tick."""
 
     @abstractmethod
-    def distance(self, npc: int, tick: int) -> float:
-        """Return how far an NPC is ahead of the ego at a tick, as manoeuvres ask for it."""
-
-    @abstractmethod
     def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return cosine and sine of each vehicle's angle to the road, from those of its heading, and the road's own."""
 
@@ -292,10 +288,6 @@ class StraightRoadOfRun(RoadOfRun):
         heading = self._lanes[int(ego[LANE])].heading
         x, y, cos, sin = other[X] - ego[X], other[Y] - ego[Y], math.cos(heading), math.sin(heading)
         return x * cos + y * sin, y * cos - x * sin
-
-    def distance(self, npc: int, tick: int) -> float:
-        """Return the distance along the ego's lane."""
-        return self.offset(npc, tick)[0]
 
     def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the angles to the ego's lane."""
@@ -406,11 +398,6 @@ class BentRoadOfRun(RoadOfRun):
         ego, other = self._track[tick, 0].tolist(), self._track[tick, npc + 1].tolist()
         return driven_between(ego, other), other[ACROSS] - ego[ACROSS]
 
-    def distance(self, npc: int, tick: int) -> float:
-        """Return the difference in places along the ego's way, in metres as the ego drives there."""
-        ego, other = self._track[tick, 0], self._track[tick, npc + 1]
-        return float((other[ALONG] - ego[ALONG]) * ego[STRETCH])
-
     def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the angles to the ego's way at the place of each vehicle."""
         angle = self._track[:, :, ANGLE].T
@@ -476,8 +463,6 @@ class Trace:
         outcome: how the run ended.
         collision: the collision; None unless the outcome is ``collision``.
         error: the error of the ADS; None unless the outcome is ``ads_error`` or ``hang``.
-        npc_error: the index of the free NPC whose driver failed, and its error, if that ended the run, which is then
-            ``invalid``; else None.
         states: float64, read-only, shape [ticks + 1, vehicles, 7] with columns x [m], y [m], heading [rad],
             speed [m/s], acceleration [m/s^2], steering [rad], lane (index into ``lanes``, -1 off the road).
             y grows to the right of the driving direction, as in highway-env. Row ``t`` holds the state at tick
@@ -504,9 +489,6 @@ class Trace:
             shape [ticks + 1, NPCs]. NaN for NPCs that do not cross.
         driven: for each NPC and started gene, the cell that the NPC drove to. It differs from ``executed`` if cells
             that the road does not have were skipped, which no chain can express. Empty if it equals ``executed``.
-        begun: for each NPC the ticks at which the steps of its manoeuvre began. Empty if no NPC has one.
-        handed_over: for each NPC the tick from which it no longer drove as recorded; None if it did up to the end, or
-            never. Empty if no NPC drives as recorded.
         obstacles: the fixed objects on the road that vehicles can touch: x [m], y [m], heading [rad], length and width
             [m].
         drew: True if the run drew from a global random generator, so that another seed may give another run.
@@ -534,25 +516,15 @@ class Trace:
     zones: tuple[Zone | None, ...] = ()
     on_way: FloatArray | None = None
     driven: tuple[tuple[Cell, ...], ...] = ()
-    begun: tuple[tuple[int, ...], ...] = ()
-    handed_over: tuple[int | None, ...] = ()
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
     drew: bool = False
-    npc_error: tuple[int, AdsError] | None = None
     ego_vehicle: VehicleType = CAR
     ended: str = ""
 
     @property
     def users_error_text(self) -> str:
-        """A line on the user's code that made the run invalid, a free NPC's driver or an end; empty if none did."""
-        if self.npc_error is None:
-            return self.ended if self.outcome is Outcome.INVALID else ""
-        npc, error = self.npc_error
-        return self.scenario.drivers_error(npc, error.text)
-
-    def steps_begun(self, npc: int) -> tuple[int, ...]:
-        """Return the ticks at which the steps of an NPC's manoeuvre began; empty without a manoeuvre."""
-        return self.begun[npc] if npc < len(self.begun) else ()
+        """A line on the environment's own end that made the run invalid; empty if none did."""
+        return self.ended if self.outcome is Outcome.INVALID else ""
 
     def __post_init__(self) -> None:
         for name in ("states", "sizes", "track", "on_way"):

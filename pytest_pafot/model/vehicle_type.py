@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -37,11 +37,6 @@ m/s^2, which is also the least that UN Regulation 13 requires."""
 
 TIGHTEST = 1 / 6.5
 """The curvature of the tightest bend that a car can follow [1/m]. The radius grows with the length of a vehicle."""
-
-NARROW, LONG, HEAVY = 1.2, 5.8, 7.1
-"""The width below which a vehicle of a recording is a motorcycle, because every car is wider, and the lengths from
-which it is a van, because few cars are longer, and a truck, as long as SUMO's class ``truck`` [m]. The classes of data
-sets do not tell it: a truck of highD may be a van, and drive like one."""
 
 LONGEST_NAME = 40
 """The largest number of characters of a vehicle's name."""
@@ -115,22 +110,6 @@ class VehicleType(Pasteable):
     def can_follow(self, curvature: float) -> bool:
         """Return whether the vehicle can follow a bend of a curvature [1/m]; a car can follow those of all roads."""
         return self.length <= CAR.length or curvature <= TIGHTEST * CAR.length / self.length
-
-    @classmethod
-    def recorded(cls, length: float, width: float, fastest: float) -> VehicleType:
-        """Return a vehicle of a recording: its own size [m], and the limits of the ready vehicle of such a size.
-
-        A size out of bounds becomes the nearest one, so a lorry with two trailers is cut at both ends. The vehicle may
-        drive as fast as it was recorded to [m/s], because some lorries are faster than their limiters should let them.
-        """
-        (shortest, longest), (narrowest, widest) = BOUNDS["length"], BOUNDS["width"]
-        length = round(min(max(length, shortest), longest), 2)
-        width = round(min(max(width, narrowest), widest, length), 2)
-        if (length, width) == (CAR.length, CAR.width):
-            return CAR
-        ready = MOTORCYCLE if width < NARROW else TRUCK if length >= HEAVY else VAN if length >= LONG else CAR
-        top = max(ready.top_speed, float(math.ceil(fastest)))
-        return replace(ready, name=f"recorded {ready.name}", length=length, width=width, top_speed=top)
 
     @property
     def has_limits(self) -> bool:

@@ -19,7 +19,7 @@ from pytest_pafot.attribution.responsibility import Attribution, position_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
-from pytest_pafot.criticality.asked import Asked, asked, departures
+from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import (
     EgoLaneChange,
     EgoSignals,
@@ -30,6 +30,7 @@ from pytest_pafot.criticality.signals import (
     leader,
 )
 from pytest_pafot.model.crossings import Zone
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
@@ -54,8 +55,6 @@ LINE_LENGTH = 99
 """The longest line of an explanation."""
 BACKWARDS = 0.5
 """The lowest backward speed that an explanation mentions [m/s]. Less is the overshoot of a car that stops."""
-MAX_STEP_ROWS = 10
-"""The largest number of lines on manoeuvres in an explanation."""
 MAX_GENE_ROWS = 5
 """The largest number of rows in an explanation's table of genes."""
 _WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
@@ -459,12 +458,12 @@ class Run:
 
     @cached_property
     def asked(self) -> tuple[Asked, ...]:
-        """All that manoeuvres and crossing NPCs asked for, with what it was."""
+        """The slots that crossing NPCs were asked for, with what they were."""
         return asked(self.trace)
 
     @property
     def as_asked(self) -> bool:
-        """True if all that manoeuvres and crossing NPCs asked for came up."""
+        """True if all crossing NPCs came as they were asked to."""
         return all(each.is_met for each in self.asked)
 
     @property
@@ -485,18 +484,17 @@ class Run:
             instructions: whether to name the scenario and its instructions.
         """
         lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
-        lines += [f"  {sentence}" for sentence in self._after_recording()]
         if instructions:
             names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
             names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
-            names += filter(None, [self.scenario.traffic.described])
+            names += filter(None, [STYLES[self.scenario.traffic].described])
             others = [
                 f"{f'NPC {number - 1}' if number else 'the ego'} is a {vehicle.described}"
                 for number, vehicle in enumerate((self.trace.ego_vehicle, *self.scenario.vehicles))
                 if vehicle != CAR
             ]
             lines += [f"  {'; '.join(others)}"] if others else []
-            crossing = [*_crossing_lines(self.trace), *_manoeuvre_lines(self.trace, self.asked)]
+            crossing = _crossing_lines(self.trace)
             lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
         return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
@@ -532,8 +530,7 @@ class Run:
             return f"{what} after {self.event_time:.1f} s: {self.ads_error.kind}: {self.ads_error.message}"
         if self.outcome is Outcome.INVALID:
             more = ", or one touched a fixed object" if self.trace.obstacles else ""
-            why, npc = self.trace.users_error_text or f"two NPCs touched{more}", self.trace.npc_error
-            why += "" if npc is None else f" (NPC {npc[0]})"
+            why = self.trace.users_error_text or f"two NPCs touched{more}"
             return f"invalid after {self.duration:.1f} s: {why}"
         over = f", which {self.trace.ended} ended" if self.trace.ended else ""
         if self.off_road:
@@ -560,13 +557,6 @@ class Run:
         if speeds[tick] > -BACKWARDS:
             return []
         return [f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"]
-
-    def _after_recording(self) -> Iterator[str]:
-        """Yield how long before the collision its NPC stopped driving as recorded, if it did."""
-        hit = self.collision
-        for each in departures(self.trace):
-            if hit is not None and each.npc == hit.npc:
-                yield f"fails {hit.time - each.time:.1f} s after NPC {each.npc} left the recording, {each.gaps}"
 
     def _hardest_brake(self) -> str:
         """Return the words for the ego's hardest braking and its time.
@@ -637,22 +627,6 @@ def _crossing_lines(trace: Trace) -> list[str]:
     return lines if len(shown) == len(told) else [*lines, f"  ... and {len(told) - len(shown)} more that cross"]
 
 
-def _manoeuvre_lines(trace: Trace, measured: Sequence[Asked]) -> list[str]:
-    """Return the start of each manoeuvre, its steps with the times at which they began, and what was not as asked."""
-    lines, missed, left = [], [each for each in measured if not each.is_met], departures(trace)
-    for npc, chain in enumerate(trace.executed.npcs):
-        if not chain[0].place:
-            continue
-        lines.append(f"  NPC {npc}: {chain[0].place}, {chain[0].speed:.1f} m/s")
-        lines += [f"    {each.words}" for each in left if each.npc == npc]
-        begun = trace.steps_begun(npc)
-        for number, step in enumerate(chain[0].steps):
-            when = f"{begun[number] / trace.physics_hz:6.1f} s" if number < len(begun) else "   never"
-            lines.append(f"  {when}  {step.words}")
-        lines += [f"    not as asked: {each.words}" for each in missed if each.npc == npc]
-    return lines if len(lines) <= MAX_STEP_ROWS else [*lines[: MAX_STEP_ROWS - 1], "  ..."]
-
-
 def _passed(passage: Passage | None) -> str:
     """Return when an NPC passed its zone, relative to the ego, in words: ``; arrived 0.1 s after it (5.6 s)``."""
     if passage is None:
@@ -676,7 +650,7 @@ def _gene_table(trace: Trace, room: int) -> list[str]:
     ones. Times are in seconds.
     """
     scenario, seconds = trace.executed, trace.executed.gene_seconds
-    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].is_alone]
+    npcs = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
     if not npcs:
         return []
     started = min(scenario.genes, int(trace.duration / seconds - 1e-9) + 1)

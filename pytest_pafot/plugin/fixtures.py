@@ -101,7 +101,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
         is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
         if run.outcome is Outcome.INVALID and not is_generated:
             why = run.trace.users_error_text or "two NPCs or an NPC and a fixed object touched"
-            what = "driver" if run.trace.npc_error else "environment" if run.trace.ended else "scenario"
+            what = "environment" if run.trace.ended else "scenario"
             warnings.warn(
                 f"pafot_simulate: the run is invalid, because {why}; it ended there and says nothing about the ego. "
                 f"Correct the {what}",

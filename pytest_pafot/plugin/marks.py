@@ -69,11 +69,6 @@ def _check_name(target: object) -> None:
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     _check_name(target)
     given = [arguments.get("ads", DEFAULT_ADS), arguments.get("against")]
-    drivers = arguments.get("drivers")
-    if isinstance(drivers, Mapping):
-        from pytest_pafot.model.instructions import BUILT_IN_DRIVERS  # noqa: PLC0415  (few test files need it)
-
-        given += [each for name, each in drivers.items() if name not in BUILT_IN_DRIVERS]
     names = [each for each in given if isinstance(each, str) and each and ":" not in each]
     fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *names]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.

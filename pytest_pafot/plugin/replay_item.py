@@ -131,7 +131,7 @@ def _conclude_lost(
 ) -> NoReturn:
     """Report and fail the replay of a saved scenario whose process died or hung."""
     __tracebackhide__ = True
-    beyond = "" if facts.shows is Label.STILL_FAILING or not replays.accepts(finding) else f"a process that {lost.how}"
+    beyond = "" if facts.shows is Label.STILL_FAILING or not replays.accepts(finding) else f"a process that {lost.end}"
     if beyond:
         item.stash[NOT_ACCEPTED] = beyond
     note = "; ".join(getattr(lost, "__notes__", ()))
@@ -139,9 +139,9 @@ def _conclude_lost(
     label = facts.label
     notes = [_against(replays), *replays.setting_changes(finding)]
     if label is Label.DRIFTED:
-        notes = [replays.changes(finding, f"the process {lost.how}")]
+        notes = [replays.changes(finding, f"the process {lost.end}")]
     detail = "; ".join(filter(None, [note, *notes]))
-    line = f"the process (pid {lost.pid}) that ran this scenario {lost.how}"
+    line = f"the process (pid {lost.pid}) that ran this scenario {lost.end}"
     _send(item, replays, saved, label, None, headline=line, detail=detail)
     lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
     _add_section(

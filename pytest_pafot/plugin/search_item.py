@@ -24,10 +24,10 @@ from pytest_pafot.campaign.events import (
     SearchStarted,
     SearchSummary,
 )
-from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of, with_drivers
+from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.campaign.request import Request, build_world, drivers_of
+from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.search_session import (
     AFTER_A_DEATH,
     Events,
@@ -113,10 +113,9 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         messages.send(item, "note", {"text": IN_WORKER})
         request = replace(request, settings=replace(request.settings, workers=1))
     policy = Policy(policy_of(item))
-    drivers = drivers_of(request, policy.factory, lambda name: checked_factory(item.funcargs[name], name))
     return Harness(
         request=request,
-        world=with_drivers(world, drivers),
+        world=world,
         policy=policy,
         test=bound_test(item, request.arg),
         test_file=source_file(item.obj, str(item.path)),
@@ -128,7 +127,6 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         versions=installed_versions(world.packages),
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name), policy),
         executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
-        drivers=drivers,
         needs_only_run=_needs_only_run(item, request.arg),
         states=None if resume is None else here / resume,
     )

@@ -22,6 +22,7 @@ from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.text import capitalised, plural, quiet_json
@@ -118,7 +119,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     ),
     "traffic": Key(
         "how the NPCs drive, in words; empty for the paper's.",
-        "", lambda seen: seen.finding.scenario.traffic.described,
+        "", lambda seen: STYLES[seen.finding.scenario.traffic].described,
     ),
     "runs": Key(
         "number of runs that failed so; 0 for a saved scenario (see `known` of the search).", 0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, pairwise
 from operator import itemgetter
@@ -17,15 +17,13 @@ from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.campaign.verdict import collision_in_short
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
-from pytest_pafot.criticality.asked import Asked, asked, departures
 from pytest_pafot.criticality.signals import jerk
 from pytest_pafot.findings.decisions import advice_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.model.driving_style import AMPLE, Traffic
+from pytest_pafot.model.driving_style import AMPLE, STYLES, DrivingStyle
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import Instruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR
@@ -71,7 +69,7 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
     A lane of a straight road is a position across the road; a lane of a bent road is a line in world coordinates. The
     clearance is the gap between the ego and the cells ahead of and behind it [m].
     """
-    ahead, behind = places(trace.scenario.traffic)
+    ahead, behind = places(STYLES[trace.scenario.traffic])
     road = RoadView(
         lanes=(),
         lane_width=float(trace.lanes[0].width),
@@ -94,13 +92,13 @@ def road_view(trace: Trace, clearance: float) -> RoadView:
     return replace(road, shapes=tuple(shapes))
 
 
-def places(traffic: Traffic) -> tuple[Place, Place]:
+def places(style: DrivingStyle) -> tuple[Place, Place]:
     """Return the gaps to the cells ahead of and behind the ego, by the same rule as :meth:`Director._target`."""
-    if not traffic.is_attentive:
+    if not style.is_attentive:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     standing = following_gap(0.0)
     behind = (0.0, standing, round(following_gap(1.0) - standing, 3))
-    return (traffic.least_gap + AMPLE, AMPLE, traffic.time_gap), behind
+    return (style.least_gap + AMPLE, AMPLE, style.time_gap), behind
 
 
 def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
@@ -294,7 +292,7 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
         command=f"pytest {shlex.quote(sighting.node_id)}",
-        traffic=finding.scenario.traffic.described,
+        traffic=STYLES[finding.scenario.traffic].described,
         sighting=sighting,
     )
     if trace is None:
@@ -324,7 +322,7 @@ def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
         yaml="",
         command="",
         runs=0,
-        traffic=run.scenario.traffic.described,
+        traffic=STYLES[run.scenario.traffic].described,
     )
     return _with_run(view, trace, clearance, None)
 
@@ -411,7 +409,7 @@ def _chains(scenario: Scenario, longest_run: float) -> Chains:
     seconds = scenario.gene_seconds
     npcs = (
         tuple(
-            f"{'' if gene.is_alone else f'{number * seconds:g} s: '}{gene.goal}, {gene.speed:g} m/s"
+            f"{'' if gene.crosses else f'{number * seconds:g} s: '}{gene.goal}, {gene.speed:g} m/s"
             for number, gene in enumerate(chain)
         )
         for chain in scenario.npcs
@@ -563,17 +561,13 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
     wanted = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
-    missed = [] if trace is None else [each for each in asked(trace) if not each.is_met]
     views: list[InstructionView] = []
     for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
-            if requested.place:
-                views += _steps(trace, npc, requested, [each for each in missed if each.npc == npc])
-                continue
             tick = None if trace is None else arrival(trace, npc, gene)
             end = (gene + 1) * wanted.gene_seconds
-            if followed.is_alone and trace is not None:  # it lasts for the whole run
+            if followed.crosses and trace is not None:  # it lasts for the whole run
                 end = max(end, trace.duration)
             apart = math.nan if trace is None else lanes_apart(trace, npc, gene)
             zone = zones[npc]
@@ -590,35 +584,6 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
             )
             views.append(replace(view, **followed.shown(requested, apart, "" if zone is None else zone.whence)))
     return tuple(views)
-
-
-def _steps(trace: Trace | None, npc: int, manoeuvre: Instruction, missed: Sequence[Asked]) -> Iterator[InstructionView]:
-    """Yield the start of a manoeuvre and its steps, each as an instruction for a lane."""
-    begun = () if trace is None else trace.steps_begun(npc)
-    hz, last = (1, 0.0) if trace is None else (trace.physics_hz, trace.duration)
-    times = [0.0, *(tick / hz for tick in begun)]
-    left = () if trace is None else departures(trace)
-    place = "; ".join([manoeuvre.place, *(each.words for each in left if each.npc == npc)])
-    speed = manoeuvre.speed
-    for gene, step in enumerate((None, *manoeuvre.steps)):
-        is_begun = gene < len(times)
-        words = place if step is None else step.words
-        if step is not None:
-            speed = speed if step.speed is None else step.speed
-            words = "; ".join([words, *(each.words for each in missed if each.step == gene - 1)])
-        yield InstructionView(
-            npc=npc,
-            gene=gene,
-            start=round(times[gene] if is_begun else last, 3),
-            end=round(times[gene + 1] if gene + 1 < len(times) else last, 3),
-            requested=0,
-            cell=0,
-            speed=speed,
-            started=is_begun and trace is not None,
-            arrived=None,
-            lane="keep" if step is None else step.lane,
-            words=words,
-        )
 
 
 def _numbers(values: FloatArray, digits: int) -> Numbers:

@@ -23,9 +23,9 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import Chromosome
 
 ACTS: tuple[Act, ...] = ("pass", "hold", "stop")
-"""Acts that are sampled by default. ``late`` is left out, because after it one can often dispute who had to wait."""
+"""Acts that are sampled. ``late`` is left out, because after it one can often dispute who had to wait."""
 PASSES = 0.7
-"""Share of the crossing NPCs that drive through their zone without stopping, if other acts are possible."""
+"""Share of the crossing NPCs that drive through their zone without stopping."""
 SLOT_SHARES = {"well before": 0.1, "just before": 0.2, "together": 0.2, "just after": 0.3, "well after": 0.2}
 """Probability of each of the five kinds of slots. "Just after" is most likely: it meets an ego that hesitates."""
 SLOWEST = 3.0
@@ -47,13 +47,11 @@ class CrossingTraffic:
 
     Attributes:
         crossings: the ways of the world.
-        acts: acts that are sampled.
         low, high: lowest and highest target speed [m/s]; bends of a way may limit it further.
         most_on_grid: largest number of NPCs that do not cross in the same scenario; each needs a cell to start in.
     """
 
     crossings: Crossings
-    acts: tuple[Act, ...]
     low: float
     high: float
     most_on_grid: int
@@ -84,8 +82,8 @@ class CrossingTraffic:
             return replace(instruction, slot=_tenths(min(max(slot, -LARGEST_SLOT), LARGEST_SLOT)))
         if share < SLOT_CHANGE + SPEED_CHANGE:
             return replace(instruction, speed=self._speed(instruction.zone, rng))
-        if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE and len(self.acts) > 1:
-            others = [act for act in self.acts if act != instruction.act]
+        if share < SLOT_CHANGE + SPEED_CHANGE + ACT_CHANGE:
+            others = [act for act in ACTS if act != instruction.act]
             return replace(instruction, act=others[int(rng.integers(len(others)))])
         return self.drawn(rng)
 
@@ -156,10 +154,9 @@ class CrossingTraffic:
         return min(round(max(self.low, SLOWEST) * SPEED_STEPS_PER_MPS), high), high
 
     def _act(self, rng: Generator) -> Act:
-        others = [act for act in self.acts if act != "pass"]
-        if not others or ("pass" in self.acts and rng.random() < PASSES):
+        if rng.random() < PASSES:
             return "pass"
-        return others[int(rng.integers(len(others)))]
+        return ACTS[1 + int(rng.integers(len(ACTS) - 1))]
 
 
 def drawn_slot(rng: Generator) -> float:

@@ -68,7 +68,7 @@ class Evaluation:
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
         at_object: whether the run is invalid because an NPC touched a fixed object, see :func:`ended_at_object`.
-        users_error: the user's code that failed, the driver of a free NPC or what ends episodes, and its error, so that
+        users_error: the user's code that ends episodes and failed, and its error, so that
             the run is invalid.
         ended: what of the environment's own ended the run before its time; empty if nothing did.
         note: any data that ``evaluate`` adds, to get it back with the evaluation, also if the evaluation is reused.
@@ -363,6 +363,5 @@ def plain_chains(scenario: Scenario) -> Chains:
 def _key(scenario: Scenario, chains: Chains, depth: int) -> _Key:
     # A run whose end does not depend on its chains goes on after the last gene, which a longer chain would not.
     ends = 0 if all(len(chain) == len(chains[0]) for chain in chains) else scenario.genes
-    beside = (scenario.traffic, scenario.vehicles, scenario.ego_track)
-    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, *beside, ends)
-    return (*start, depth, *[chain[:depth] for chain in chains])
+    start = (scenario.ego_lane, scenario.ego_speed, scenario.gene_seconds, scenario.traffic, scenario.vehicles)
+    return (*start, ends, depth, *[chain[:depth] for chain in chains])

@@ -150,9 +150,6 @@ class Health:
                 "when a method that ends episodes failed",
                 'correct it, or write ends="duration" in the world',
             )
-            if most.startswith("the driver "):
-                where = "when the driver of a free NPC failed"
-                remedy = "correct that driver, or leave it out of drivers="
             crash = where if failed == self.invalid else f"{crash} or, {failed} of them, {where},"
             found.append(f"{plural(failed, 'simulated scenario')} tested nothing; most often {most:.300}; {remedy}")
         if self.valid == 0:

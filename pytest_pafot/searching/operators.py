@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, cast
 
 from numpy.random import Generator
 
@@ -22,9 +21,7 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import (
     SearchSpace,
-    changed,
     fresh_seed,
-    one_more,
     repaired,
     sample,
 )
@@ -76,8 +73,6 @@ def _swapped(a: Scenario, b: Scenario, rng: Generator) -> tuple[Swapped, Swapped
     if (children := one.mixed(other, rng)) is not None:
         first, second = children
         return (in_a, (first,), kind), (in_b, (second,), its_kind)
-    if one.keeps_start or other.keeps_start:  # so that no two NPCs touch there
-        return (in_a, a.npcs[in_a], kind), (in_b, b.npcs[in_b], its_kind)
     return (in_a, _taken(b, in_b, a), its_kind), (in_b, _taken(a, in_a, b), kind)
 
 
@@ -113,8 +108,6 @@ def _cleared(scenario: Scenario, crossing: CrossingTraffic, rng: Generator) -> S
 
 
 def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    if space.around is not None:
-        return one_more(scenario, space, rng) if rng.random() < SIZES else changed(scenario, space, rng)
     starts = STARTS if len(space.ego_lanes) > 1 or space.has_speeds else 0.0
     sizes = SIZES if space.most_npcs or len(space.gene_durations) > 1 else 0.0
     vehicles = VEHICLES if len(space.vehicles) > 1 else 0.0
@@ -127,17 +120,10 @@ def _mutated(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario
         npc = int(rng.integers(len(scenario.npcs)))
         others = [vehicle for vehicle in space.vehicles if vehicle != scenario.vehicle_of(npc)]
         return scenario.with_vehicle(npc, others[int(rng.integers(len(others)))])
-    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].is_alone]
-    asked = [npc for npc, chain in enumerate(scenario.npcs) if chain[0].is_alone and not chain[0].crosses]
+    numbers = [npc for npc, chain in enumerate(scenario.npcs) if not chain[0].crosses]
     crossing = space.crossing_traffic
-    if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers) + len(asked):
+    if crossing is not None and rng.random() * len(scenario.npcs) >= len(numbers):
         return _crossing_otherwise(scenario, crossing, rng)
-    if asked and (not numbers or rng.random() * len(scenario.npcs) < len(asked)):
-        npc = asked[int(rng.integers(len(asked)))]
-        here = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
-        before = scenario.npcs[npc][0]
-        new_one = before.varied(here, rng)
-        return _child(scenario, with_chain(scenario.npcs, npc, (new_one,)), rng)
     if draw < starts + sizes + vehicles + PATTERNS and space.patterns and scenario.positions:
         return _with_pattern(scenario, space, rng)
     places = [(npc, gene) for npc in numbers for gene in range(len(scenario.npcs[npc]))]
@@ -170,33 +156,11 @@ def _started_anew(scenario: Scenario, space: SearchSpace, rng: Generator) -> Sce
     lanes = [lane for lane in space.ego_lanes if lane != scenario.ego_lane]
     roomy = [lane for lane in lanes if space.most_on(lane) >= len(npcs)]
     if space.has_speeds and (not roomy or rng.random() < SPEEDS):
-        speed = space.drawn_speed(rng)
-        return replace(scenario, ego_speed=speed, npcs=_beside_rows(npcs, scenario, speed, space, rng))
+        return replace(scenario, ego_speed=space.drawn_speed(rng))
     among = roomy or lanes
     lane = among[int(rng.integers(len(among)))]
     kept = npcs[: space.most_on(lane)]
-    there = tuple(tuple(gene.for_lane(scenario.ego_lane, lane) for gene in chain) for chain in kept)
-    return replace(scenario, ego_lane=lane, npcs=there, vehicles=scenario.vehicles[: len(there)])
-
-
-def _beside_rows(
-    npcs: tuple[Chromosome, ...], scenario: Scenario, speed: float, space: SearchSpace, rng: Generator
-) -> tuple[Chromosome, ...]:
-    """Return the NPCs for a different first speed of the ego [m/s], with which cells are nearer or farther.
-
-    Each free NPC starts at a new place, where no other NPC starts.
-    """
-    if not any(chain[0].drives_itself for chain in npcs):
-        return npcs
-    choices = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=speed)
-    placed = [chain for chain in npcs if not chain[0].drives_itself]
-    moved = list[Chromosome]()
-    for chain in npcs:
-        if chain[0].drives_itself:
-            place = chain[0].beside_others(choices, [*placed, *moved], rng)
-            moved.append((replace(cast("Any", chain[0]), ahead=place.ahead),))
-    again = iter(moved)
-    return tuple(next(again) if chain[0].drives_itself else chain for chain in npcs)
+    return replace(scenario, ego_lane=lane, npcs=kept, vehicles=scenario.vehicles[: len(kept)])
 
 
 def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
@@ -215,9 +179,8 @@ def _of_another_size(scenario: Scenario, space: SearchSpace, rng: Generator) -> 
         return scenario
     alone = space.fixed(scenario.ego_lane, scenario.ego_speed, 1, scenario.genes, scenario.gene_seconds)
     one = sample(alone, rng)
-    added = (one.npcs[0][0].beside_others(alone.choices, npcs, rng), *one.npcs[0][1:])
     vehicles = (*scenario.all_vehicles, one.vehicle_of(0))
-    return repaired((*npcs, added), fresh_seed(rng), scenario, vehicles)
+    return repaired((*npcs, *one.npcs), fresh_seed(rng), scenario, vehicles)
 
 
 def _with_pattern(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -12,23 +12,16 @@ import numpy as np
 from numpy.random import Generator
 
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.driving_style import PAPERS, Traffic
+from pytest_pafot.model.driving_style import PAPERS, STYLES
 from pytest_pafot.model.grid import are_valid, repair_chains
 from pytest_pafot.model.instructions import (
-    ACTS,
     SPEED_STEPS_PER_MPS,
-    Act,
     Choices,
     Instruction,
     PositionInstruction,
-    ScenarioError,
-    Track,
     known,
-    random_free,
     random_lanes,
-    random_manoeuvre,
 )
-from pytest_pafot.model.instructions.manoeuvre import LONGEST_VEHICLE
 from pytest_pafot.model.scenario import (
     EGO_LANE,
     EGO_SPEED,
@@ -40,17 +33,11 @@ from pytest_pafot.model.scenario import (
     positions_of,
 )
 from pytest_pafot.model.vehicle_type import CAR, VehicleType, named_vehicles, without_last_cars
-from pytest_pafot.searching import crossing_traffic
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.patterns import chain_of_patterns
 from pytest_pafot.support.errors import POSITIVE, checked_number, checked_whole
 from pytest_pafot.support.text import plural
 
-FREE = 0.5
-"""Share of free NPCs if there are any: the others provoke what neither the ego nor a free NPC does by itself."""
-REGISTERED = 0.25
-"""Share of NPCs of kinds that packages of others register, if there are any: about one in a default scenario, which has
-three to six. The others still do what the default search was measured with."""
 LEAST_GENES = 3
 """Smallest number of genes of an NPC on a bent road, even in short runs: to approach, to cut in, and to brake."""
 CROSSING = 0.75
@@ -59,20 +46,12 @@ CARS = (CAR,)
 """The vehicles of a search in which all NPCs are cars."""
 OTHERS = 1 / 6
 """Share of the NPCs that are no cars, if NPCs can be other vehicles."""
-MOST_CHANGES, ADDED, TRIES = 3, 0.2, 20
-"""Around a recording, the most changes of a sampled scenario, the share of them that add an NPC, and how often a change
-is drawn until no two starts touch."""
-LEAST_GAP = 0.5
-"""The least gap between two starts in a lane [m]."""
 MOST_ON_GRID = 2
 """Largest number of NPCs next to those that cross: one ahead of the ego and one behind it in one lane."""
 
-Instructions = Literal["cells", "lanes", "manoeuvres", "both"]
-"""The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, manoeuvres, or one of
-the first two."""
-LANE_SHARES: Mapping[Instructions, float] = MappingProxyType(
-    {"cells": 0.0, "lanes": 1.0, "manoeuvres": 0.0, "both": 0.5}
-)
+Instructions = Literal["cells", "lanes", "both"]
+"""The kinds of instructions of NPCs that do not cross: Position-Instructions, Lane-Instructions, or one of the two."""
+LANE_SHARES: Mapping[Instructions, float] = MappingProxyType({"cells": 0.0, "lanes": 1.0, "both": 0.5})
 """Probability with which an NPC that does not cross has Lane-Instructions."""
 
 
@@ -102,19 +81,10 @@ class SearchSpace:
             always ``gene_seconds``.
         crossings: the ways that meet the ego's way, from ``world.crossings``; three quarters of all NPCs then drive on
             them. None if no NPC crosses.
-        acts: acts of the NPCs on ways that meet the ego's way: any of ``pass``, ``hold``, ``stop`` and ``late``.
         most_on_grid: largest number of NPCs that do not cross if others do; each needs a cell to start in.
         instructions: the instructions of the NPCs that do not cross: ``"cells"`` (Position-Instructions), ``"lanes"``
-            (Lane-Instructions), ``"manoeuvres"``, or ``"both"``, in which each NPC has one of the first two kinds with
-            equal probability.
-        lanes: number of lanes of a straight road, for manoeuvres; 0 if it is unknown, and NPCs keep their lanes.
+            (Lane-Instructions), or ``"both"``, in which each NPC has one of the two kinds with equal probability.
         vehicles: what vehicles NPCs can be. If cars are among them, one NPC in six is another one of them.
-        room: the largest gap between the ego and the start of an NPC with a manoeuvre, behind and ahead [m].
-        drivers: the names of the drivers of free NPCs; half of the NPCs are then free. If empty, none is.
-        kinds: the kinds of instructions of packages of others, of which a quarter of the NPCs have one; usually none.
-        row: the world's headway [s] and clearance [m], from which NPCs with cells start, for the starts of free ones.
-        around: the scenario of recorded NPCs that all scenarios of a search are changes of; None for none.
-        ego_length: the ego's length [m], for changes of a recording.
     """
 
     npcs: int = 2
@@ -126,22 +96,14 @@ class SearchSpace:
     ego_lanes: tuple[int, ...] = ()
     ego_speeds: tuple[float, float] | None = None
     patterns: bool = False
-    traffic: Traffic = PAPERS
+    traffic: str = PAPERS
     most_npcs: tuple[int, ...] = ()
     least_npcs: int = 1
     gene_durations: tuple[float, ...] = ()
     crossings: Crossings | None = None
-    acts: tuple[Act, ...] = crossing_traffic.ACTS
     most_on_grid: int = MOST_ON_GRID
     instructions: Instructions = "cells"
-    lanes: int = 0
-    room: tuple[float, float] = (math.inf, math.inf)
     vehicles: tuple[VehicleType, ...] = CARS
-    drivers: tuple[str, ...] = ()
-    kinds: tuple[type[Instruction], ...] = ()
-    row: tuple[float, float] = (0.0, 0.0)
-    around: Scenario | None = None
-    ego_length: float = CAR.length
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -152,13 +114,10 @@ class SearchSpace:
         checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
         checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
 
-        object.__setattr__(self, "traffic", Traffic.of(self.traffic))
-        acts = (self.acts,) if isinstance(self.acts, str) else tuple(self.acts)
-        if not acts or not set(acts) <= set(ACTS):
-            raise ValueError(f"acts: expected one or more of {', '.join(ACTS)}, received {self.acts!r}")
-        object.__setattr__(self, "acts", acts)
+        if not isinstance(self.traffic, str) or self.traffic not in STYLES:
+            raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, received {self.traffic!r:.100}")
         if self.vehicles != CARS:  # by identity, since each sampled start makes a space
-            self._check_vehicles()
+            object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
         if self.instructions not in LANE_SHARES:
             expected = f"one of {', '.join(LANE_SHARES)}"
             raise ValueError(f"instructions: expected {expected}, received {self.instructions!r:.100}")
@@ -167,13 +126,6 @@ class SearchSpace:
                 f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
             )
 
-    def _check_vehicles(self) -> None:
-        object.__setattr__(self, "vehicles", named_vehicles(self.vehicles))
-        longest = max(self.vehicles, key=lambda each: each.length)
-        if self.instructions == "manoeuvres" and longest.length > LONGEST_VEHICLE:
-            expected = f"vehicles of at most {LONGEST_VEHICLE:g} m with manoeuvres, so that they do not touch"
-            raise ValueError(f"vehicles: expected {expected}, received {longest.described}")
-
     def sliced(self, slices: int) -> SearchSpace:
         """Return the space with ``slices`` genes per NPC, which together last as long as the genes of this space."""
         return replace(self, genes=slices, gene_seconds=self.genes * self.gene_seconds / slices)
@@ -181,25 +133,14 @@ class SearchSpace:
     @property
     def plain(self) -> dict[str, Any]:
         """The fields as plain data: without ``crossings``; some others only if they are not usual."""
-        data = asdict(replace(self, crossings=None, around=None))
+        data = asdict(replace(self, crossings=None))
         data["vehicles"] = [vehicle.plain() for vehicle in self.vehicles]
-        data["kinds"] = tuple(kind.name for kind in self.kinds)
-        if self.around is not None:
-            data["around"] = self.around.id
         usual = {
             "crossings": None,
-            "acts": crossing_traffic.ACTS,
             "most_on_grid": MOST_ON_GRID,
             "instructions": "cells",
             "least_npcs": 1,
-            "lanes": 0,
-            "room": (math.inf, math.inf),
             "vehicles": [CAR.plain()],
-            "drivers": (),
-            "kinds": (),
-            "row": (0.0, 0.0),
-            "around": None,
-            "ego_length": CAR.length,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -235,19 +176,12 @@ class SearchSpace:
     @property
     def low_step(self) -> int:
         """The lowest target speed in steps of 0.1 m/s, at most :attr:`top_step`."""
-        return min(round(self.traffic.least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
-
-    @property
-    def ego_track(self) -> Track | None:
-        """The track of the recorded ego in all scenarios."""
-        return None if self.around is None else self.around.ego_track
+        return min(round(STYLES[self.traffic].least_speed(self.speed_limit) * SPEED_STEPS_PER_MPS), self.top_step)
 
     @property
     def choices(self) -> Choices:
         """The values that an instruction may have in this space."""
-        start = self.ego_lane, self.ego_speed, self.lanes, self.room
-        longest = max(vehicle.length for vehicle in self.vehicles)
-        return Choices(self.low_step, self.top_step, *start, self.drivers, self.row, longest)
+        return Choices(self.low_step, self.top_step)
 
     @property
     def described(self) -> str:
@@ -258,19 +192,14 @@ class SearchSpace:
         npcs = plural(self.npcs, "NPC")
         if self.most_npcs:
             npcs = f"{min(self.least_npcs, *self.most_npcs)} to {max(self.most_npcs)} NPCs"
-        traffic = f" in {self.traffic.described}" if self.traffic.described else ""
+        traffic = f" in {STYLES[self.traffic].described}" if self.traffic != PAPERS else ""
         count = len(self.zones)
         ways = f", most of them on {count} ways that meet the ego's" if count else ""
         kinds = {"cells": "", "lanes": " with Lane-Instructions", "both": " with Position- or Lane-Instructions"}
-        kinds["manoeuvres"] = " with manoeuvres"
-        free = f", half of them free ({', '.join(self.drivers)})" if self.drivers else ""
-        own = f", a quarter of them {' or '.join(kind.name for kind in self.kinds)}" if self.kinds else ""
-        kind = f"{kinds[self.instructions]}{free}{own}"
-        kind = kind if self.around is None else f" around the recording {self.around.id}"
         names = [vehicle.name for vehicle in self.other_vehicles]
         others = " or ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
         others = f"; {'one NPC in six' if CAR in self.vehicles else 'each NPC'} is a {others}" if others else ""
-        return f"{npcs}{kind}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
+        return f"{npcs}{kinds[self.instructions]}{traffic}{ways}; the ego starts at {speed} m/s in {lane}{others}"
 
     @property
     def zones(self) -> tuple[str, ...]:
@@ -283,7 +212,7 @@ class SearchSpace:
         if self.crossings is None:
             return None
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
-        return CrossingTraffic(self.crossings, self.acts, low, high, self.most_on_grid)
+        return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
 
     @property
     def draws_start(self) -> bool:
@@ -366,25 +295,16 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
     """Sample a valid scenario.
 
     The start, the number of NPCs and the duration of genes are sampled first, if the space varies them, then the kind
-    of each NPC's instructions; in a space of manoeuvres, all NPCs have one. NPCs with Position-Instructions begin in
+    of each NPC's instructions. NPCs with Position-Instructions begin in
     random distinct cells and walk on the ring: each stays in its cell or steps to either side with equal probability. A
     step into a cell that a different NPC holds is repaired. If the space has patterns, half of the scenarios have
     patterns instead of walks, repaired in the same way. Lane-Instructions keep the lane or change it to either side
     with equal probability. Speeds are uniform over the steps of 0.1 m/s up to the limit.
 
-    If there are drivers, half of the NPCs are free, wherever no other NPC starts. If there are kinds of packages of
-    others, a quarter of the NPCs have an instruction of one of them, which samples it.
-
     If ways cross the ego's, most NPCs have a Crossing-Instruction instead; conflicting instructions are sampled again.
-    Around a recording, one to three changes are made of it.
 
-    In a space with other vehicles than cars, what each NPC is is sampled last. Around a recording, it stays.
+    In a space with other vehicles than cars, what each NPC is is sampled last.
     """
-    if space.around is not None:
-        found = space.around
-        for _ in range(int(rng.integers(1, MOST_CHANGES + 1))):
-            found = one_more(found, space, rng) if rng.random() < ADDED else changed(found, space, rng)
-        return replace(found, seed=fresh_seed(rng))
     scenario = _sample_cars(space, rng)
     if not space.other_vehicles:
         return scenario
@@ -394,18 +314,9 @@ def sample(space: SearchSpace, rng: Generator) -> Scenario:
 
 def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
     space = space.drawn(rng)
-    if space.kinds:
-        return _sample_beside(replace(space, kinds=()), space, REGISTERED, _registered, rng)
-    if space.drivers:
-        return _sample_beside(replace(space, drivers=()), space, FREE, _free, rng)
     crossing = space.crossing_traffic
     if crossing is not None:
         return _sample_crossing(space, crossing, rng)
-    if space.instructions == "manoeuvres":
-        asked: list[Chromosome] = []
-        for _ in range(space.npcs):
-            asked.append((random_manoeuvre(space.choices, asked, rng),))
-        return repaired(asked, fresh_seed(rng), space)
     share = LANE_SHARES[space.instructions]
     in_lanes = int(rng.binomial(space.npcs, share)) if share else 0
     chains: list[Sequence[Instruction]] = [
@@ -413,37 +324,6 @@ def _sample_cars(space: SearchSpace, rng: Generator) -> Scenario:
         *random_lanes(space.choices, in_lanes, space.genes, rng),
     ]
     return repaired(chains, fresh_seed(rng), space)
-
-
-def _sample_beside(others: SearchSpace, space: SearchSpace, share: float, draw: Draw, rng: Generator) -> Scenario:
-    """Sample a scenario in which a share of the NPCs is drawn one by one beside those of the space ``others``."""
-    count = int(rng.binomial(space.npcs, share))
-    chains: list[Chromosome] = []
-    if count < space.npcs:
-        chains += _sample_cars(replace(others, npcs=space.npcs - count), rng).npcs
-    for _ in range(count):
-        chains.append((draw(space, chains, rng),))
-    crossing, before = space.crossing_traffic, len(chains) - count
-    if crossing is not None:  # the first keep their places on the ego's way, where few have room
-        chains = [*crossing.cleared([*chains[before:], *chains[:before]], rng)]
-    return repaired(chains, fresh_seed(rng), space)
-
-
-Draw = Callable[[SearchSpace, Sequence[Chromosome], Generator], Instruction]
-"""A function that samples an instruction beside others."""
-
-
-def _free(space: SearchSpace, others: Sequence[Chromosome], rng: Generator) -> Instruction:
-    return random_free(space.choices, others, rng)
-
-
-def _registered(space: SearchSpace, others: Sequence[Chromosome], rng: Generator) -> Instruction:
-    kind = space.kinds[int(rng.integers(len(space.kinds)))]
-    made = kind.drawn(space.choices, others, rng)
-    if made is None:
-        expected, fix = "an instruction", "return one in each case, or leave the method out"
-        raise ScenarioError(field=f"{kind.__name__}.drawn", expected=expected, received="None", fix=fix)
-    return made
 
 
 def _on_grid(space: SearchSpace, npcs: int, rng: Generator) -> list[list[PositionInstruction]]:
@@ -471,62 +351,6 @@ def chains_of(cells: Sequence[Sequence[int]], speeds: Sequence[Sequence[int]]) -
         [known(PositionInstruction, cell, speed / SPEED_STEPS_PER_MPS) for cell, speed in zip(*chain, strict=True)]
         for chain in zip(cells, speeds, strict=True)
     ]
-
-
-def changed(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Return a scenario around a recording with a change of one NPC, if one is found with which its start is fair."""
-    choices = space.choices._replace(ego_lane=scenario.ego_lane, ego_speed=scenario.ego_speed)
-    for _ in range(TRIES):
-        npc = int(rng.integers(len(scenario.npcs)))
-        before = scenario.npcs[npc][0]
-        new = before.varied(choices, rng)
-        found = replace(scenario, npcs=(*scenario.npcs[:npc], (new,), *scenario.npcs[npc + 1 :]))
-        if starts_apart(found, npc, space):
-            return found
-    return scenario
-
-
-def one_more(scenario: Scenario, space: SearchSpace, rng: Generator) -> Scenario:
-    """Return a scenario around a recording with one more NPC, which has a manoeuvre, or without one that was added.
-
-    If there is no room for its start, it is the scenario itself.
-    """
-    added = [npc for npc, (first, *_) in enumerate(scenario.npcs) if not first.follows_track]
-    if added and rng.integers(2):
-        gone = added[int(rng.integers(len(added)))]
-        return scenario.of_npcs(npc for npc in range(len(scenario.npcs)) if npc != gone)
-    for _ in range(TRIES if len(scenario.npcs) < space.most_on(scenario.ego_lane) else 0):
-        found = replace(scenario, npcs=(*scenario.npcs, (random_manoeuvre(space.choices, scenario.npcs, rng),)))
-        if starts_apart(found, len(scenario.npcs), space):
-            return found
-    return scenario
-
-
-def starts_apart(scenario: Scenario, npc: int, space: SearchSpace) -> bool:
-    """Return whether an NPC with a track or a manoeuvre starts on the road, and not too near to another vehicle.
-
-    No two vehicles of a lane touch. Unless the NPC starts as recorded, whoever is behind can also avoid the other one:
-    react after 1 s, and lose the difference of the speeds by braking with 5 m/s^2.
-    """
-    starts = []
-    for (first, *_), vehicle in zip(scenario.npcs, scenario.all_vehicles, strict=True):
-        along = first.ahead
-        if along and not first.follows_track:  # from bumper to bumper
-            along += math.copysign((space.ego_length + vehicle.length) / 2, along)
-        starts.append((along, first.beside, vehicle.length, first.speed))
-    own: Any = scenario.npcs[npc][0]
-    along, lane, length, speed = starts.pop(npc)
-    behind, ahead = space.room
-    is_on_road = along <= ahead and (own.follows_track or along >= -behind)  # tracks may begin before it
-    if not is_on_road or not 0 <= scenario.ego_lane + lane < space.lanes:  # it may have been changing lanes
-        return False
-    is_as_recorded = own.follows_track and own.is_as_recorded
-    for its, its_lane, its_length, its_speed in ((0.0, 0, space.ego_length, scenario.ego_speed), *starts):
-        closing = max((speed - its_speed) * (1 if along < its else -1), 0.0)
-        room = 0.0 if is_as_recorded else closing * (1.0 + closing / 10.0)
-        if lane == its_lane and abs(along - its) < (length + its_length) / 2 + LEAST_GAP + room:
-            return False
-    return True
 
 
 def sample_manoeuvres(space: SearchSpace, rng: Generator) -> Scenario:
@@ -570,7 +394,6 @@ def repaired(
         gene_seconds=start.gene_seconds,
         traffic=start.traffic,
         vehicles=without_last_cars(vehicles),
-        ego_track=start.ego_track,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -190,36 +190,14 @@ class BaseWorld(ABC):
     has_lane_instructions: bool = False
     """True if NPCs can have Lane-Instructions."""
 
-    has_manoeuvres: bool = False
-    """True if NPCs can have manoeuvres."""
-
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC that does not cross can be a given vehicle; without more knowledge, only a car."""
         return vehicle == CAR
-
-    has_free_npcs: bool = False
-    """True if NPCs can have drivers of their own, see :class:`pytest_pafot.Free`."""
-
-    @property
-    def own_drivers(self) -> tuple[str, ...]:
-        """The names of the drivers of free NPCs that the world has itself."""
-        return ()
 
     @property
     def packages(self) -> tuple[str, ...]:
         """The names of the installed packages whose versions change runs, in addition to those of every world."""
         return ()
-
-    def with_drivers(self, drivers: Mapping[str, Any]) -> BaseWorld:
-        """Return the world with the factories of drivers of free NPCs, by name."""
-        raise NotImplementedError
-
-    def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> BaseWorld:
-        """Return the world that knows the policy of a run, so that also runs of other egos have it drive free NPCs.
-
-        It is the same world if no NPC asks for it.
-        """
-        return self
 
     # How runs can be made, in addition to ``rollout``.
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Self, cast
 
 from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.instructions import ScenarioError, checked_driver
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import FieldError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, FirstDecision, RoadStart, decision_asked
-from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_run
-from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, drives_itself
+from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body
@@ -89,7 +86,6 @@ class BuiltInWorld(BaseWorld):
     hang_limit: float
     lasts: float | None
     ego: VehicleType
-    npc_drivers: Mapping[str, AdsFactory]
 
     @property
     def observation_space(self) -> Any:
@@ -100,8 +96,6 @@ class BuiltInWorld(BaseWorld):
     def rules(self) -> Rules:
         """The settings that all runs have in common."""
         rules, lasts = self._rules, self.lasts
-        if self.npc_drivers:
-            rules = replace(rules, drivers=self.npc_drivers)
         if lasts is None:
             return rules
         return replace(rules, lasts=min(lasts, (rules.road.length - rules.ego_start) / TOP_SPEED))
@@ -149,15 +143,9 @@ class BuiltInWorld(BaseWorld):
     has_lane_instructions = True
     """True, because NPCs can have Lane-Instructions."""
 
-    has_manoeuvres = True
-    """True, because NPCs can have manoeuvres."""
-
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
         return self.rules.road.can_drive(vehicle)
-
-    has_free_npcs = True
-    """True, because drivers of NPCs see any road from their places."""
 
     can_last = True
     """True, because :meth:`lasting` gives this world with longer runs."""
@@ -213,41 +201,6 @@ class BuiltInWorld(BaseWorld):
         object.__setattr__(longer, "lasts", number_within("lasting", seconds, *LASTS))
         return longer
 
-    def with_drivers(self, drivers: Mapping[str, AdsFactory]) -> Self:
-        """Return this world with drivers for free NPCs, in addition to those that it has.
-
-        Args:
-            drivers: their factories by name, for planners in SI units and vehicle classes; under ``policy`` the policy
-                under test, which a run has of its own, but not one in which a reference driver takes the ego's place.
-                There, ``pafot.World`` without ``planner_hz`` ignores all but a vehicle class.
-
-        Raises:
-            ScenarioError: for a name that no driver can have.
-        """
-        named = {checked_driver(name): factory for name, factory in drivers.items()}
-        if "policy" in named and not self._can_drive_npcs(named["policy"]):
-            del named["policy"]
-        if own := next((name for name in ("idm", "mobil") if name in named), None):
-            raise ScenarioError(
-                field="drivers", expected="other names than idm and mobil", received=own, fix="choose another name"
-            )
-        for factory in named.values():
-            Policy(factory).check_drives_in(self)
-        world = copy.copy(self)  # with its road and environment, which take long to make
-        object.__setattr__(world, "npc_drivers", {**self.npc_drivers, **named})
-        return world
-
-    def driven_in(self, scenarios: Iterable[Scenario], factory: AdsFactory) -> Self:
-        """Return this world with the policy of a run as driver of free NPCs that ask for it, unless it has one."""
-        chains = (chain for scenario in scenarios if drives_itself(scenario) for chain in scenario.npcs)
-        if "policy" in self.npc_drivers or all(getattr(chain[0], "driver", "") != "policy" for chain in chains):
-            return self
-        return self.with_drivers({"policy": factory})
-
-    def _can_drive_npcs(self, factory: AdsFactory) -> bool:
-        """Return whether a policy could drive an NPC, too: it acts in SI units, or is a vehicle class."""
-        return True
-
     def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
         """Simulate a scenario with a reference driver in the ego's place.
 
@@ -296,7 +249,7 @@ class BuiltInWorld(BaseWorld):
         self, driver_of: Callable[[], tuple[Callable[[Observation], Any], Body | None]], scenario: Scenario
     ) -> Trace:
         self.rules.check_fits(scenario)
-        every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, drivers_hz=self.rules.ads_hz)
+        every_tick = replace(self.rules, ads_hz=self.rules.physics_hz, policy_hz=self.rules.ads_hz)
 
         def driven(scenario: Scenario, factory: Callable[[], Any]) -> Trace:
             driver, body = factory()
@@ -346,9 +299,9 @@ class BuiltInWorld(BaseWorld):
             raise WorldError(field="ego", expected=expected, received=received)
 
     def _to_dict(self, **without: Any) -> dict[str, Any]:
-        """Return the fields as plain data: all but how long it runs, which a file decides, and who drives NPCs."""
-        data = asdict(cast("Any", replace)(self, npc_drivers={}, **without))
-        for name in ("lasts", "npc_drivers", "ego", *without):
+        """Return the fields as plain data: all but how long it runs, which a file decides."""
+        data = asdict(cast("Any", replace)(self, **without))
+        for name in ("lasts", "ego", *without):
             del data[name]
         return data if self.ego == CAR else {**data, "ego": self.ego.plain()}
 

@@ -62,7 +62,7 @@ class World(BuiltInWorld):
             environment is registered with wrappers.
         planner_hz: decisions per second of a planner as in :class:`pytest_pafot.Highway`; a divisor of the
             environment's ``simulation_frequency``. None for the environment's own observation and action.
-        lasts, npc_drivers, ego: as in :class:`pytest_pafot.Highway`.
+        lasts, ego: as in :class:`pytest_pafot.Highway`.
         ends: ``"environment"`` if a run also ends where the environment ends an episode, by ``_is_terminated``,
             ``_is_truncated``, wrappers or a limit of steps; ``"duration"`` if it goes on.
 
@@ -81,7 +81,6 @@ class World(BuiltInWorld):
     wrappers: Sequence[Callable[[Any], Any]] | None = None
     planner_hz: int | None = None
     lasts: float | None = field(default=None, compare=False)
-    npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
     ego: VehicleType = CAR
     ends: str = "environment"
 
@@ -207,7 +206,6 @@ class World(BuiltInWorld):
             # In some environments policies need the environment's own steps, and vehicle classes do not.
             ads = policy.make()
             policy = Policy(ads.given if ads.drives_itself else wraps(ads_factory, updated=())(lambda: ads.given))
-        rules = self.driven_in((scenario,), policy.factory).rules
         drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
@@ -220,10 +218,10 @@ class World(BuiltInWorld):
                 policy = Policy(ads.given)
             else:
                 with closing(ads.given, self.hang_limit):
-                    return self._planned(rules, scenario, ads.given)
+                    return self._planned(self.rules, scenario, ads.given)
         from pytest_pafot.world.engines import policies  # noqa: PLC0415  (imports highway-env)
 
-        return policies.rollout(self.environment, rules, scenario, policy, self._own_ends)
+        return policies.rollout(self.environment, self.rules, scenario, policy, self._own_ends)
 
     def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
         """Simulate a scenario as :meth:`rollout` does, but entirely with ``env.step`` of the registered environment.
@@ -234,18 +232,14 @@ class World(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_environment  # noqa: PLC0415  (imports highway-env)
 
-        is_planner, rules = self.planner_hz is not None, self.driven_in((scenario,), ads_factory).rules
-        return replay_environment(self.environment, rules, scenario, Policy(ads_factory), is_planner=is_planner)
+        is_planner = self.planner_hz is not None
+        return replay_environment(self.environment, self.rules, scenario, Policy(ads_factory), is_planner=is_planner)
 
     def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
         from pytest_pafot.world.engines import gym_replay, policies  # noqa: PLC0415  (import highway-env)
 
         ends_beside = gym_replay.episode_beside if rules.ends_in_steps else policies.ends_beside
         return ends_beside(self.environment, rules, scenario, vehicles, guard)
-
-    def _can_drive_npcs(self, factory: AdsFactory) -> bool:
-        """Return whether a policy could drive an NPC, too, which has no observation or action of the environment."""
-        return self.planner_hz is not None or Policy(factory).drives_itself
 
     @property
     def least_action_speed(self) -> float:

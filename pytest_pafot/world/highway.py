@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -47,7 +47,7 @@ class Highway(BuiltInWorld):
         limits: of NPCs.
         ego: [its vehicle](scenarios.md#the-egos-vehicle): a ``pafot.VehicleType``, or the name of a ready one.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
-        lasts, npc_drivers: what :meth:`lasting` and :meth:`with_drivers` set; not part of a saved world.
+        lasts: what :meth:`lasting` sets; not part of a saved world.
 
     Raises:
         WorldError: if a value cannot be used; the message states the possible values.
@@ -64,7 +64,6 @@ class Highway(BuiltInWorld):
     ego: VehicleType = CAR
     hang_limit: float = HANG_LIMIT
     lasts: float | None = field(default=None, compare=False)
-    npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, bounds in (("lanes", LANE_COUNTS), ("physics_hz", PHYSICS_HZ), ("ads_hz", ADS_HZ)):
@@ -107,7 +106,7 @@ class Highway(BuiltInWorld):
                 "ads: expected a factory without a parameter `env`, because pafot.Highway has no environment; "
                 'use world=pafot.World("highway-v0") for planners that simulate inside one'
             )
-        ads, rules = policy.make(), self.driven_in((scenario,), ads_factory).rules
+        ads, rules = policy.make(), self.rules
         if ads.drives_itself:
             if decisions:
                 raise WorldError(
@@ -134,8 +133,7 @@ class Highway(BuiltInWorld):
         """
         from pytest_pafot.world.engines.gym_replay import replay_highway  # noqa: PLC0415  (imports highway-env)
 
-        rules = self.driven_in((scenario,), ads_factory).rules
-        return replay_highway(rules, scenario, Policy(ads_factory))
+        return replay_highway(self.rules, scenario, Policy(ads_factory))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""

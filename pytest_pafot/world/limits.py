@@ -22,8 +22,8 @@ PLANNER_HZ = 5
 """The number of decisions of a planner per second, as on a Highway. In an episode with fewer ticks per second, it
 decides at every tick."""
 CONNECTED = "neighbour_vehicles_connected_lanes"
-"""The option of environments for the lanes in which highway-env's IDM looks for others; only free NPCs look there, and
-egos of its class."""
+"""The option of environments for the lanes in which highway-env's IDM looks for others; only egos of its class
+look there."""
 BOUNDS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
         "acceleration": (0.1, 100.0, ""),

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
 
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
-    BUILT_IN_DRIVERS,
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
     CrossingInstruction,
-    Instruction,
     ScenarioError,
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
 from pytest_pafot.world.kernel.bodies import Box, overlap
-from pytest_pafot.world.kernel.director import Director, start_cell
+from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.road_directors import JunctionDirector
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.road import Pose, Road
-
-LEAST_START_GAP = 0.5
-"""The least gap between a vehicle and the start of a manoeuvre in its lane [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +39,7 @@ class Rules:
         ego: what vehicle the ego is.
         hang_limit: wall-clock time after which a decision of the ADS is interrupted [s].
         obstacles: the fixed objects on the road: x [m], y [m], heading [rad], length and width [m].
-        drivers: the factories of the drivers of free NPCs, by name; ``policy`` is the policy under test.
-        drivers_hz: their decisions per second; None for ``ads_hz``, which reference drivers change.
+        policy_hz: decisions of the policy per second; None for ``ads_hz``, which reference drivers change.
         ends: the environment's own methods that may end a run, see ``OwnEnds``; None if only the duration ends it.
         ends_in_steps: true if a step of the environment or of a wrapper may end a run, too, see ``EpisodeEnds``.
         step_limit: the number of ticks after which a limit of the environment's steps ends a run; None without one.
@@ -62,8 +56,7 @@ class Rules:
     ego: VehicleType = CAR
     lasts: float | None = None
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
-    drivers: Mapping[str, Any] = field(default_factory=dict)
-    drivers_hz: int | None = None
+    policy_hz: int | None = None
     ends: tuple[str, ...] | None = None
     ends_in_steps: bool = False
     step_limit: int | None = None
@@ -71,7 +64,7 @@ class Rules:
     @property
     def step_ticks(self) -> int:
         """The number of ticks of a step of the environment, which is as long as a decision of the policy under test."""
-        return self.physics_hz // (self.drivers_hz or self.ads_hz)
+        return self.physics_hz // (self.policy_hz or self.ads_hz)
 
     @property
     def crossings(self) -> Crossings | None:
@@ -120,10 +113,7 @@ class Rules:
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
         self._check_lane(scenario.ego_lane)
         cells, crossings = self.start_cells(scenario, self.ego.length), scenario.crossings
-        firsts = [chain[0] for chain in scenario.npcs if not chain[0].crosses]
-        on_grid = sum(not first.keeps_start for first in firsts)
-        if any(first.in_free_cell for first in firsts):
-            on_grid += len(cells & {start_cell(first) for first in firsts if first.keeps_start})
+        on_grid = sum(not chain[0].crosses for chain in scenario.npcs)
         if on_grid > len(cells):
             kind = " that do not cross" if crossings else ""
             expected = f"at most {len(cells)} NPCs{kind}, one per cell that exists around lane {scenario.ego_lane}"
@@ -131,7 +121,6 @@ class Rules:
         self._check_speeds(scenario)
         if near := self._at_start(scenario.ego_lane, scenario.ego_speed):
             self.refuse_start(scenario, near)
-        self._check_manoeuvres(scenario)
         for npc, instruction in enumerate(crossings):
             if instruction is not None:
                 self._check_crossing(f"npcs[{npc}][0]", instruction)
@@ -205,72 +194,6 @@ class Rules:
         )
         raise ScenarioError(field=f"{place}.slot", expected=expected, received=received)
 
-    def _check_manoeuvres(self, scenario: Scenario) -> None:
-        """Refuse manoeuvres that start in lanes that do not exist, and starts at which vehicles would touch."""
-        asked: list[tuple[int, Any]] = [
-            (npc, chain[0]) for npc, chain in enumerate(scenario.npcs) if chain[0].keeps_start
-        ]
-        for npc, manoeuvre in asked:
-            if manoeuvre.drives_itself:
-                self._check_free(f"npcs[{npc}][0].driver", manoeuvre)
-            if manoeuvre.follows_track and not self.road.has_recorded_npcs:
-                expected, fix = "a straight road that starts at the origin for recorded NPCs", "use pafot.Highway"
-                received = "one that starts elsewhere"
-                raise ScenarioError(field=f"npcs[{npc}][0]", expected=expected, received=received, fix=fix)
-            for number, step in enumerate(manoeuvre.steps):
-                if step.speed is not None and step.speed > self.road.speed_limit + 1e-9:
-                    self._refuse_speed(f"npcs[{npc}][0].steps[{number}]", step.speed)
-            lane, vehicle = scenario.ego_lane + manoeuvre.beside, scenario.vehicle_of(npc)
-            along = self.along_at(manoeuvre, scenario, self.ego.length, vehicle)
-            # A vehicle that comes to where it was first seen may come from before the beginning of the road.
-            if not self.road.has_lane(lane, max(along, self.ego_start) if manoeuvre.follows_track else along):
-                expected = f"a lane that exists {along - self.ego_start:.0f} m from the ego's start"
-                place, fix = f"npcs[{npc}][0].beside", "lanes are counted from 0 at the left"
-                raise ScenarioError(field=place, expected=expected, received=f"lane {lane}", fix=fix)
-            if manoeuvre.follows_track:
-                most = self.limits.of(vehicle).lateral_acceleration
-                if (found := self.road.bent_by(manoeuvre, along, scenario.ego_lane)) > most:
-                    expected = f"a track that the bends of the road allow, with at most {most:g} m/s^2 to the side"
-                    fix = "give it a smaller pace=, or drive it on a road with wider bends"
-                    place, received = f"npcs[{npc}][0].track", f"{found:.1f} m/s^2"
-                    raise ScenarioError(field=place, expected=expected, received=received, fix=fix)
-        if not asked:
-            return
-        numbers = [npc for npc, *_ in _not_crossing(scenario)]
-        own_length = self.ego.length
-        places = start_places(self, scenario, self.director(scenario, own_length).first_cells(), own_length)
-        lengths = {npc: scenario.vehicle_of(npc).length for npc in numbers} | {-1: own_length}
-        taken: list[tuple[int, float, int]] = []
-        for npc, (own, its_lane) in zip((-1, *numbers), places, strict=True):
-            for other, along, lane in taken:
-                room = (lengths[npc] + lengths[other]) / 2
-                if lane == its_lane and abs(along - own) < room + LEAST_START_GAP:
-                    who = "the ego" if other < 0 else f"npcs[{other}]"
-                    expected = f"a start at least {LEAST_START_GAP:g} m from {who}"
-                    received = f"{abs(along - own) - room:.1f} m in the same lane"
-                    fix = "give it another place or lane"
-                    raise ScenarioError(field=f"npcs[{npc}]", expected=expected, received=received, fix=fix)
-            taken.append((npc, own, its_lane))
-
-    def _check_free(self, place: str, free: Any) -> None:
-        """Refuse a free NPC whose driver nobody has named."""
-        if hasattr(free, "driver") and free.driver not in (*BUILT_IN_DRIVERS, *self.drivers):
-            expected = f"one of {', '.join(dict.fromkeys((*BUILT_IN_DRIVERS, *self.drivers)))}"
-            fix = (
-                f"name it, as in drivers={{{free.driver!r}: MyPlanner}}, or world.with_drivers({free.driver}=MyPlanner)"
-            )
-            raise ScenarioError(field=place, expected=expected, received=repr(free.driver), fix=fix)
-
-    def along_at(self, first: Any, scenario: Scenario, ego_length: float, vehicle: VehicleType = CAR) -> float:
-        """Return the place along the road at which an NPC starts whose instruction says where [m]."""
-        if first.follows_track:
-            return self.ego_start + float(first.ahead)
-        if first.ahead == 0:
-            return self.ego_start
-        stretch = self.road.stretch(scenario.ego_lane, self.ego_start)
-        room = math.copysign((ego_length + vehicle.length) / 2, first.ahead)
-        return self.ego_start + (float(first.ahead) + room) / stretch
-
     def _check_speeds(self, scenario: Scenario) -> None:
         limit = self.road.speed_limit
         top = self.limits.top_speed(limit)
@@ -294,11 +217,9 @@ class Rules:
         return ticks if self.step_limit is None else min(ticks, self.step_limit)
 
 
-def _not_crossing(scenario: Scenario) -> list[tuple[int, Instruction, VehicleType]]:
-    """Return the NPCs that start around the ego and not on a way that crosses, each with its first gene and vehicle."""
-    kinds = scenario.all_vehicles
-    firsts = [(npc, chain[0], kinds[npc]) for npc, chain in enumerate(scenario.npcs)]
-    return [each for each in firsts if not isinstance(each[1], CrossingInstruction)]
+def _around_ego(scenario: Scenario) -> list[VehicleType]:
+    """Return what vehicles the NPCs are that start around the ego, and not on a way that crosses."""
+    return [kind for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True) if not chain[0].crosses]
 
 
 def start_places(
@@ -307,15 +228,10 @@ def start_places(
     """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
 
     NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
-    headway. So there is no danger at the start, and all danger results from driving. NPCs with manoeuvres or tracks
-    start where these say.
+    headway. So there is no danger at the start, and all danger results from driving.
     """
     start, apart, beside = rules.ego_start, rules.start_distance(scenario, ego_length), []
-    for cell, (_, first, vehicle) in zip(cells, _not_crossing(scenario), strict=True):
-        if first.keeps_start:
-            along = rules.along_at(first, scenario, ego_length, vehicle)
-            beside.append((along, scenario.ego_lane + first.beside))
-            continue
+    for cell, vehicle in zip(cells, _around_ego(scenario), strict=True):
         lane, far = scenario.ego_lane + cell.column, apart + (vehicle.length - CAR.length) / 2
         if vehicle.length > CAR.length and not rules.road.has_lane(lane, start + cell.row * far):
             far = apart  # where the lane ends, a car has room to start
@@ -326,15 +242,11 @@ def start_places(
 def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float, int]]) -> list[float]:
     """Return the speed of each NPC that starts at one of the places, which are along the road [m] and in a lane [m/s].
 
-    It is the ego's speed or that of its manoeuvre, or less where the road requires it. No vehicle starts faster than
-    its own top speed.
+    It is the ego's speed, or less where the road requires it. No vehicle starts faster than its own top speed.
     """
-    firsts = _not_crossing(scenario)
     return [
-        rules.road.start_speed(
-            min(first.speed if first.keeps_start else rules.ego_speed(scenario), kind.top_speed), lane, along, kind
-        )
-        for (_, first, kind), (along, lane) in zip(firsts, places, strict=True)
+        rules.road.start_speed(min(rules.ego_speed(scenario), kind.top_speed), lane, along, kind)
+        for kind, (along, lane) in zip(_around_ego(scenario), places, strict=True)
     ]
 
 
@@ -348,7 +260,7 @@ def starts_of(
     cells = director.first_cells()
     in_lanes = start_places(rules, scenario, cells, ego_length)
     places = [along for along, _ in in_lanes]
-    kinds = [rules.ego, *(kind for *_, kind in _not_crossing(scenario))]
+    kinds = [rules.ego, *_around_ego(scenario)]
     _, *poses = (rules.road.position(*place, kind) for place, kind in zip(in_lanes, kinds, strict=True))
     speeds = start_speeds(rules, scenario, in_lanes[1:])
     starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pytest_pafot.findings.finding import DRIVEN_ON
-from pytest_pafot.model.instructions import BUILT_IN_DRIVERS, ScenarioError, checked_driver
 from pytest_pafot.model.scenario import EGO_SPEED, PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
@@ -26,7 +25,6 @@ from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_driver, planner_run
-from pytest_pafot.world.engines.npc_drivers import BySimulator
 from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.engines.simulation import HEADINGS, Frame, RepeatedBody, Simulation, Simulator, Simulators
 from pytest_pafot.world.guard.failure import closing
@@ -81,7 +79,7 @@ class SimulatorWorld(BuiltInWorld):
         ads_hz: decisions of the ADS per second; a divisor of the simulator's ``hz``. None for 5, or for the next larger
             divisor.
         duration: the longest duration of a run [s].
-        clearance, headway, limits, hang_limit, lasts, npc_drivers, ego: as in :class:`pytest_pafot.Highway`. A method
+        clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. A method
             of the simulator may take ten times ``hang_limit``, and a minute in any case.
 
     Raises:
@@ -97,7 +95,6 @@ class SimulatorWorld(BuiltInWorld):
     ego: VehicleType = CAR
     hang_limit: float = HANG_LIMIT
     lasts: float | None = field(default=None, compare=False)
-    npc_drivers: Mapping[str, AdsFactory] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if isinstance(self.simulator, Simulator) or not callable(self.simulator):
@@ -215,8 +212,7 @@ class SimulatorWorld(BuiltInWorld):
         check_divides((f"{self._stated.name}.hz", hz), ("ads_hz", ads_hz))
         check_ticks(duration, hz)
         duration = min(duration, self._on_road.longest)
-        rules = self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
-        return replace(rules, drivers=dict.fromkeys(self._stated.drivers, BySimulator))
+        return self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
 
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
@@ -227,17 +223,6 @@ class SimulatorWorld(BuiltInWorld):
             found.append((*placed[:3], length * frame.metres, width * frame.metres))
         return tuple(found)
 
-    @property
-    def rules(self) -> Rules:
-        """The settings that all runs have in common, with the drivers of the simulator's own."""
-        rules = super().rules
-        return replace(rules, drivers={**self._rules.drivers, **self.npc_drivers})
-
-    @property
-    def own_drivers(self) -> tuple[str, ...]:
-        """The simulator's :attr:`Simulator.drivers`."""
-        return self._stated.drivers
-
     def check(self) -> None:
         """Make the simulator now, to check what it states.
 
@@ -245,25 +230,6 @@ class SimulatorWorld(BuiltInWorld):
             WorldError: if it cannot be used; the message names the field.
         """
         _ = self.rules
-
-    def check_fits(self, scenario: Scenario) -> None:
-        """Check a scenario against this world.
-
-        Raises:
-            ScenarioError: if the scenario does not fit; the error names the field.
-            WorldError: if the simulator cannot be used.
-        """
-        super().check_fits(scenario)
-        for npc, chain in enumerate(scenario.npcs):
-            stated = self._stated
-            if chain[0].follows_track and not (stated.follows_recordings or stated.moves_ego_only):
-                raise ScenarioError(
-                    field=f"npcs[{npc}][0]",
-                    expected=f"no recorded NPC in {self._stated.name}, which does not follow recordings",
-                    received=chain[0].goal,
-                    fix="let step put vehicles with control.recorded where the control says, and set "
-                    "follows_recordings = True",
-                )
 
     replays_in_gym = False
     """False, because a simulator is no environment."""
@@ -293,11 +259,11 @@ class SimulatorWorld(BuiltInWorld):
         policy.check_drives_in(self)
         if policy.simulates or policy.drives_itself:
             raise self._no_planner(ads_factory)
-        ads, rules = policy.make(), self.driven_in((scenario,), ads_factory).rules
+        ads = policy.make()
         if ads.drives_itself:
             raise self._no_planner(ads.given)
         with closing(ads.given, self.hang_limit):
-            return self._planned(rules, scenario, ads.given, decisions)
+            return self._planned(self.rules, scenario, ads.given, decisions)
 
     def _no_planner(self, given: Any) -> AdsFactoryError:
         return AdsFactoryError(
@@ -317,7 +283,7 @@ class SimulatorWorld(BuiltInWorld):
         guard = HangGuard(rules.hang_limit)
         run = planner_run(rules, scenario, lambda: self.stock_road, ads, guard, decisions=decisions, body=body)
         if isinstance(body, RepeatedBody):
-            own = replace(rules, ads_hz=rules.drivers_hz or rules.ads_hz)
+            own = replace(rules, ads_hz=self.rules.ads_hz)
             body.repeats = planner_driver(run.vehicles, None, guard, None, rules=own)
         with guard:
             self._simulate(run, scenario, guard)
@@ -392,9 +358,7 @@ class _Stated:
     start_lane: int
     start_speed: float | None
     start_at: float | None
-    follows_recordings: bool
     moves_ego_only: bool
-    drivers: tuple[str, ...]
     obstacles: list[tuple[float, float, float, float, float]]
     data: dict[str, Any]
     count: int = 0
@@ -446,10 +410,6 @@ def _stated(simulator: Any) -> _Stated:
     for each in several("packages", "names of packages"):
         if not isinstance(each, str):
             raise WorldError(field=f"{name}.packages", expected="names of packages", received=f"{each!r:.100}")
-    drivers = tuple(map(checked_driver, several("drivers", "names of drivers")))
-    if own := [each for each in drivers if each in BUILT_IN_DRIVERS]:
-        expected = f"other names than {', '.join(BUILT_IN_DRIVERS)}, which the package has"
-        raise WorldError(field=f"{name}.drivers", expected=expected, received=own[0])
     data = plain_data(f"{name}.to_dict()", simulator.to_dict())
     if not isinstance(data, dict):
         expected = "the arguments of the class by name"
@@ -469,9 +429,7 @@ def _stated(simulator: Any) -> _Stated:
         start_lane=whole_within(f"{name}.start_lane", simulator.start_lane, 0, MOST_LANES - 1),
         start_speed=in_si("start_speed", 0.0, TOP_SPEED, "metres_per_second"),
         start_at=in_si("start_at", 0.0, 1e6, "metres"),
-        follows_recordings=is_on("follows_recordings"),
         moves_ego_only=is_on("moves_ego_only"),
-        drivers=drivers,
         obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(several("obstacles", "objects"))],
         data=data,
     )

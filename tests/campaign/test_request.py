@@ -1,6 +1,5 @@
 """The search space that follows from the world, the algorithm and the user's arguments."""
 
-from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -89,8 +88,7 @@ def test_most_npcs_cross_where_ways_meet():
         "1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic "
         "(NPCs may stop, brake hard and cut in close), most of them on 6 ways that "
     )
-    assert space_of(world, npcs=3, acts=("pass", "late")).most_npcs == ()
-    assert space_of(world, acts=("pass", "late")).acts == ("pass", "late")
+    assert space_of(world, npcs=3).most_npcs == ()
     assert space_of(world, algorithm="pafot").crossings is None
     assert space_of(Highway()).crossings is space_of(World("highway-v0")).crossings is None
 
@@ -117,7 +115,6 @@ def test_default_search_draws_vehicles_that_fit_the_road():
     assert space_of(Highway()).described.endswith("; one NPC in six is a van, truck or motorcycle")
     assert space_of(World("racetrack-v1")).vehicles == (CAR, VAN, MOTORCYCLE)
     assert space_of(Highway(), vehicles=["car"]).vehicles == space_of(Highway(), vehicles="car").vehicles == (CAR,)
-    assert space_of(Highway(), instructions="manoeuvres").vehicles == (CAR,)
 
 
 @table("algorithm", [name for name in ALGORITHMS if name != "distinct" and (HAS_EXTRAS or name not in door.ALGORITHMS)])
@@ -142,7 +139,6 @@ def test_drawn_and_varied_vehicles_fit_all_ways():
         (Highway(), {"vehicles": "lorry"}, "vehicle: expected one of car, van, truck, motorcycle, or"),
         (Highway(), {"vehicles": []}, "vehicles: expected one or more of car, van, truck, motorcycle"),
         (World("racetrack-v1"), {"vehicles": "truck"}, r"\(vehicles=...\): expected vehicles that NPCs can be in"),
-        (Highway(), {"vehicles": "truck", "instructions": "manoeuvres"}, "vehicles: expected vehicles of at most 11 m"),
     ],
 )
 def test_vehicles_that_cannot_be_drawn_are_refused(world, given, words):
@@ -155,48 +151,6 @@ def test_drawn_genes_fill_a_run_on_a_bent_road():
     drawn = SearchSpace(**drawn_space(world, {}))
     assert (drawn.genes, drawn.gene_seconds) == (5, 3.0)
     assert 4 * 3.0 < world.longest_run <= 5 * 3.0
-
-
-def test_acts_are_refused_where_no_npc_crosses():
-    for world in (Highway(), World("highway-v0")):
-        with pytest.raises(RequestError, match=r"\(acts=\.\.\.\): expected a world in which NPCs cross"):
-            space_of(world, acts=("pass",))
-
-
-def test_unknown_act_is_refused_in_words():
-    with pytest.raises(RequestError, match="acts: expected one or more of pass, hold, stop, late, received"):
-        space_of(World("intersection-v0"), acts=("wave",))
-
-
-@table(
-    ("world", "given"),
-    [
-        (Highway(), {"npcs": 8, "ego_lane": 1}),
-        (Highway(lanes=6), {}),
-        (World("highway-v0", config={"lanes_count": 12}), {"ego_lane": 11}),
-        (World("merge-v0", planner_hz=5), {}),
-        (World("u-turn-v0", planner_hz=5), {}),
-        (World("two-way-v0", planner_hz=5), {}),
-        (World("lane-keeping-v0", planner_hz=5), {"npcs": 1}),
-        (World("intersection-v0", planner_hz=5), {}),
-        (World("roundabout-v0", planner_hz=5), {}),
-    ],
-)
-def test_sampled_and_varied_manoeuvres_fit_the_road(world, given):
-    space, rng = space_of(world, instructions="manoeuvres", **given), np.random.default_rng(3)
-    for _ in range(25):
-        scenario = sample(space, rng)
-        world.check_fits(scenario)
-        for _ in range(5):
-            scenario = mutate(scenario, space, rng)
-            world.check_fits(scenario)
-
-
-def test_more_manoeuvres_than_fit_a_road_are_refused():
-    space = SearchSpace(npcs=2, instructions="manoeuvres", room=(30.0, 40.0))
-    assert {(chain[0].ahead > 0) for chain in sample(space, np.random.default_rng(0)).npcs} == {True, False}
-    with pytest.raises(ValueError, match="npcs: expected at most 2 NPCs with manoeuvres, received 3; the road has no"):
-        sample(replace(space, npcs=3), np.random.default_rng(0))
 
 
 def a_class():

@@ -27,9 +27,9 @@ def never_collides(run):
 
 def scenario_of(row):
     """Make the scenario of a row."""
-    traffic = pafot.Traffic(row["traffic"], **json.loads(row["traffic_parts"]))
     start = [row["scenario_seed"], row["ego_lane"], row["ego_speed"], row["gene_seconds"]]
-    return pafot.Scenario.from_canonical([json.loads(row["genes"]), *start, traffic, json.loads(row["vehicles"])])
+    chains, vehicles = json.loads(row["genes"]), json.loads(row["vehicles"])
+    return pafot.Scenario.from_canonical([chains, *start, row["traffic"], vehicles])
 
 
 def number(text):
@@ -59,7 +59,6 @@ def _as_it_is(sighting):
 SEARCHES = {
     "highway": {"ads": constant_speed.make},
     "highway of the paper": {"ads": constant_speed.make, "algorithm": "pafot"},
-    "traffic of parts": {"ads": constant_speed.make, "traffic": pafot.Traffic("everyday", least_gap=4.5)},
     "Lane-Instructions": {"ads": constant_speed.make, "algorithm": "random-manoeuvre"},
     "imperfect sight": {"ads": BLURRED},
     "narrow road": {"ads": idm_mobil.make, "world": pafot.Highway(lanes=3, duration=30)},

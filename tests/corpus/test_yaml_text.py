@@ -12,7 +12,6 @@ from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.corpus.yaml_document import parse
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import Situation
-from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -92,10 +91,9 @@ def test_gene_duration_is_written_unless_default():
 @table(
     ("traffic", "line"),
     [
-        (Traffic("hostile"), "  traffic: hostile\n"),
-        (Traffic("everyday", least_gap=4), "  traffic: {style: everyday, least_gap: 4.0}\n"),
-        (Traffic("everyday", least_gap=11), "  traffic: everyday\n"),
-        (Traffic("paper"), ""),
+        ("hostile", "  traffic: hostile\n"),
+        ("everyday", "  traffic: everyday\n"),
+        ("paper", ""),
     ],
 )
 def test_traffic_is_written_unless_that_of_the_paper(traffic, line):

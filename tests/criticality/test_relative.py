@@ -93,10 +93,10 @@ def driven(*vehicles, touched=False):
     )
     run.scenario, run.director = (
         scenario,
-        SimpleNamespace(executed=scenario, arrivals=(), driven=(), begun=(), handed_over=()),
+        SimpleNamespace(executed=scenario, arrivals=(), driven=()),
     )
     run.places, run.rows, run.sizes = places, rows, [(LENGTH, WIDTH)] * count
-    run.loop = SimpleNamespace(tick=ticks, is_over=touched, ego_touched=touched, npcs_touched=False, npc_error=None)
+    run.loop = SimpleNamespace(tick=ticks, is_over=touched, ego_touched=touched, npcs_touched=False)
     return run.trace(EgoDriver(bodies[0], 3))
 
 

@@ -114,7 +114,7 @@ def test_what_a_process_has_started_ends_with_it(pool_of, is_stuck):
     os.close(write)
     assert os.read(read, 1) == b"."
     if is_stuck:
-        assert "ignored the interrupt" in pool.fetch(0).how
+        assert "ignored the interrupt" in pool.fetch(0).end
     pool.close(at_once=True)
     assert select.select([read], [], [], 30.0)[0], "the program holds its end"
     assert os.read(read, 1) == b""
@@ -217,7 +217,7 @@ def test_dying_process_names_its_task_and_others_continue(pool_of):
     pool = pool_of(work)
     pool.expect(TASKS)
     answers = fetched(pool)
-    assert [(lost.task, lost.how, lost.is_hang) for lost in (answers[1], answers[2], answers[4])] == [
+    assert [(lost.task, lost.end, lost.is_hang) for lost in (answers[1], answers[2], answers[4])] == [
         (1, "was ended by SIGABRT", False), (2, "ended with exit code 9", False), (4, "was ended by SIGKILL", False)
     ]  # fmt: skip
     assert [answers[0], answers[3], answers[5]] == [0, 9, 25]
@@ -236,7 +236,7 @@ def test_process_that_writes_into_the_pipe_is_ended(pool_of):
     pool.expect(TASKS)
     answers = fetched(pool)
     assert isinstance(answers[3], ProcessLostError)
-    assert answers[3].how.startswith("wrote into the pipe to the session, by a descriptor that it did not open")
+    assert answers[3].end.startswith("wrote into the pipe to the session, by a descriptor that it did not open")
     assert [*answers[:3], *answers[4:]] == [0, 1, 4, 16, 25]
 
 
@@ -269,7 +269,7 @@ def test_task_of_a_dead_process_is_retried_and_alone_if_it_was_killed(pool_of, t
 def test_every_task_that_kills_its_process_is_named(pool_of):
     pool = pool_of(os._exit)
     pool.expect(TASKS)
-    assert [lost.how for lost in fetched(pool)] == [f"ended with exit code {number}" for number in TASKS]
+    assert [lost.end for lost in fetched(pool)] == [f"ended with exit code {number}" for number in TASKS]
 
 
 @pytest.mark.processes
@@ -295,7 +295,7 @@ def test_silent_process_is_killed_as_a_hang(pool_of):
     answers = [pool.fetch(0), pool.fetch(2)]
     pool.patience = 0.3  # only now, since a busy machine may delay any answer that long
     lost = pool.fetch(1)
-    assert (lost.is_hang, lost.how) == (True, "did not answer for 0.3 s and was killed")
+    assert (lost.is_hang, lost.end) == (True, "did not answer for 0.3 s and was killed")
     assert answers == [0, 4]
 
 
@@ -668,6 +668,6 @@ def test_process_out_of_memory_is_named_others_continue(pool_of):
     pool.expect(TASKS[:4])
     answers = fetched(pool, TASKS[:4])
     assert isinstance(answers[1], ProcessLostError)
-    assert answers[1].how == execution_pool.OUT_OF_MEMORY
+    assert answers[1].end == execution_pool.OUT_OF_MEMORY
     assert [answers[0], *answers[2:]] == [0, 4, 9]
     assert pool.recovered == []

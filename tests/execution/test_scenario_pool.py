@@ -79,7 +79,7 @@ def test_scenario_is_on_disk_only_while_it_runs(pool_of, tmp_path):
         os._exit(9)
 
     lost = fetched(pool_of(copy_and_die), SCENARIOS[4])
-    assert lost.how == "ended with exit code 9"
+    assert lost.end == "ended with exit code 9"
     pid, record = (tmp_path / "copy").read_text().split(maxsplit=1)
     assert f'"owner": "test_it.py::test_it", "pid": {pid}, ' in record
     assert SCENARIOS[4].canonical() in record

@@ -2,20 +2,16 @@
 
 import json
 import os
-import signal
 import sys
 from dataclasses import replace
 
 import pytest
 
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.crash_records import Leftover, leftovers
+from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import answer_apart, retry, run_apart
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
-from pytest_pafot.model.instructions import Free
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
@@ -133,7 +129,7 @@ class TestRetrying:
                 praise,
                 isolate=False,
                 has_died_twice=twice,
-                keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.how)),
+                keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.end)),
             )
             return came, kept
 
@@ -189,44 +185,3 @@ def swallow():
                 pass
         except BaseException:  # noqa: BLE001  (as a driver may)
             pass
-
-
-DEATHS = {
-    "ended with exit code 7": lambda: os._exit(7),
-    "was ended by SIGKILL": lambda: os.kill(os.getpid(), signal.SIGKILL),
-    "ignored the interrupt of a decision for 0.2 s and was ended": swallow,
-}
-
-
-def driven_by(drivers, tmp_path):
-    world = Highway(duration=10.0, hang_limit=0.2).with_drivers(drivers)
-    return Job(world=base_world(world), policy=Policy(lambda: keep), records=tmp_path / "records", owner="it")
-
-
-BESIDE_IT = Scenario(
-    npcs=[
-        [Free(beside=1, ahead=20.0, speed=22.0, driver="idm")],
-        [Free(beside=-1, ahead=20.0, speed=22.0, driver="last")],
-    ]
-)
-
-
-@needs_fork
-@pytest.mark.processes
-@pytest.mark.parametrize("end", DEATHS)
-def test_process_that_the_driver_of_an_npc_ends_is_no_death_of_the_policy(end, tmp_path, monkeypatch):
-    monkeypatch.setattr(scenario_pool, "GRACE", 0.2)
-    job, kept = driven_by({"last": ends(DEATHS[end])}, tmp_path), []
-    record = Leftover(path=tmp_path / "record", pid=1, scenario=BESIDE_IT)
-    again = retry(record, job, praise, isolate=False, has_died_twice=True, keep=kept.append)
-    assert f"the driver last failed: its process {end}, which says nothing about the ADS" in again.notes[0]
-    assert again.fatal == BESIDE_IT
-    assert kept == []
-
-
-@needs_fork
-@pytest.mark.processes
-def test_process_that_the_policy_ends_next_to_a_driver_is_its_own_death(tmp_path):
-    job = replace(driven_by({"last": lambda: keep}, tmp_path), policy=Policy(ends(DEATHS["ended with exit code 7"])))
-    lost = answer_apart(job, BESIDE_IT, praise, isolate=False)
-    assert (lost.npc, lost.how) == (None, "ended with exit code 7")

@@ -192,7 +192,7 @@ def test_lost_task_is_retried_scenario_by_scenario(pool_of):
 def test_an_executor_may_fail_once_without_a_known_reason(pool_of):
     pool = pool_of(Inline(lost=(1,), error=ValueError))
     assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
-    assert [lost.how for lost in pool.recovered] == ["was lost (ValueError)"]
+    assert [lost.end for lost in pool.recovered] == ["was lost (ValueError)"]
 
 
 def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
@@ -220,7 +220,7 @@ def test_broken_executor_is_not_used_again(pool_of):
 def test_a_connection_that_fails_is_tried_once_more(pool_of):
     pool = pool_of(Inline(lost=(1,), error=ConnectionResetError))
     assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
-    assert [lost.how for lost in pool.recovered] == ["was lost (ConnectionResetError)"]
+    assert [lost.end for lost in pool.recovered] == ["was lost (ConnectionResetError)"]
 
 
 def test_executor_with_failing_connections_is_not_used_again(pool_of):
@@ -372,7 +372,7 @@ def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
         first, hangs, dies = fetched(ExecutorPool(job_of(tmp_path, lambda: drive, world), executor), runs)
     assert (first[0].outcome, hangs[0].outcome) == (Outcome.SAFE, Outcome.HANG)
     assert isinstance(dies, ProcessLostError)
-    assert dies.how == "ended with exit code 9"
+    assert dies.end == "ended with exit code 9"
     executors._bench.cache_clear()  # and with it the only end of a pipe for which the process waits
     for process in multiprocessing.active_children():
         process.join(60.0)

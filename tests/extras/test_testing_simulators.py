@@ -187,15 +187,6 @@ class Own(Toy):
         return control.acceleration + 0.01 * self.wind.normal()
 
 
-class Placing(Toy):
-    """It puts vehicles at places, also those that are recorded."""
-
-    follows_recordings = True
-
-    def step(self, controls):
-        self.cars = [[each.x, each.y, each.heading, each.speed] for each in controls]
-
-
 class Single(Toy):
     """It has single precision."""
 
@@ -300,7 +291,6 @@ class Dragging(DelayedEgo):
         (Toy, {"states": lambda self: Toy.states(self)[::-1]}, "in the order in which start received them"),
         (Resized, {"size": lambda self, each: each._replace(length=each.width)}, "another turn of a wider vehicle"),
         (Resized, {"size": lambda self, each: each._replace(length=5.0)}, "the same turn of one of twice the length"),
-        (Toy, {"follows_recordings": True}, "as follows_recordings declares"),
     ],
 )  # fmt: skip
 def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
@@ -324,7 +314,6 @@ def test_wrong_simulator_is_refused_with_the_cause(base, members, cause):
         (DelayedEgo, {"ticks": 7}),
         (Dragging, {}),
         (Rested, {}),
-        (Placing, {}),
         (Single, {}),
         (Substeps, {}),
         (Substeps, {**RING, "inside": {"hz": 150, "length": 0.6}}),

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import instructions, size_of, sort_key
-from pytest_pafot.model.driving_style import PAPERS, Traffic
+from pytest_pafot.model.driving_style import PAPERS
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import SHIFTS, instruction_of
 from pytest_pafot.model.scenario import Scenario
@@ -55,7 +55,7 @@ BUSY = scenario("4@22.3 3@24.1 2@7.7 2@7.7 3@19 4@1.2", "8@21 1@3.4 8@26.8 8@26.
 """A scenario with two NPCs with six genes each."""
 
 
-BUSY_AMONG_ATTENTIVE = replace(BUSY, traffic=Traffic())
+BUSY_AMONG_ATTENTIVE = replace(BUSY, traffic="hostile")
 
 
 def has(cell, at_least=0.0, at_most=100.0):
@@ -132,11 +132,11 @@ def test_ego_start_and_gene_length_stay_unchanged():
 
 
 def test_default_traffic_becomes_paper_traffic_last():
-    given = scenario("2@20 2@20", seed=3, traffic=Traffic())
+    given = scenario("2@20 2@20", seed=3, traffic="hostile")
     asked = []
     assert shrunk(given, lambda each: asked.append(each) or True)[0] == scenario("1@0")
     assert next(each for each in asked if each.traffic == PAPERS) == scenario("1@0")
-    assert shrunk(given, lambda each: each.traffic == Traffic())[0] == scenario("1@0", traffic=Traffic())
+    assert shrunk(given, lambda each: each.traffic == "hostile")[0] == scenario("1@0", traffic="hostile")
 
 
 def test_paper_traffic_is_tried_despite_spent_budget():
@@ -144,16 +144,16 @@ def test_paper_traffic_is_tried_despite_spent_budget():
     assert (simplest.traffic, how.is_minimal) == (PAPERS, False)
 
 
-@table("traffic", [Traffic("everyday"), Traffic("assertive"), Traffic("hostile", least_speed_share=0.117)])
+@table("traffic", ["everyday", "assertive"])
 def test_chosen_style_and_its_least_speed_stay(traffic):
     simplest, _ = shrunk(scenario("2@22.5 3@25", traffic=traffic), lambda each: True)
     assert simplest.traffic == traffic
-    least = {"everyday": 25.0, "assertive": 15.0, "hostile": 5.0}[traffic.style]  # 20.1, 13.4 and 3.2 are less round
+    least = {"everyday": 25.0, "assertive": 15.0}[traffic]  # 20.1 and 13.4 are less round
     assert [gene.speed for gene in simplest.npcs[0]] == [least]
 
 
 def test_instructions_below_the_least_speed_get_no_slower():
-    given = scenario("2@15 2@15 3@25", traffic=Traffic("everyday"))
+    given = scenario("2@15 2@15 3@25", traffic="everyday")
     assert min(gene.speed for chain in shrunk(given, lambda each: True)[0].npcs for gene in chain) == 15.0
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.instructions import CrossingInstruction, Manoeuvre, Recorded, Step
+from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
 
 LOOKALIKES = {"a": "\u0430", "e": "\u0435", "o": "\u043e", "p": "\u0440", "c": "\u0441", "i": "\u0456", "1": "\uff11",
@@ -196,7 +196,7 @@ def _plain(text: str) -> Any:
     return text
 
 
-PARTS = ("check", "situation", "departure", "avoided_by")
+PARTS = ("check", "situation", "avoided_by")
 """The fields of an expectation that are themselves values with several fields."""
 
 
@@ -236,20 +236,13 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         target = instruction.target
         if isinstance(instruction, CrossingInstruction):
             return {name: getattr(instruction, name) for name in ("zone", "slot", "speed", "act")}
-        if isinstance(instruction, Manoeuvre):
-            own = {name: getattr(instruction, name) for name in ("beside", "ahead", "speed")}
-            steps = [asdict(step).items() - asdict(Step()).items() for step in instruction.steps]
-            return own | {"steps": list(map(dict, steps))}
-        if isinstance(instruction, Recorded):
-            return instruction.in_file()
         return {"lane" if isinstance(target, str) else "cell": target, "speed": instruction.speed}
 
     return {
         "seed": scenario.seed,
         "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed},
         "gene_seconds": scenario.gene_seconds,
-        "traffic": scenario.traffic.plain(),
-        "ego_track": scenario.ego_track and scenario.ego_track.text,
+        "traffic": scenario.traffic,
         "npcs": [[gene(each) for each in chain] for chain in scenario.npcs],
     }
 

@@ -1218,19 +1218,4 @@ def judge(trace):
     """Return the verdict on a collision."""
     npc = trace.collision.npc
     crosses = bool(trace.zones) and trace.zones[npc] is not None
-    opinion = (Crossing if crosses else Crash)(trace).verdict()
-    if opinion.responsibility == "npc" and from_the_recording(trace, npc) <= 0.9:
-        return replace(opinion, responsibility="none")
-    return opinion
-
-
-def from_the_recording(trace, npc):
-    """Return how far the ego was from the recorded one when an NPC on its recorded track last looked [m]."""
-    told, recorded = trace.scenario.npcs[npc][0], trace.scenario.ego_track
-    if recorded is None or told.name != "recorded" or told != replace(told, later=0.0, pace=1.0, shift=0.0):
-        return math.inf
-    if trace.handed_over[npc] is not None:
-        return math.inf
-    ego, last = Vehicle(trace, 0), len(trace.states) - 2
-    then = recorded.at([last / trace.physics_hz])[0]
-    return math.hypot(ego.along[last] - ego.along[0] - then[0], ego.across[last] - ego.across[0] - then[1])
+    return (Crossing if crosses else Crash)(trace).verdict()

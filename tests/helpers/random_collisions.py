@@ -7,13 +7,12 @@ import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from example_ads import constant_speed, defects, idm_mobil
 from pytest_pafot import Highway, Scenario, Trace
-from pytest_pafot.model.instructions import Act
 from pytest_pafot.searching.space import Instructions, SearchSpace, sample, space_on
 from pytest_pafot.world.reference_drivers import CarefulHuman
 from tests.helpers.fuzzy_safety import FuzzySafety
@@ -191,8 +190,8 @@ def motorway(rng: random.Random) -> Highway:
 
 
 def crossing_space(world: Any, rng: random.Random) -> SearchSpace:
-    """Return a search space with NPCs that cross, with all acts."""
-    given = {"npcs": rng.randint(1, 3), "crossings": world.crossings, "most_on_grid": 1, "acts": get_args(Act)}
+    """Return a search space with NPCs that cross."""
+    given = {"npcs": rng.randint(1, 3), "crossings": world.crossings, "most_on_grid": 1}
     return space_on(world.speed_limit, world.longest_run, given, world.road_start)
 
 

@@ -11,7 +11,6 @@ import re
 from tests.helpers.pencil_and_paper import (
     Crash,
     Crossing,
-    from_the_recording,
     gap,
     giving_way,
     is_behind,
@@ -202,9 +201,6 @@ SENTENCES = {
     rf"{WHO} entered the (?:crossing|merge)(?: from [a-z ]+)? at {NUMBER} s, "
     rf"(?:{NUMBER} s (?:before|after)|together with) {WHO}(?: from [a-z ]+)?\. (?:{WHO}|Neither) had priority\.": (
         Reading.entered
-    ),
-    rf"NPC # drove as recorded, the ego within {NUMBER} m of the recorded ego: the recording comes so close\.": (
-        lambda reading, said: [from_the_recording(reading.crash.trace, reading.crash.trace.collision.npc)]
     ),
     r"Neither could have foreseen the other in time, by the rules\.": lambda reading, said: [],
     rf"The ego touched NPC # at {NUMBER} s, outside the zone where their ways meet\.": lambda reading, said: [

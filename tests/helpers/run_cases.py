@@ -22,8 +22,6 @@ SAME = (
     "error",
     "actions",
     "arrivals",
-    "begun",
-    "handed_over",
     "off_road_tick",
     "lanes",
 )

@@ -8,7 +8,7 @@ import random
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.driving_style import STYLES, Traffic
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, Y
@@ -49,10 +49,7 @@ def changing_lanes():
 EGOS = (constant_speed, weaving, stopping, changing_lanes, IDMVehicle)
 
 
-TRAFFICS = (
-    *map(Traffic, STYLES),
-    Traffic("hostile", least_speed_share=0.3, least_gap=20.0, braking=0.5, lateral_speed=0.8),
-)
+TRAFFICS = (*STYLES,)
 """One traffic of each style, and one with changed parameters."""
 
 

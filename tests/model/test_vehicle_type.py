@@ -8,8 +8,6 @@ import pickle
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pytest_pafot import CAR, MOTORCYCLE, TRUCK, VAN, PositionInstruction, Scenario, ScenarioError, VehicleType
 from pytest_pafot.support.errors import FieldError
@@ -35,36 +33,6 @@ def test_numbers_of_ready_vehicles_stay():
         (12.0, 2.55, 1.3, 7.0, 3.4, 25.0),
         (2.2, 0.9, 6.0, 10.0, math.inf, math.inf),
     ]
-
-
-@pytest.mark.parametrize(
-    ("size", "limits_of"),
-    [
-        ((4.5, 1.8), CAR),
-        ((6.4, 2.1), VAN),
-        ((7.1, 2.4), TRUCK),
-        ((18.7, 2.55), TRUCK),
-        ((2.1, 0.8), MOTORCYCLE),
-    ],
-)
-def test_recorded_vehicle_has_its_size_and_the_limits_of_the_class_of_that_size(size, limits_of):
-    found = VehicleType.recorded(*size, fastest=20.0)
-    assert found == replace(limits_of, name=f"recorded {limits_of.name}", length=size[0], width=size[1])
-    assert found.kind == limits_of.name
-
-
-def test_recorded_truck_may_drive_as_fast_as_it_did():
-    assert VehicleType.recorded(12.0, 2.5, fastest=27.3).top_speed == 28.0
-    assert VehicleType.recorded(5.0, 2.0, fastest=30.0) is CAR
-
-
-@given(st.floats(0.01, 60.0), st.floats(0.01, 60.0), st.floats(0.0, 80.0))
-def test_recorded_vehicle_of_any_size_has_the_nearest_that_is_possible(length, width, fastest):
-    found = VehicleType.recorded(length, width, fastest)
-    assert abs(found.length - min(max(length, 1.0), 20.0)) < 0.0051
-    assert found.width <= found.length
-    assert found.width == pytest.approx(min(max(width, 0.5), 3.0, found.length), abs=0.0051)
-    assert VehicleType.of(json.loads(json.dumps(found.plain()))) == found
 
 
 @pytest.mark.parametrize(
@@ -106,8 +74,8 @@ def test_texts_without_other_vehicles_are_those_of_before():
 
 @pytest.mark.parametrize("traffic", ["paper", "everyday"])
 def test_plain_form_text_pickle_and_repr_are_read_back(traffic):
-    scenario = replace(of("car", BUS, TRUCK), traffic=type(of().traffic)(traffic))
-    names = {each.__name__: each for each in (Scenario, PositionInstruction, VehicleType, type(scenario.traffic))}
+    scenario = replace(of("car", BUS, TRUCK), traffic=traffic)
+    names = {each.__name__: each for each in (Scenario, PositionInstruction, VehicleType)}
     cell = type(scenario.npcs[0][0].cell)
     assert Scenario.from_canonical(json.loads(scenario.canonical())) == scenario
     assert Scenario.from_canonical(scenario.plain()) == scenario

@@ -130,17 +130,6 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     assert not project.records
 
 
-def test_process_death_by_the_driver_of_an_npc_is_no_finding(isolated):
-    project = isolated(
-        "keep",
-        test=MANY.replace("search(", "search(drivers={'dies': lambda: lambda seen: __import__('os')._exit(9)}, "),
-    )
-    project.run("--pafot-isolate", *QUICK, generations=1, apart=True).stdout.fnmatch_lines(
-        ["*most often the driver dies failed: its process ended with exit code 9; correct that driver, or leave*"]
-    )
-    assert not [name for name in project.files if "crash-" in name]
-
-
 def test_process_death_in_first_run_is_a_finding(isolated):
     project = isolated("os._exit(9)")
     result = project.run("--pafot-isolate", generations=1, apart=True)
@@ -267,7 +256,7 @@ class Exits:
             os._exit(0)
         return 0.0, 0.0
 """
-SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.Manoeuvre(beside=0, ahead=30.0, speed=15.0)]], ego_speed=20.0)\n"
+SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 15.0)]], ego_speed=20.0)\n"
 
 
 def test_simulated_scenario_is_isolated_as_well(project):

@@ -233,7 +233,6 @@ REFUSED = [
     ("npcs=1.5", "*npcs: expected 1 to 8 NPCs, one per cell at most, received 1.5*"),
     ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 0*"),
     ("gene_seconds=1e9", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0*"),
-    ("acts=('pass',)", "*(acts=...): expected a world in which NPCs cross the ego's way, received *leave acts out*"),
     ("ego_lane='left'", "*ego_lane*"),
     ("ego_lane=7", "*ego_lane*"),
     ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),

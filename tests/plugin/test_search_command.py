@@ -77,13 +77,10 @@ def test_a_written_test_replays_what_the_search_has_saved(here):
 
 
 @pytest.mark.processes
-def test_search_command_has_the_requested_vehicles_and_drivers(here):
-    given = ["--vehicles", "van,truck", "--driver", "idm", "--driver", "last=a_planner:Planner"]
+def test_search_command_has_the_requested_vehicles(here):
+    given = ["--vehicles", "van,truck"]
     assert python("pytest_pafot", "search", "a_planner:Planner", *given, "--write-test")[0] == 0
-    wanted = (
-        '@pafot.search(blame="ego", vehicles=["van", "truck"], drivers={"idm": "idm", "last": "a_planner:Planner"})'
-    )
-    assert wanted in (here / "test_safety.py").read_text()
+    assert '@pafot.search(blame="ego", vehicles=["van", "truck"])' in (here / "test_safety.py").read_text()
 
 
 WORLDS = """\
@@ -360,15 +357,6 @@ def test_session_of_a_search_that_is_killed_ends(here):
         (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
         (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of blind_lane_change, "),
         (["a_planner:Planner", "--vehicles", "car,tram"], "search: --vehicles: expected one of car, van, truck, motor"),
-        (
-            ["a_planner:Planner", "--driver", "last"],
-            "search: --driver: expected idm, mobil, policy, or NAME=MODULE",
-        ),
-        (
-            ["a_planner:Planner", "--driver", "last=a_planner:No"],
-            "search: --driver: expected a factory in the module a",
-        ),
-        (["a_planner:Planner", "--driver", "idm=a_planner:Planner"], "search: --driver: expected 'idm' to have no "),
         (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
     ],
 )

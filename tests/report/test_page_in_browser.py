@@ -20,7 +20,6 @@ from tests.report.builders import (
     view_of,
 )
 from tests.report.test_crossing_view import crash, mixed
-from tests.report.test_manoeuvre_view import TRACE as MANOEUVRES
 
 CHROMIUM = find_chromium()
 FILES = Path(__file__).parents[1] / "corpus" / "saved"
@@ -73,15 +72,6 @@ def test_legend_explains_trails_even_with_imperfect_perception(page):
     legend = page.evaluate("document.querySelector('article.current .legend').textContent")
     assert "Dotted trails: the last 4 s relative to the ego." in legend
 
-
-def test_a_step_of_a_manoeuvre_that_never_began_is_no_instruction_at_the_end(browser, tmp_path):
-    path = tmp_path / "manoeuvre.html"
-    path.write_text(render_page(Report.of(view_of(MANOEUVRES))), encoding="utf-8")
-    page = browser.open(path.as_uri())
-    page.press("End")
-    told = page.evaluate("document.querySelector('article.current .player').textContent")
-    assert "at a gap of 20 m" in told
-    assert "at a gap of 400 m" not in told
     assert page.complaints == []
     page.close()
 

@@ -1,6 +1,6 @@
 """The geometry of the picture."""
 
-from pytest_pafot import Highway, PositionInstruction, Scenario, Traffic
+from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.report.views import run_view
 from tests.helpers.picture import picture_at, vehicle_at
 from tests.helpers.tables import table
@@ -26,7 +26,7 @@ def test_cells_surround_the_ego_with_clearance_between_them():
 def test_npc_arrives_in_drawn_cell_in_any_traffic(style):
     chains = [[(8, 24.0), (1, 24.0), (2, 24.0)], [(4, 24.0), (5, 24.0), (6, 24.0)]]
     npcs = tuple(tuple(PositionInstruction(*gene) for gene in chain) for chain in chains)
-    asked = Scenario(npcs=npcs, ego_speed=24.0, traffic=Traffic(style))
+    asked = Scenario(npcs=npcs, ego_speed=24.0, traffic=style)
     trace = Highway().rollout(asked, lambda: lambda seen: (0.0, 0.0))
     view = run_view(trace)
     for npc, cell in enumerate((2, 6)):

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.model.driving_style import Traffic
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import SCENARIO
 from pytest_pafot.report.page import finding_article
@@ -78,8 +77,8 @@ def test_every_record_is_read_as_it_was_written(record):
 
 
 def test_finding_names_the_traffic_it_was_driven_in():
-    scenario = replace(plain_finding().scenario, traffic=Traffic("everyday", least_gap=4))
-    told, finding = "everyday traffic (as most drivers drive, least_gap 4)", plain_finding(scenario=scenario)
+    scenario = replace(plain_finding().scenario, traffic="everyday")
+    told, finding = "everyday traffic (as most drivers drive)", plain_finding(scenario=scenario)
     assert finding_entry(sighting(finding={"scenario": scenario}))["traffic"] == told
     assert finding_entry(sighting())["traffic"] == ""
     view = view_of(None, finding)

@@ -96,7 +96,7 @@ def test_custom_algorithm_is_a_class_or_its_name():
     assert (of_class.name, of_class.fitness, of_class.instructions) == (
         "own",
         "default",
-        ("cells", "lanes", "manoeuvres", "both"),
+        ("cells", "lanes", "both"),
     )
 
 

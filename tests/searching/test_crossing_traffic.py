@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -28,7 +29,7 @@ from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
 
 JUNCTION = junction()
-TRAFFIC = CrossingTraffic(JUNCTION, ACTS, 0.0, 10.0, 2)
+TRAFFIC = CrossingTraffic(JUNCTION, 0.0, 10.0, 2)
 SPACE = SearchSpace(crossings=JUNCTION, most_npcs=(4,), genes=3, gene_seconds=4.0, speed_limit=10.0, ego_speed=10.0)
 seeds = st.integers(0, 2**32)
 spaces = st.builds(
@@ -39,7 +40,6 @@ spaces = st.builds(
     speed_limit=st.sampled_from([2.0, 8.0, 20.0]),
     traffic=st.sampled_from(["paper", "hostile", "everyday"]),
     crossings=st.just(JUNCTION),
-    acts=st.sampled_from([ACTS, ("pass",), ("hold", "late")]),
     most_on_grid=st.integers(0, 2),
 )
 
@@ -60,10 +60,10 @@ def check(scenario, space):
     assert len(scenario.npcs) <= (max(space.most_npcs) if space.most_npcs else space.npcs)
     for each in told(scenario):
         assert JUNCTION.fits(each)
-        assert each.act in space.acts or (each.act == "pass" and each.slot == 5.0)
+        assert each.act in ACTS
         assert each.speed <= min(space.speed_limit, 12.0)
         assert each.speed >= min(3.0, space.speed_limit)
-        assert each.speed >= min(space.traffic.least_speed(space.speed_limit), 12.0) - 0.05
+        assert each.speed >= min(STYLES[space.traffic].least_speed(space.speed_limit), 12.0) - 0.05
 
 
 @given(spaces, seeds, st.integers(0, 8))
@@ -102,18 +102,6 @@ def test_slots_are_rather_near_the_ego():
     assert np.abs(slots).max() <= 5
     shares = [np.mean(np.abs(slots) <= 1), np.mean((np.abs(slots) > 1) & (np.abs(slots) <= 3)), np.mean(slots > 0)]
     assert shares == pytest.approx([0.72, 0.2, 0.5], abs=0.03)
-
-
-def test_late_start_is_drawn_only_on_request():
-    rng, space = np.random.default_rng(0), SearchSpace(npcs=2, crossings=JUNCTION, acts=("pass", "late"))
-    acts = {each.act for _ in range(50) for each in told(mutate(sample(space, rng), space, rng))}
-    assert acts == {"pass", "late"}
-
-
-@table("acts", [(), ("wave",), "wave", ("pass", "wait")])
-def test_unknown_acts_are_refused_with_the_known_ones(acts):
-    with pytest.raises(ValueError, match="acts: expected one or more of pass, hold, stop, late, received"):
-        SearchSpace(acts=acts)
 
 
 def test_where_nobody_clashes_nothing_is_drawn():

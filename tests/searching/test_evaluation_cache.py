@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, Manoeuvre, PositionInstruction
+from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import mutate
@@ -162,12 +162,3 @@ def test_runs_with_equal_keys_are_forgotten_in_order(cheap_world):
     memory.add(run)
     memory.forget(1)
     assert memory.recall(run.scenario) == run
-
-
-def test_run_of_a_shorter_chain_beside_a_manoeuvre_is_no_answer_for_a_longer_one(make_evaluation):
-    """The run goes on after the last instruction, where the longer chain has another one."""
-    beside = (Manoeuvre(beside=1, ahead=30.0, speed=20.0),)
-    short, longer = (Scenario(npcs=(chain(*[(8, 5.0)] * count), beside)) for count in (2, 3))
-    memory = remembered(make_evaluation(short))
-    assert memory.recall(short) is not None
-    assert memory.recall(longer) is None

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.driving_style import Traffic
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import random_position
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.operators import mutate
@@ -56,7 +56,7 @@ def test_drawn_and_varied_scenarios_are_valid_within_limits(space, sizes, seed, 
     if not space.most_npcs:
         assert len(scenario.npcs) == space.npcs
     assert {len(chain) for chain in scenario.npcs} <= {space.genes_of(scenario.gene_seconds), *some_genes(space)}
-    least = space.traffic.least_speed_share * space.speed_limit - 1e-6
+    least = STYLES[space.traffic].least_speed_share * space.speed_limit - 1e-6
     assert all(least <= gene.speed <= space.speed_limit + 1e-6 for chain in scenario.npcs for gene in chain)
     assert scenario.ego_lane in (space.ego_lanes or (space.ego_lane,))
     low, high = space.ego_speeds or (space.ego_speed, space.ego_speed)
@@ -93,8 +93,8 @@ def test_a_wide_space_draws_all_of_its_starts():
             "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 1 to 2",
         ),
         (
-            SearchSpace(most_npcs=(5,), traffic=Traffic("everyday", least_gap=4)),
-            "1 to 5 NPCs in everyday traffic (as most drivers drive, least_gap 4); the ego starts at 22 m/s in lane 1",
+            SearchSpace(most_npcs=(5,), traffic="everyday"),
+            "1 to 5 NPCs in everyday traffic (as most drivers drive); the ego starts at 22 m/s in lane 1",
         ),
     ],
 )

@@ -16,15 +16,10 @@ from pytest_pafot import (
     VAN,
     CrossingInstruction,
     Drive,
-    Free,
     LaneInstruction,
-    Manoeuvre,
     PositionInstruction,
-    Recorded,
     Scenario,
     ScenarioError,
-    Step,
-    Track,
     VehicleType,
     WorldError,
 )  # fmt: skip
@@ -168,20 +163,6 @@ def test_a_vehicle_that_is_too_long_for_a_bend_is_refused():
         world.check_fits(Scenario(npcs=[[turning]], **common))
 
 
-def test_a_manoeuvre_starts_at_its_gap_whatever_the_vehicle_is():
-    asked = Manoeuvre(beside=0, ahead=20.0, speed=20.0, steps=(Step(after=1.0, speed=10.0, acceleration=3.0),))
-    for kind in KINDS[:4]:
-        trace = Highway().rollout(Scenario(npcs=[[asked]], ego_speed=20.0, vehicles=(kind,)), idm)
-        assert Run(trace).npcs[0].gap[0] == pytest.approx(20.0)
-
-
-def test_starts_that_would_touch_are_refused():
-    ahead = [[Manoeuvre(beside=0, ahead=place, speed=20.0)] for place in (10.0, 20.0)]
-    Highway().check_fits(Scenario(npcs=ahead, vehicles=("van",)))
-    with pytest.raises(ScenarioError, match=r"npcs\[1\]: expected a start at least 0.5 m from npcs\[0\]"):
-        Highway().check_fits(Scenario(npcs=ahead, vehicles=("truck",)))
-
-
 def test_explanation_and_picture_say_what_a_vehicle_is():
     scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2, [PositionInstruction(1, 22.0)] * 2], vehicles=[TRUCK])
     trace = Highway().rollout(scenario, keeping)
@@ -257,19 +238,13 @@ def test_a_run_ends_exactly_when_the_egos_box_touches(kind, cell):
 
 
 def test_starts_keep_their_gaps_to_an_ego_of_any_size():
-    asked = Manoeuvre(beside=0, ahead=20.0, speed=15.0)
     rows = [[PositionInstruction(cell, 15.0)] * 2 for cell in (2, 6, 4)]
     usual = Run(Highway().rollout(Scenario(npcs=rows, ego_speed=15.0), keeping))
     for kind in EGOS:
         world = Highway(ego=kind)
-        assert Run(world.rollout(Scenario(npcs=[[asked]], ego_speed=15.0), idm)).npcs[0].gap[0] == pytest.approx(20.0)
         run = Run(world.rollout(Scenario(npcs=rows, ego_speed=15.0), keeping))
         for npc in (0, 1):
             assert run.npcs[npc].gap[0] == pytest.approx(usual.npcs[npc].gap[0])
-    near = Recorded(track=Track.of([[8.0 + 15.0 * row / 10, 0.0, 0.0, 15.0] for row in range(101)]))
-    Highway().check_fits(Scenario(npcs=[[near]], ego_speed=15.0))
-    with pytest.raises(ScenarioError, match=r"npcs\[0\]: expected a start at least 0.5 m from the ego"):
-        Highway(ego=TRUCK).check_fits(Scenario(npcs=[[near]], ego_speed=15.0))
 
 
 def test_a_planner_sees_its_own_size_and_a_straightened_road():
@@ -310,21 +285,12 @@ def test_braking_that_a_truck_cannot_do_avoids_nothing():
     hardest = {}
     for kind in (CAR, TRUCK):
         world = Highway(ego=kind)
-        stops = Manoeuvre(beside=0, ahead=25.0, speed=22.0, steps=(Step(after=1.0, speed=0.0, acceleration=8.0),))
-        trace = world.rollout_reference(Scenario(npcs=[[stops]], ego_speed=22.0), "careful-human")
+        stops = [PositionInstruction(2, 22.0), PositionInstruction(2, 0.0)]
+        trace = world.rollout_reference(Scenario(npcs=[stops], ego_speed=22.0, gene_seconds=2.0), "careful-human")
         hardest[kind.name] = -trace.ego[:, ACCELERATION].min()
         taken = world.take_over(world.rollout(trace.scenario, keeping), 20, "careful-human")
         assert -taken.ego[:, ACCELERATION].min() <= hardest[kind.name] + 1e-9
     assert hardest == pytest.approx({"car": 7.593, "truck": 7.0}, abs=1e-3)
-
-
-def test_free_npcs_stop_behind_a_long_ego():
-    ended = []
-    for kind in (CAR, TRUCK):
-        behind = Free(beside=0, ahead=-15.0, speed=20.0, driver="idm")
-        trace = Highway(ego=kind, duration=40.0).rollout(Scenario(npcs=[[behind]], ego_speed=20.0), lambda: brake)
-        ended.append(Run(trace).npcs[0].gap[-1])
-    assert min(ended) > 3.0
 
 
 def brake(seen):

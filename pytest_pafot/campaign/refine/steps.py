@@ -101,7 +101,7 @@ def _turn(sighting: Sighting, state: State, bench: Bench, store: Store, *, shari
     except OutOfTime:
         return False
     except ProcessLostError as error:
-        store.call_flaky(sighting, f"the process that ran it again {error.how}")
+        store.call_flaky(sighting, f"the process that ran it again {error.end}")
         yield from lose(error, state, bench, store)
         return True
 

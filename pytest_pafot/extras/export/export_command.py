@@ -23,8 +23,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
     of_ads = "the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", metavar="ADS", help=of_ads)
-    of_driver = "a driver of free NPCs that the file names, as in drivers= of its test; again for each"
-    parser.add_argument("--driver", action="append", default=[], metavar="NAME=ADS", help=of_driver)
     add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own", has_config=False)
     of_out = "the folder for the files (default: the current one)"
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
@@ -37,12 +35,8 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
         received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
         raise ExportError(field="--ads", expected=expected, received=received)
-    named = [each.partition("=") for each in arguments.driver]
-    drivers = {name: ads_factory(reference, "--driver") for name, _, reference in named}
     made = chosen_world(arguments.world, None, [arguments.ads])
     world: Any = saved.world if made is None else WorldData(saved.finding.world).named(made)
-    if drivers and hasattr(world, "with_drivers"):  # a world of the user's own need not have it
-        world = world.with_drivers(drivers)
     driven = saved.replay(ads_factory(arguments.ads), world=world)
     error = driven.trace.error
     if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):

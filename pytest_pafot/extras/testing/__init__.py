@@ -578,7 +578,6 @@ def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
         (base.can_last, "runs that are driven on after their end", "lasting"),
         (base.has_traffic_styles, "styles of traffic", "has_traffic_styles"),
         (base.has_lane_instructions, "Lane-Instructions", "has_lane_instructions"),
-        (base.has_manoeuvres, "manoeuvres", "has_manoeuvres"),
         (base.can_drive(TRUCK), "trucks, vans and motorcycles", "has_vehicles"),
         (bool(base.straight_road), "varied starts and patterns of traffic", "road, a straight one of this package"),
         (data.is_plain and data.data["kind"] != "own", "export, and replays without the test", "from_dict, registered"),

@@ -62,8 +62,6 @@ INFLUENCE = 0.5
 """The largest change of the place [m] or the speed [m/s] of a vehicle by the controls of others."""
 TURN = 0.02
 """The steering that NPCs get in addition [rad]."""
-ON_TRACK = 0.05
-"""The largest distance of a recorded vehicle from its track [m]."""
 AT_ONCE = "step moves vehicles by the controls that it receives"
 ADVICE = "or write moves_ego_only = True and put NPCs where their controls say"
 AXES = {
@@ -432,7 +430,7 @@ class _Bench:
         yield is_long or not self._world.can_drive(TRUCK), promise, "the same turn of one of twice the length"
 
     def others(self, seed: int) -> Promises:
-        """Yield that each vehicle moves by its own controls, and as recorded if it has to."""
+        """Yield that each vehicle moves by its own controls."""
         watched, real = self._watched_all(), self._real
         vehicles, turn = watched.vehicles, TURN * (180 / math.pi if real.degrees else 1.0)
         straight = watched.controls[: len(watched.controls) // 2]
@@ -459,7 +457,7 @@ class _Bench:
             alone = self._raw(real, [vehicles[number]], given, seed)[: len(together) - late, 0]
             return float(np.abs((together[late:, number] - alone)[:, [0, 1, 3]] * units).max())
 
-        own = [0] if self._world.moves_ego_only else [number for number, each in enumerate(vehicles) if not each.driver]
+        own = [0] if self._world.moves_ego_only else range(len(vehicles))
         for number in own:
             if away(number, number) > INFLUENCE:
                 by = min(own, key=partial(away, number))
@@ -471,14 +469,6 @@ class _Bench:
                 )
                 promise = f"the controls of {_name(number)} move it, and come in the order of the vehicles in start"
                 yield False, promise, next((what for far, what in tried if far <= INFLUENCE), "that others do, too")
-        if real.follows_recordings:
-            given = [[each[0], *(one._replace(acceleration=0.0, steering=0.1, recorded=1) for one in each[1:])]
-                     for each in controls]  # fmt: skip
-            rows = self._raw(real, vehicles, given, seed)[1:, 1:]
-            asked = np.array([_places(each[1:]) for each in controls])
-            far = float(np.abs((rows - asked)[..., :2]).max()) * real.metres
-            promise = "step puts vehicles whose control is recorded where it says, as follows_recordings declares"
-            yield far <= ON_TRACK, promise, f"{far:.1f} m from there"
 
 
 def _ends() -> Callable[[Any], Any]:

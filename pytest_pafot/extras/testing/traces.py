@@ -100,9 +100,6 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
     yield len(trace.lanes) > 0, "lanes has the lanes of the road", "none"
     for vehicle in range(states.shape[1] if is_straight(trace) else 1):
         speed, allowed, asked = start[vehicle, SPEED], 10 * AT_START if vehicle else AT_START, scenario.ego_speed
-        first = trace.executed.npcs[vehicle - 1][0] if vehicle else None
-        if first is not None and first.keeps_start:  # a free NPC, or one with a manoeuvre, says how fast it starts
-            continue
         asked = min(asked, trace.ego_vehicle.top_speed, trace.vehicle_type(vehicle).top_speed)
         promise = f"starts as fast as the scenario says, states[0, {vehicle}, SPEED] at scenario.ego_speed"
         received = f"{speed:.2f} m/s for {asked:g} m/s"

@@ -13,7 +13,6 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions.instruction import (
     Choices,
     ScenarioError,
-    Space,
     TimedInstruction,
     checked_speed,
     known,
@@ -36,7 +35,6 @@ class PositionInstruction(TimedInstruction):
     cell: Cell
     speed: float
 
-    marks = frozenset({"cell"})
     on_grid = True
     goal_kind = "cell"
 
@@ -55,19 +53,10 @@ class PositionInstruction(TimedInstruction):
         """The target in words: ``2 front``."""
         return f"{int(self.cell)} {self.cell.label}"
 
-    @classmethod
-    def reads(cls, first: Any, others: Sequence[Any]) -> bool:
-        """Return True, because every form that no other kind has is read as a cell and a speed."""
-        return True
-
     @property
     def remark(self) -> str:
         """The name of the cell."""
         return self.cell.label
-
-    def is_drawn_in(self, space: Space) -> bool:
-        """Return whether a search in a space has NPCs on the grid."""
-        return space.instructions in ("both", "cells")
 
     def varied(self, choices: Choices, rng: Generator) -> PositionInstruction:
         """Return an instruction that is uniform over the eight cells and the speeds; others may hold the cell."""

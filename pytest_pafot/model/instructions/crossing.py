@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 from pytest_pafot.model.instructions.instruction import (
     Instruction,
     ScenarioError,
-    Space,
     checked_number,
     checked_speed,
     roughness,
@@ -67,7 +66,6 @@ class CrossingInstruction(Instruction):
     speed: float
     act: Act = "pass"
 
-    marks = frozenset({"zone"})
     goal_kind = "zone"
     crosses = True
     least_speed: ClassVar[float] = 0.1
@@ -131,19 +129,10 @@ class CrossingInstruction(Instruction):
         return [self.zone, self.speed, self.slot, self.act]
 
     @classmethod
-    def reads(cls, first: Any, others: Sequence[Any]) -> bool:
-        """Return whether there are a zone, a slot, a speed and an act."""
-        return len(others) == 3 and isinstance(others[2], str)
-
-    @classmethod
     def read(cls, plain: Sequence[Any]) -> CrossingInstruction:
         """Return the instruction with a zone, a speed, a slot and an act."""
         zone, speed, slot, act = plain
         return cls(zone, slot, speed, act)
-
-    def is_drawn_in(self, space: Space) -> bool:
-        """Return whether the world of a search has the zone."""
-        return space.crossings is not None and self.zone in [zone.way for zone in space.crossings.zones]
 
     def mixed(self, other: Instruction, rng: Generator) -> tuple[Instruction, Instruction] | None:
         """Return two children if the zone is the same; slot, speed and act are each swapped or not at random."""
@@ -179,11 +168,6 @@ class CrossingInstruction(Instruction):
         """The distance of the slot from 0, in tenths of a second."""
         return abs(self._tenths)
 
-    def passing(self) -> Iterator[CrossingInstruction]:
-        """Yield the instruction to drive through the zone, for an NPC that holds at its line or stops in its zone."""
-        if self.act != "pass":
-            yield replace(self, act="pass")
-
     def plainer(self) -> Iterator[CrossingInstruction]:
         """Yield a slot of 0, whole and half seconds next to it, and slots nearer to 0 by a second, half or tenth."""
         slot = self._tenths
@@ -197,11 +181,6 @@ class CrossingInstruction(Instruction):
         """Return few slots in the zones of the finding, at round speeds next to those there."""
         places = dict.fromkeys((each.zone, round(each.speed / unit) * unit) for unit in (5.0, 1.0) for each in found)
         return [cls(zone, slot, speed) for slot in SMALL_SLOTS for zone, speed in places if speed > 0]
-
-    @property
-    def slot_asked(self) -> float | None:
-        """The slot of an NPC that passes."""
-        return self.slot if self.act == "pass" else None
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the zone and the slot."""

@@ -14,7 +14,6 @@ from pytest_pafot.model.instructions.instruction import (
     SPEED_STEPS_PER_MPS,
     Choices,
     ScenarioError,
-    Space,
     TimedInstruction,
     checked_speed,
     known,
@@ -47,8 +46,6 @@ class LaneInstruction(TimedInstruction):
     lane: Shift
     speed: float
 
-    marks = frozenset({"lane"})
-    in_free_cell = True
     goal_kind = "lane"
 
     def __post_init__(self) -> None:
@@ -68,19 +65,10 @@ class LaneInstruction(TimedInstruction):
         """The target in words: ``one lane left``."""
         return "keep lane" if self.lane == "keep" else f"one lane {self.lane}"
 
-    @classmethod
-    def reads(cls, first: Any, others: Sequence[Any]) -> bool:
-        """Return whether the first value is a change of lanes."""
-        return first in SHIFTS
-
     @property
     def afterwards(self) -> LaneInstruction:
         """The instruction to keep the lane that this one leads to."""
         return replace(self, lane="keep")
-
-    def is_drawn_in(self, space: Space) -> bool:
-        """Return whether a search in a space has NPCs in lanes."""
-        return space.instructions in ("both", "lanes")
 
     def varied(self, choices: Choices, rng: Generator) -> LaneInstruction:
         """Return an instruction that is uniform over the lanes and the speeds."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -126,44 +125,10 @@ def _searched(road: Any, numbers: dict[Any, int]) -> list[list[tuple[int, float]
     return searched
 
 
-def traffic_vehicle(
-    road: Any,
-    lanes: Network,
-    constants: Mapping[str, float],
-    start: tuple[float, float, float, float],
-    changes_lanes: bool,
-    sections: Sequence[tuple[str, str]],
-) -> GoalVehicle:
-    """Return a compiled IDM vehicle on a road of highway-env.
-
-    Args:
-        road: the road.
-        lanes: its lanes in plain numbers.
-        constants: the constants of the vehicle class, by name.
-        start: x [m], y [m], heading [rad] and speed [m/s], which it also wants.
-        changes_lanes: whether it changes lanes.
-        sections: its route, which begins with the section in which it starts; empty for a road of one section.
-    """
-    x, y, heading, speed = start
-    goal = None
-    if sections:  # where roads part, the closest lane may be one that leads elsewhere
-        origin, end = sections[0]
-        across = [abs(lane.local_coordinates(np.array([x, y]))[1]) for lane in road.network.graph[origin][end]]
-        goal = origin, end, across.index(min(across))
-    route = [(*section, None) for section in sections] or None
-    vehicle = IDMVehicle(road, [x, y], heading, speed, goal, route=route, enable_lane_change=changes_lanes)
-    for name, value in constants.items():
-        setattr(vehicle, name, value)
-    del vehicle.timer  # which is that of the class's own delay
-    made = CompiledRoad(road, lanes).vehicle(vehicle)
-    made.drives_itself = True
-    return made
-
-
 def egos_rules(road: Any, model: GoalVehicle, places: Places, rules: Rules, network: Any) -> EgosRoadRules | None:
     """Return the rules of a regulated road of highway-env for a vehicle that ``model`` drives; None on other roads.
 
-    The vehicle is the first of the places: the ego, or an NPC with a driver of its own, which takes it for the ego.
+    The vehicle is the ego.
     """
     way, is_regulated = rules.road, type(road) in (RegulatedRoad, EgosRegulatedRoad)
     if not (is_regulated and isinstance(model, NetworkVehicle) and isinstance(way, NetworkRoad)):

@@ -47,8 +47,6 @@ from pytest_pafot.world.gym_environment import (
     wrappers_of,
 )
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import TrackedNpc
-from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
@@ -464,7 +462,6 @@ class _Loop:
         self._hz = vehicles.rules.ads_hz
         self._step_limit = step_limit
         self._bodies = vehicles.vehicles
-        vehicles.give_drivers(guard)
         self._vehicles = [env.vehicle]
         for body in self._bodies[1:]:
             npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
@@ -675,8 +672,7 @@ class _Loop:
                 del vehicle.act
         if not self._is_over:
             self._moved = self._moved or self._moved_npc()
-            with self._around.paused():  # NPCs may have drivers that decide
-                self._run.loop.command()
+            self._run.loop.command()
             for npc, body in zip(npcs, bodies, strict=True):
                 npc.control(body.acceleration, body.steering)
 
@@ -688,15 +684,7 @@ class _Loop:
             if self._is_over:
                 return
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
-                if isinstance(body, TrackedNpc) and body.left < 0:  # its track moves it, whatever highway-env did
-                    body.step(dt)
-                    vehicle.position = np.array([body.x, body.y])
-                    vehicle.heading, vehicle.speed = body.heading, body.speed
-                    continue
                 follow(body, vehicle)
-                if isinstance(body, GoalVehicle):  # a free NPC, which has a timer, and looks for its lane
-                    body.lead(body.x, body.y, body.heading, body.speed)
-                    body.step(dt)
         except UNFIT as error:
             if isinstance(error, AdsHang) and self._around.interruption is not None:  # of this step as a whole
                 raise

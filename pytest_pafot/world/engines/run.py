@@ -21,21 +21,12 @@ from pytest_pafot.model.trace import (
     Outcome,
     Trace,
 )
-from pytest_pafot.world.engines.npc_drivers import OwnMover, movers_of
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.bodies import Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop
 from pytest_pafot.world.kernel.observation import COLUMNS
 from pytest_pafot.world.run_config import Rules, starts_of
-
-
-def drives_itself(scenario: Scenario) -> bool:
-    """Return whether something other than the director moves an NPC."""
-    for chain in scenario.npcs:  # noqa: SIM110  (any() takes twice the time, in each run)
-        if chain[0].drives_itself:
-            return True
-    return False
 
 
 class VehiclesOfRun:
@@ -67,17 +58,12 @@ class VehiclesOfRun:
         self.director = director = rules.director(scenario, ego.length)
         alongs, starts = starts_of(rules, scenario, director, ego.length)
         road, ticks = rules.road, rules.ticks(scenario)
-        self._movers: dict[int, OwnMover] = {}
-        if drives_itself(scenario):
-            self._movers = movers_of(rules, scenario, list(zip(alongs[1:], starts, strict=True)), stock_road)
         is_apart = not road.starts_at_origin
-        npcs: list[Body] = director.in_world() if is_apart else list(director.npcs)
+        npcs: list[Body] = [Body(npc.length, npc.width) if is_apart else npc for npc in director.npcs]
         for npc, start in zip(npcs, starts, strict=True):
             npc.place(*start)
-        for number, mover in self._movers.items():
-            npcs[number] = mover.body
         self.vehicles = [ego, *npcs]
-        bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart or self._movers else self.vehicles
+        bodies = [Body(ego.length, ego.width), *director.npcs] if is_apart else self.vehicles
         self.places = road.places(self.vehicles, bodies, scenario, starts=alongs, ticks=ticks, stock_road=stock_road)
         self.places.obstacles = [Box(*each) for each in rules.obstacles]
         for each, box in zip(rules.obstacles, self.places.obstacles, strict=True):
@@ -88,15 +74,8 @@ class VehiclesOfRun:
         self.rows: Any = np.empty((ticks + 1) * len(self.sizes) * COLUMNS).data
         self.loop = Loop(director, self.places, self.rows, 1 / rules.physics_hz)
 
-    def give_drivers(self, guard: HangGuard) -> None:
-        """Give NPCs the drivers that move them, before the run begins; ``guard`` is that of the ego's decisions."""
-        for npc, mover in self._movers.items():
-            self.loop.give(npc, mover.driver(self.places, self.rows, guard))
-
     def close(self) -> None:
-        """End what moves NPCs in the place of the director, after the run."""
-        for mover in self._movers.values():
-            mover.close()
+        """End the simulation, after the run, if there is one."""
         if self.loop.simulation is not None:
             self.loop.simulation.close()
 
@@ -119,8 +98,6 @@ class VehiclesOfRun:
         outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
         if error is not None:
             outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
-        elif loop.npc_error is not None:
-            outcome = Outcome.INVALID
         elif loop.is_over:
             touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
             outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
@@ -134,7 +111,6 @@ class VehiclesOfRun:
             outcome=outcome,
             collision=self._collision(states, track) if outcome is Outcome.COLLISION else None,
             error=error,
-            npc_error=None if error else loop.npc_error,
             states=states,
             sizes=np.array(self.sizes),
             lanes=self.rules.road.lanes,
@@ -148,8 +124,6 @@ class VehiclesOfRun:
             zones=self.rules.road.zones(self.scenario),
             on_way=on_way,
             driven=self.director.driven,
-            begun=self.director.begun,
-            handed_over=self.director.handed_over,
             obstacles=self.rules.obstacles,
             ego_vehicle=self.rules.ego,
             ended=self.ended,
@@ -224,7 +198,6 @@ class SteppedRun:
         self.vehicles = vehicles
         self.driver: Any = driver
         self._guard = guard
-        vehicles.give_drivers(guard)
         self._ticks = vehicles.rules.ticks(vehicles.scenario)
 
     def observe(self) -> Any:

@@ -25,7 +25,6 @@ from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.failure import call_close
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import TrackedNpc
 from pytest_pafot.world.kernel.loop import GivenDriver
 
 CLOSING = 10.0
@@ -43,8 +42,8 @@ HEADINGS = {
     f"{QUARTERS[zero]} to {QUARTERS[(zero + sense) % 4]}": (zero, sense) for zero in range(4) for sense in (1, -1)
 }
 """The quarter turn at which headings are 0, and 1 if they grow as from x to y, by what :class:`Simulator` states."""
-ON_TRACK = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
-"""The same as :data:`STARTS` for a vehicle that drives as recorded, whose simulator may state a speed of its own."""
+PUT = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
+"""The same as :data:`STARTS` for an NPC that is put in the state of its control."""
 
 
 class Vehicle(NamedTuple):
@@ -55,8 +54,6 @@ class Vehicle(NamedTuple):
         length, width: the size of its box.
         lane: counted from 0 at the left.
         kind: such as ``"car"`` or ``"truck"``.
-        driver: one of the simulator's :attr:`Simulator.drivers`, which drives it; empty if its controls do.
-        wanted_speed: that of such a driver; for other vehicles their speed.
     """
 
     x: float
@@ -67,8 +64,6 @@ class Vehicle(NamedTuple):
     width: float
     lane: int
     kind: str
-    driver: str
-    wanted_speed: float
 
 
 class Control(NamedTuple):
@@ -78,7 +73,6 @@ class Control(NamedTuple):
         acceleration: in the simulator's speeds per second.
         steering: the angle of the front wheels; it turns the vehicle in the direction in which headings grow.
         x, y, heading, speed: the state at the end of the tick by the package's own kinematic bicycle model.
-        recorded: 1 if the vehicle must be in this state, because it drives as recorded; else 0.
     """
 
     acceleration: float
@@ -87,7 +81,6 @@ class Control(NamedTuple):
     y: float
     heading: float
     speed: float
-    recorded: int
 
 
 class Simulator(ABC):
@@ -113,9 +106,7 @@ class Simulator(ABC):
         at_front: True if the place of a vehicle is the middle of its front; else it is the centre of its box.
         metres: the length of the simulator's unit of length [m].
         metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
-        drivers: names of drivers of the simulator's own, for free NPCs.
-        follows_recordings: True if :meth:`step` puts each vehicle whose control is ``recorded`` in the control's state.
-        moves_ego_only: True if :meth:`step` puts all NPCs, but those of ``drivers``, in the states of their controls.
+        moves_ego_only: True if :meth:`step` puts all NPCs in the states of their controls.
         one_at_a_time: True if a process can have one simulation only.
         packages: names of installed packages whose versions change runs, for saved files.
     """
@@ -135,8 +126,6 @@ class Simulator(ABC):
     at_front: ClassVar[bool] = False
     metres: ClassVar[float] = 1.0
     metres_per_second: ClassVar[float] = 1.0
-    drivers: tuple[str, ...] = ()
-    follows_recordings: bool = False
     moves_ego_only: bool = False
     one_at_a_time: ClassVar[bool] = False
     packages: ClassVar[tuple[str, ...]] = ()
@@ -270,7 +259,6 @@ class Simulation:
         self._guard = guard
         self._tick = 0
         self._hz = vehicles.rules.physics_hz
-        self._recorded = [number for number, body in enumerate(self._bodies) if isinstance(body, TrackedNpc)]
         self._simulator: Any = simulators.take()
         self._is_sound = False  # until all that it has stated was right
         try:
@@ -283,37 +271,30 @@ class Simulation:
             self.close()
             raise
         self._speeds = [body.speed for body in self._bodies]
-        self._puts_all = self._simulator.moves_ego_only
-        self._own = {number for number, each in enumerate(self._starts) if each.driver}
+        self._put = range(1, len(self._bodies) if self._simulator.moves_ego_only else 1)
         self._is_sound = True
 
     def _vehicles(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
         frame, rules, scenario = self._frame, vehicles.rules, vehicles.scenario
         kinds = [rules.ego, *scenario.all_vehicles]
-        names = ["", *(getattr(chain[0], "driver", "") for chain in scenario.npcs)]
         starts = []
-        for number, (body, kind, name) in enumerate(zip(self._bodies, kinds, names, strict=True)):
-            is_own = name in self._simulator.drivers
-            wanted = min(scenario.npcs[number - 1][0].speed, kind.top_speed) if is_own else body.speed
+        for number, (body, kind) in enumerate(zip(self._bodies, kinds, strict=True)):
             pose = frame.stated(body)
             size = body.length / frame.metres, body.width / frame.metres
             lane = vehicles.places.bodies[number].lane
-            starts.append(Vehicle(*pose, *size, lane, kind.name, name if is_own else "", wanted / frame.speed))
+            starts.append(Vehicle(*pose, *size, lane, kind.name))
         return starts
 
     def move(self) -> None:
         """Let the simulator do the tick in which the package's own model has just moved all vehicles."""
         frame, bodies = self._frame, self._bodies
-        recorded = [number for number in self._recorded if bodies[number].left < 0]
-        put = [each for each in range(1, len(bodies)) if each not in self._own] if self._puts_all else recorded
         controls = [
             Control(
                 body.acceleration / frame.speed,
                 frame.turn * body.steering / frame.angle,
                 *frame.stated(body),
-                int(number in recorded),
             )
-            for number, body in enumerate(bodies)
+            for body in bodies
         ]
         self._tick += 1
         self._is_sound = False
@@ -321,12 +302,11 @@ class Simulation:
             self._simulator.step(controls)
         rows = self._read()
         states = self._in_run(rows)
-        if put:
-            self._check(states, put, ON_TRACK, "step")
+        self._check(states, self._put, PUT, "step")
         if self._tick == 1:
             self._check_way(rows)
         for number, (body, state) in enumerate(zip(bodies, states, strict=True)):
-            if number in put:
+            if number in self._put:
                 self._speeds[number] = body.speed
                 continue
             if state[3] != body.speed:  # else it has the acceleration that it was asked for

@@ -92,44 +92,6 @@ def _seed_torch(torch: Any, seed: int) -> None:
             sys.tracebacklimit = before
 
 
-class OwnDraws:
-    """The global generators as a driver of an NPC finds them, in ``with`` statements: seeded once, then its own.
-
-    So what it draws depends neither on the ego's draws, which are others if a reference driver takes over, nor on those
-    of other NPCs.
-    """
-
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
-        self._python = random.Random(seed).getstate()  # noqa: S311  (no cryptography)
-        self._numpy = np.random.MT19937()
-        self._numpy._legacy_seeding(_words(seed))  # as np.random.seed does
-        self._torch: Any = None
-        self._outer: tuple[Any, ...] = ()
-
-    def __enter__(self) -> None:
-        self._outer = random.getstate(), np.random.mtrand.get_bit_generator(), None
-        random.setstate(self._python)
-        np.random.mtrand.set_bit_generator(self._numpy)  # a hundredth of the time of a change of its state
-        if torch := _torch():
-            generator = _of_torch(torch)
-            self._outer = (*self._outer[:2], generator.state())
-            if self._torch is None:
-                generator.seed(self._seed)
-            else:
-                generator.give_back(self._torch)
-
-    def __exit__(self, *_: object) -> None:
-        python, bits, of_torch = self._outer
-        self._python = random.getstate()
-        random.setstate(python)
-        np.random.mtrand.set_bit_generator(bits)
-        if of_torch is not None:
-            generator = _of_torch(_torch())
-            self._torch = generator.state()
-            generator.give_back(of_torch)
-
-
 def _torch() -> Any:
     """Return torch if something else has imported it, else None."""
     torch = sys.modules.get("torch")

@@ -51,15 +51,12 @@ class LastResort:
             time, for instance because native code holds the interpreter's lock. None if other code handles that case.
         end_world: a function that ends the process if a user's world hangs itself. None if the process must go on,
             because a world may be slow.
-        npc: a number in memory that another process reads when this one has died: that of the NPC whose driver's code
-            is running, counted from 1; 0 for other code. None if nobody reads it.
     """
 
     end: Callable[[], None]
     grace: float
     file: int | None = None
     end_world: Callable[[], None] | None = None
-    npc: Any = None
 
 
 def patience_with_world(hang_limit: float) -> float:
@@ -94,20 +91,6 @@ def check_time() -> None:
     """Raise OutOfTime if the time of :func:`runs_end_in` is over; for code that waits for a run elsewhere."""
     if time.perf_counter() >= _WATCHDOG.until:
         raise OutOfTime
-
-
-@contextmanager
-def code_of_driver(npc: int) -> Iterator[None]:
-    """Let the process that notices the death of this one know that code of an NPC's driver ran."""
-    shared = _WATCHDOG.shared_npc
-    if shared is None:
-        yield
-        return
-    shared.value = npc + 1
-    try:
-        yield
-    finally:
-        shared.value = 0
 
 
 @contextmanager
@@ -382,10 +365,6 @@ class _Watchdog:
             before, self._resort = self._resort, resort
             self._stop_timer()
             return before
-
-    @property
-    def shared_npc(self) -> Any:
-        return None if self._resort is None else self._resort.npc
 
     def before_fork(self) -> None:
         """Stop the timer before a fork; the forked process lacks the timer's thread, and would wait for it forever."""

@@ -195,9 +195,6 @@ class OwnWorld(BaseWorld):
     has_lane_instructions = _is_declared("has_lane_instructions")
     """True if the world declares that NPCs can have Lane-Instructions."""
 
-    has_manoeuvres = _is_declared("has_manoeuvres")
-    """True if the world declares that NPCs can have manoeuvres."""
-
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether the world declares that NPCs can be any vehicle; if it does not, they are cars."""
         return vehicle == CAR or getattr(self.world, "has_vehicles", False) is True

@@ -15,7 +15,7 @@ from importlib.util import module_from_spec
 from pathlib import Path
 
 MODULES = (
-    "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "road_directors", "recorded", "observation",
+    "driver", "action", "bodies", "lanes", "bends", "director", "crossing", "road_directors", "observation",
     "places", "road_sensor", "idm", "lane_network", "network_vehicle", "road_rules", "loop", "features",
 )  # fmt: skip
 """The modules of this package, each after those that it imports."""

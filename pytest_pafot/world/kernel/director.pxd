@@ -8,8 +8,7 @@ from pytest_pafot.world.kernel.driver cimport (
 
 cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
 cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
-cdef int BY_TRACK, NO_LANE, NOT_BEHIND, AFTER, AT_GAP, AT_HEADWAY, NEVER, NOT_WAITING
-cdef double DONE_LATERAL, DONE_SPEED, RELEASE_SHARE, RELEASE_GAIN
+cdef int NO_LANE, NOT_BEHIND
 
 cdef class Npc(Body):
     cdef public object chain
@@ -17,23 +16,10 @@ cdef class Npc(Body):
     cdef readonly int index
     cdef public int row, column, kept_lane, shift_lane, heading_for, behind
     cdef public double target, target_speed, kept_speed, asked, course
-    cdef public list begun
-    cdef public int ended, trigger, side
-    cdef public double trigger_at, offset, ramp
-    cdef public NpcDriver pilot
-    cdef public bint has_missed
     cdef public NpcDriver driver
     cdef public object limits
     cdef public double top_speed, half_lengths, longer, lateral
     cdef public Bends bends
-
-cdef class TrackedNpc(Npc):
-    cdef public double[::1] states
-    cdef public int tick, left
-    cdef public bint is_own
-
-    @cython.locals(speed=double, states="double[::1]", row=int)
-    cpdef void step(self, double dt)
 
 cdef class BaseDirector:
     cdef readonly list npcs
@@ -45,8 +31,7 @@ cdef class Director(BaseDirector):
     cdef bint _is_mixed
     cdef readonly object _scenario
     cdef object _cells
-    cdef readonly list _on_grid, _in_lanes, _asked, _free, _directed
-    cdef double _release
+    cdef readonly list _on_grid, _in_lanes
     cdef int _hz
     cdef readonly double _clearance, _row
     cdef double _lane_width, _far, _aside
@@ -96,19 +81,6 @@ cdef class Director(BaseDirector):
 
     @cython.locals(driver=NpcDriver, target=double, distance=double, wanted_speed=double, goal=int)
     cpdef void _control(self, Npc npc, Body ego) except *
-
-    @cython.final
-    cdef void _await(self, Npc npc) except *
-
-    @cython.final
-    @cython.locals(distance=double, value=double, missing=double, side=int)
-    cdef bint _is_due(self, Npc npc, Body ego) except -1
-
-    @cython.locals(aside=double, missing=double, asked=double, wanted=double)
-    cpdef void _perform(self, Npc npc, Body ego) except *
-
-    @cython.locals(driver=NpcDriver, offset=double)
-    cpdef void _drive(self, Npc npc, double wanted) except *
 
     cpdef double _creeping(self, Npc npc, int goal, double speed) except? -1
 

@@ -6,22 +6,13 @@ arrivals, and makes NPCs give way to each other. It works only in road coordinat
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Sequence
 from typing import Any
 
-from pytest_pafot.model.driving_style import AMPLE
+from pytest_pafot.model.driving_style import AMPLE, STYLES
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.model.instructions import (
-    LANE_STARTS,
-    Free,
-    Instruction,
-    LaneInstruction,
-    Manoeuvre,
-    PositionInstruction,
-    Recorded,
-)
+from pytest_pafot.model.instructions import LANE_STARTS
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
@@ -63,31 +54,6 @@ ENTRY_GAP = 1.5
 """The gap to an ego of equal speed at which an NPC moves in behind it [m]."""
 NOT_BEHIND = -1
 
-AFTER, AT_GAP, AT_HEADWAY, NEVER = 0, 1, 2, 3
-"""What begins the next step of a manoeuvre: time, a gap, a headway, or nothing, because there is no next step."""
-NOT_WAITING = 2
-"""The side of an NPC that does not wait for a gap or a headway yet."""
-RELEASE_SHARE, RELEASE_GAIN = 1.6, 5.0
-"""Near the speed of a step: twice the share of the jerk with which the acceleration is released, and the acceleration
-per difference [1/s]."""
-DONE_LATERAL, DONE_SPEED = 0.2, 0.2
-"""The distance to its place across the road [m], and to its speed [m/s], at which an NPC has done a step."""
-
-
-ON_GRID, IN_LANES, BY_STEPS, BY_TRACK, BY_ITSELF = 0, 1, 2, 3, 4
-DRIVES: dict[type[Instruction], int] = {
-    PositionInstruction: ON_GRID,
-    LaneInstruction: IN_LANES,
-    Manoeuvre: BY_STEPS,
-    Recorded: BY_TRACK,
-    Free: BY_ITSELF,
-}
-"""How an NPC with each kind of instruction drives. On the grid, an instruction has ``cell`` and ``speed``. In lanes, it
-has ``lane``, ``column`` and ``speed``. By steps, it has ``steps``, and a start: ``beside``, ``ahead`` and ``speed``. By
-track, it has these, too, and is where its ``at`` says until it is handed over (``recorded.py``). By itself, it has a
-start, and something else moves it (:meth:`~pytest_pafot.world.kernel.loop.Loop.give`). NPCs that cross have a director
-of their own."""
-
 
 class Npc(Body):
     """An NPC in road coordinates, and the director's state for it.
@@ -109,14 +75,6 @@ class Npc(Body):
         course: the direction of motion after the previous tick's steering [rad].
         behind: the number of ticks for which the NPC has been directly behind the ego. It starts at the reaction time
             if the NPC itself moved in, so that the NPC reacts at once; -1 if the NPC is not behind the ego.
-        begun: the ticks at which the steps of its manoeuvre began.
-        ended: the tick at which it had done the last of these steps, or 0 before the first; -1 while it does it.
-        trigger, trigger_at: what begins the next step, and its value [ticks, m or s].
-        side: on which side of that value the NPC was when it began to wait for it, -1, 0 or 1; NOT_WAITING before.
-        offset: its offset from the centre of the kept lane [m].
-        ramp: the acceleration towards the kept speed [m/s^2].
-        pilot: the controller with the lateral speed of the step; None without a manoeuvre.
-        has_missed: whether a step was for a lane that does not exist.
         driver: its controller.
         limits: its limits; None until the director has set them.
         top_speed: its highest speed [m/s].
@@ -147,59 +105,12 @@ class Npc(Body):
         self.asked = 0.0
         self.course = 0.0
         self.behind = NOT_BEHIND
-        self.begun: list[int] = []
-        self.ended = 0
-        self.trigger = NEVER
-        self.trigger_at = 0.0
-        self.side = NOT_WAITING
-        self.offset = 0.0
-        self.ramp = 0.0
-        self.pilot: NpcDriver | None = None
-        self.has_missed = False
-
-
-class TrackedNpc(Npc):
-    """An NPC that moves along a track instead of by controls, until it is released.
-
-    Attributes:
-        states: x [m], y [m], heading [rad] and speed [m/s] at each tick of its track, in road coordinates; empty before
-            the run has begun.
-        tick: the tick at which it is.
-        left: the tick at which it was released; -1 before.
-        is_own: whether the track is as recorded.
-    """
-
-    def __init__(self, index: int, chain: Chromosome, length: float, width: float) -> None:
-        super().__init__(index, chain, length, width)
-        self.states: Any = array("d")
-        self.tick = 0
-        self.left = -1
-        self.is_own: bool = chain[0].is_as_recorded  # type: ignore[attr-defined]
-
-    def step(self, dt: float) -> None:
-        """Move to the next state of the track; after its release, as any vehicle does."""
-        if self.left >= 0:
-            Body.step(self, dt)  # C methods have no super()
-            return
-        states, speed = self.states, self.speed
-        self.tick += 1
-        row = 4 * self.tick
-        self.x, self.y, self.heading, self.speed = states[row], states[row + 1], states[row + 2], states[row + 3]
-        self.acceleration = (self.speed - speed) / dt
-        self.steering = 0.0
-
-
-def start_cell(start: Any) -> Cell:
-    """Return the cell in whose direction an NPC starts whose instruction says where."""
-    row = (start.ahead > 0) - (start.ahead < 0)
-    column = (start.beside > 0) - (start.beside < 0)
-    return next(cell for cell in Cell if (cell.row, cell.column) == (row, column))
 
 
 class BaseDirector:
     """The director of the NPCs of one run on any road.
 
-    Each kind also has ``first_cells``, ``arrivals``, ``executed``, ``driven`` and ``begun``, for the trace of a run.
+    Each kind also has ``first_cells``, ``arrivals``, ``executed`` and ``driven``, for the trace of a run.
 
     Attributes:
         npcs: one NPC for each chain; the loop updates their places after each tick.
@@ -208,18 +119,9 @@ class BaseDirector:
     def __init__(self, npcs: list[Any]) -> None:
         self.npcs = npcs
 
-    @property
-    def handed_over(self) -> tuple[int | None, ...]:
-        """The tick at which each NPC left its recording; None if it has not. Empty if nobody drives as recorded."""
-        return ()
-
     def started(self, starts: list[Start]) -> list[Start]:
         """Return the starts of all NPCs, given those of the NPCs that start around the ego."""
         return starts
-
-    def in_world(self) -> list[Body]:
-        """Return a body for each NPC in world coordinates, on a road that has its own."""
-        return [Body(npc.length, npc.width) for npc in self.npcs]
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
@@ -254,20 +156,16 @@ class Director(BaseDirector):
         ego_length: float,
         physics_hz: int,
     ) -> None:
-        kinds, drives = scenario.all_vehicles, [DRIVES[type(chain[0])] for chain in scenario.npcs]
+        kinds = scenario.all_vehicles
         super().__init__(
             [
-                (TrackedNpc if drive == BY_TRACK else Npc)(index, chain, kind.length, kind.width)
-                for index, (chain, kind, drive) in enumerate(zip(scenario.npcs, kinds, drives, strict=True))
+                Npc(index, chain, kind.length, kind.width)
+                for index, (chain, kind) in enumerate(zip(scenario.npcs, kinds, strict=True))
             ]
         )
         self._scenario = scenario
-        self._on_grid = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == ON_GRID]
-        self._in_lanes = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == IN_LANES]
-        self._asked = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive in (BY_STEPS, BY_TRACK)]
-        self._free = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive == BY_ITSELF]
-        self._directed = [npc for npc, drive in zip(self.npcs, drives, strict=True) if drive != BY_ITSELF]
-        self._release = RELEASE_SHARE * limits.jerk
+        self._on_grid = [npc for npc in self.npcs if npc.chain[0].on_grid]
+        self._in_lanes = [npc for npc in self.npcs if not npc.chain[0].on_grid]
         self._hz = physics_hz
         self.skips = False
         self._cells = cells
@@ -276,7 +174,7 @@ class Director(BaseDirector):
         self._last_lane = lanes.count - 1
         self._genes = scenario.genes
         self._gene_ticks = round(scenario.gene_seconds * physics_hz)
-        traffic = scenario.traffic
+        traffic = STYLES[scenario.traffic]
         self._row = self._far = 0.0  # of the longest NPC
         self._is_mixed = bool(scenario.vehicles)
         self._aside = CAR.width + BESIDE
@@ -291,7 +189,7 @@ class Director(BaseDirector):
                 self._far = max(self._far, npc.length + stopping_room(top_speed))
             npc.limits, npc.driver, npc.top_speed = own, driver, top_speed
             npc.half_lengths, npc.longer = half_lengths, longer
-        self._attentive = traffic.is_attentive or BY_TRACK in drives  # who is handed over can react
+        self._attentive = traffic.is_attentive
         self._least_share = traffic.least_speed_share
         self._speed_limit = speed_limit
         self._least_gap = traffic.least_gap
@@ -327,30 +225,14 @@ class Director(BaseDirector):
     @property
     def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
         """The tick at which each NPC reached the cell of each started gene; None if it has not."""
-        for npc in self._asked:
-            is_done = npc.ended >= 0 and len(npc.begun) == len(npc.chain[0].steps) and not npc.has_missed
-            npc.arrivals = [npc.ended if is_done else None]
         return tuple([tuple(npc.arrivals) for npc in self.npcs])
-
-    @property
-    def begun(self) -> tuple[tuple[int, ...], ...]:
-        """The ticks at which the steps of each NPC's manoeuvre began; empty if no NPC has one."""
-        return tuple([tuple(npc.begun) for npc in self.npcs]) if self._asked else ()
 
     def first_cells(self) -> tuple[Cell, ...]:
         """Return the cells in which the NPCs start; for NPCs on the grid, those of the first gene as executed."""
         existing = self._first_existing()
         held = self._repaired(None, [npc.chain[0].cell for npc in self._on_grid], existing, self._on_grid, 0)
-        on_grid = iter(held)
-        asked = {npc.index: start_cell(npc.chain[0]) for npc in (*self._asked, *self._free)}
-        taken = {*held, *asked.values()}
-        free = iter([cell for cell in LANE_STARTS if cell in existing and cell not in taken])
-        return tuple(
-            [
-                asked[npc.index] if npc.index in asked else next(on_grid if npc in self._on_grid else free)
-                for npc in self.npcs
-            ]
-        )
+        on_grid, free = iter(held), iter([cell for cell in LANE_STARTS if cell in existing and cell not in held])
+        return tuple([next(on_grid if npc.chain[0].on_grid else free) for npc in self.npcs])
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
@@ -364,9 +246,7 @@ class Director(BaseDirector):
                         npc.kept_speed = npc.speed
             self._gene += 1
         self._left -= 1
-        for npc in self._free:
-            npc.heading_for = npc.lane
-        for npc in self._directed:
+        for npc in self.npcs:
             self._control(npc, ego)
         if self._attentive:
             self._remember(ego)
@@ -401,16 +281,6 @@ class Director(BaseDirector):
             cells = tuple([cell for npc, cell in zip(self.npcs, self.first_cells(), strict=True) if npc in active])
             for npc in self.npcs:
                 npc.heading_for = npc.lane
-            for npc in self._asked:
-                npc.executed.append(npc.chain[0].target)
-                npc.kept_lane = npc.lane
-                npc.kept_speed = npc.chain[0].speed
-                npc.pilot = npc.driver
-                npc.ramp = npc.limits.braking
-                self._await(npc)
-            for npc in self._free:
-                npc.executed.append(npc.chain[0].target)
-                npc.arrivals.append(0)  # as of a manoeuvre without steps: nothing is asked of it but its start
         for npc, cell in zip(active, cells, strict=True):
             npc.executed.append(cell)
             npc.arrivals.append(None)
@@ -455,9 +325,6 @@ class Director(BaseDirector):
 
     def _control(self, npc: Npc, ego: Body) -> None:
         """Set acceleration and steering of one NPC for the coming tick."""
-        if npc.pilot is not None:
-            self._perform(npc, ego)
-            return
         target = self._target(npc, ego) if self._attentive else npc.target
         distance = ego.x + target - npc.x
         if npc.kept_lane == NO_LANE and npc.shift_lane == NO_LANE:
@@ -481,74 +348,6 @@ class Director(BaseDirector):
         npc.asked = driver.acceleration(wanted_speed, npc.asked, npc.speed)
         npc.acceleration = npc.asked
         npc.steering = driver.steering(npc.y - goal * self._lane_width, npc.heading, npc.course, npc.speed)
-        npc.course = driver.course
-
-    def _await(self, npc: Npc) -> None:
-        """Wait for the next step of a manoeuvre, if there is one."""
-        steps = npc.chain[0].steps
-        npc.trigger, npc.side = NEVER, NOT_WAITING
-        if len(npc.begun) < len(steps):
-            step = steps[len(npc.begun)]
-            if step.gap is not None:
-                npc.trigger, npc.trigger_at = AT_GAP, step.gap
-            elif step.headway is not None:
-                npc.trigger, npc.trigger_at = AT_HEADWAY, step.headway
-            else:
-                npc.trigger, npc.trigger_at = AFTER, round(step.after * self._hz)
-
-    def _is_due(self, npc: Npc, ego: Body) -> bool:
-        """Return whether the next step of a manoeuvre begins now."""
-        if npc.trigger == NEVER:
-            return False
-        if npc.trigger == AFTER:
-            return npc.ended >= 0 and self._tick - npc.ended >= npc.trigger_at
-        distance = (npc.x - ego.x) * self._stretch(ego)
-        value = math.copysign(max(abs(distance) - npc.half_lengths, 0.0), distance)
-        if npc.trigger == AT_HEADWAY:
-            value /= max(ego.speed if distance > 0.0 else npc.speed, 0.1)
-        missing = value - npc.trigger_at
-        side = 0 if abs(missing) < 1e-9 else 1 if missing > 0.0 else -1
-        if npc.side == NOT_WAITING:
-            npc.side = side
-        return side == 0 or side != npc.side
-
-    def _perform(self, npc: Npc, ego: Body) -> None:
-        """Set the controls of an NPC with a manoeuvre for the coming tick, and begin its steps that are due."""
-        while self._is_due(npc, ego):
-            step = npc.chain[0].steps[len(npc.begun)]
-            npc.begun.append(self._tick)
-            npc.ended = -1
-            if step.column != 0 or step.offset != npc.offset:  # else an earlier change goes on as it was asked for
-                npc.pilot = NpcDriver(npc.limits, npc.top_speed, npc.length, 1.0 / self._hz, step.lateral_speed)
-            npc.offset = step.offset
-            if self._has_lane(npc, npc.kept_lane + step.column):
-                npc.kept_lane += step.column
-            else:
-                npc.has_missed = True
-            if step.speed is not None:
-                npc.kept_speed, npc.ramp = step.speed, step.acceleration
-            self._await(npc)
-        if npc.ended < 0:
-            aside = npc.y - npc.kept_lane * self._lane_width - npc.offset
-            if abs(aside) <= DONE_LATERAL and abs(npc.speed - npc.kept_speed) <= DONE_SPEED:
-                npc.ended = self._tick
-        npc.heading_for = self._next_lane(npc, npc.kept_lane, ego) if self._attentive else npc.kept_lane
-        missing = npc.kept_speed - npc.speed
-        asked = npc.ramp
-        if npc.kept_speed > 0.0:  # release it in time; a vehicle that stops need not
-            asked = min(asked, math.sqrt(self._release * abs(missing)), abs(missing) * RELEASE_GAIN)
-        wanted = speed_asking_for(math.copysign(asked, -missing), npc.speed)
-        if self._attentive:
-            wanted = self._following(npc, self._attending(npc, ego, wanted))
-        self._drive(npc, wanted)
-
-    def _drive(self, npc: Npc, wanted: float) -> None:
-        """Set the controls of an NPC with a manoeuvre for a speed [m/s], towards its lane and offset."""
-        driver: Any = npc.pilot
-        npc.asked = driver.acceleration(wanted, npc.asked, npc.speed)
-        npc.acceleration = npc.asked
-        offset = npc.y - npc.heading_for * self._lane_width - npc.offset
-        npc.steering = driver.steering(offset, npc.heading, npc.course, npc.speed)
         npc.course = driver.course
 
     def _target(self, npc: Npc, ego: Body) -> float:

@@ -67,23 +67,13 @@ cdef class Loop:
     cdef double[::1] _record
     cdef double _dt, _reach
     cdef Py_ssize_t _row, _end, _columns
-    cdef list _vehicles, _npcs, _obstacles, _drivers
-    cdef readonly tuple npc_error
+    cdef list _vehicles, _npcs, _obstacles
     cdef public object simulation
 
     @cython.locals(due=int, body=Body)
     cpdef run(self, EgoDriver driver, int ticks)
 
-    cpdef give(self, int npc, EgoDriver driver)
-
-    @cython.locals(driver=EgoDriver, npc=int)
     cpdef command(self)
-
-    @cython.locals(body=Body, own=Body)
-    cdef _hold(self, int npc, EgoDriver driver)
-
-    @cython.locals(driver=EgoDriver, npc=int)
-    cdef bint _step_drivers(self) except -1
 
     cpdef bint moved(self) except -1
 

@@ -35,7 +35,7 @@ from pytest_pafot.world.kernel.road_rules import EgosRoadRules
 
 
 class EgoDriver:
-    """The driver of the ego in one run, or of an NPC, which is its ego.
+    """The driver of the ego in one run.
 
     Args:
         ego: the vehicle, in world coordinates.
@@ -279,13 +279,11 @@ class Loop:
         tick: the current tick of the run.
         ego_touched: true if the run ended by a contact of the ego.
         npcs_touched: true if the run ended by a contact of two NPCs, or of one with a fixed object.
-        npc_error: the NPC whose own driver failed, which ended the run, and the error; None if none did.
         simulation: what replaces the states of all vehicles after each tick by those of a simulator; None in most runs.
     """
 
     def __init__(self, director: Any, places: Places, record: Any, dt: float) -> None:
         self.tick = 0
-        self.npc_error: tuple[int, AdsError] | None = None
         self.simulation: Any = None
         self.ego_touched = False
         self.npcs_touched = False
@@ -299,7 +297,6 @@ class Loop:
         self._columns = COLUMNS
         self._vehicles: list[Body] = places.vehicles
         self._npcs: list[Body] = places.vehicles[1:]
-        self._drivers: list[tuple[int, EgoDriver]] = []
         self._ego: Body = places.bodies[0]
         self._obstacles: list[Box] = places.obstacles
         self._reach = max(
@@ -309,16 +306,8 @@ class Loop:
 
     @property
     def is_over(self) -> bool:
-        """True if a contact has ended the run, a vehicle or the ego has left the road, or an NPC's driver failed."""
-        return self.ego_touched or self.npcs_touched or self._places.left is not None or self.npc_error is not None
-
-    def give(self, npc: int, driver: EgoDriver) -> None:
-        """Let an NPC be moved by a driver of its own, to which it is the ego; the director only sees it.
-
-        The NPC must have a body of its own in world coordinates.
-        """
-        self._npcs.remove(driver.ego)
-        self._drivers.append((npc, driver))
+        """True if a contact has ended the run, or a vehicle or the ego has left the road."""
+        return self.ego_touched or self.npcs_touched or self._places.left is not None
 
     def run(self, driver: EgoDriver, ticks: int) -> AdsError | None:
         """Drive until the run is over, its tick is ``ticks``, or the ADS fails; return the ADS's error, or None."""
@@ -332,15 +321,11 @@ class Loop:
             due -= 1
             driver.actuate()
             self.command()
-            if self.npc_error is not None:
-                break
             error = driver.step(self._dt)
             if error is not None:
                 return error
             for body in self._npcs:
                 body.step(self._dt)
-            if self._drivers and self._step_drivers():
-                break
             if self.simulation is not None:
                 self.simulation.move()
             if self.moved():
@@ -352,27 +337,6 @@ class Loop:
         self._director.command(self._ego)
         if self._lanes is None:
             self._places.control()
-        for npc, driver in self._drivers:  # they see what the ego's driver has seen
-            error = driver.decide(self.tick) if self.tick % driver.every == 0 else None
-            if error is not None:
-                self.npc_error = npc, error
-                return
-            driver.actuate()
-            self._hold(npc, driver)
-
-    def _hold(self, npc: int, driver: EgoDriver) -> None:
-        """Copy an NPC's controls to its body on the road, which each tick begins with, so that steering can be held."""
-        body, own = self._places.bodies[npc + 1], driver.ego
-        body.acceleration, body.steering = own.acceleration, own.steering
-
-    def _step_drivers(self) -> bool:
-        """Let the drivers of NPCs move them, and return whether one has failed."""
-        for npc, driver in self._drivers:
-            error = driver.step(self._dt)
-            if error is not None:
-                self.npc_error = npc, error
-                return True
-        return False
 
     def moved(self) -> bool:
         """Record a tick in which all vehicles have moved, and return whether a contact or the road ends the run."""

@@ -55,9 +55,3 @@ cdef class RoadPlaces(Places):
 
     @cython.locals(bends=Bends, track="double[::1]", row=Py_ssize_t)
     cdef void _note(self, Py_ssize_t number) except *
-
-cdef class SeatPlaces(RoadPlaces):
-    cdef RoadPlaces _places
-    cdef int[::1] _order
-
-    cdef double along(self, Py_ssize_t number) except? -1

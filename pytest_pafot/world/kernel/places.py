@@ -72,15 +72,6 @@ class Places:
             record[row + 6] = lanes.locate(body)
             row += COLUMNS
 
-    def seat(self, number: int) -> Places:
-        """Return the same places with a vehicle first, which its driver takes for the ego; then the others in order."""
-        return Places(seated(self.vehicles, number), seated(self.bodies, number), self._lanes, self._x, self._y)
-
-
-def seated(values: Sequence[Any], number: int) -> list[Any]:
-    """Return the values of all vehicles with that of one of them first."""
-    return [values[number], *values[:number], *values[number + 1 :]]
-
 
 class OwnWay:
     """The way of a crossing NPC, and where it is on the ego's way.
@@ -186,10 +177,6 @@ class RoadPlaces(Places):
             self._note(number)
         return way.parts[track.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
 
-    def seat(self, number: int) -> Places:
-        """Return the same places with a vehicle first, which its driver takes for the ego; then the others in order."""
-        return SeatPlaces(self, number)
-
     def along(self, number: int) -> float:
         """Return the place of a vehicle along its way [m]."""
         return self._along[number]
@@ -225,30 +212,3 @@ class RoadPlaces(Places):
         track[row + 2] = bends.angle
         track[row + 3] = bends.offset
         track[row + 4] = bends.stretch(bends.along, bends.across)
-
-
-class SeatPlaces(RoadPlaces):
-    """Places on a bent road with another vehicle than the ego first. Who drives it reads them; nobody finds them here.
-
-    Args:
-        places: the places of the run, which find the vehicles.
-        number: the vehicle that is first.
-    """
-
-    def __init__(self, places: RoadPlaces, number: int) -> None:
-        self._places = places
-        self._order = array("i", seated(range(len(places.vehicles)), number))
-        super().__init__(
-            seated(places.vehicles, number),
-            seated(places.bodies, number),
-            self._places._bends,  # compiled code knows the type of the attribute, but not of the argument
-            starts=(),
-            ways=seated(self._places._ways, number),
-            end=self._places._end,
-            beside=self._places._beside,
-            ticks=0,
-        )
-
-    def along(self, number: int) -> float:
-        """Return the place of a vehicle along its way [m]."""
-        return self._places._along[self._order[number]]

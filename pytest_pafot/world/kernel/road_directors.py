@@ -105,22 +105,11 @@ class NetworkDirector(Director):
         return distance - (front.length + rear.length) / 2.0
 
     def _control(self, npc: Npc, ego: Body) -> None:
-        if npc.pilot is not None:
-            self._perform(npc, ego)
-            return
         goal, wanted = self._aim(npc, ego)
         npc.heading_for = goal
         if self._attentive:
             wanted = self._attending(npc, ego, wanted)
         self._move(npc, goal, self._following(npc, wanted))
-
-    def _drive(self, npc: Npc, wanted: float) -> None:
-        if not self._goes_on(npc.heading_for, npc):  # whatever it was asked for, it stays on the road
-            for lane in (npc.lane, npc.lane - 1, npc.lane + 1):
-                if self._goes_on(lane, npc):
-                    npc.heading_for = lane
-                    break
-        self._move(npc, npc.heading_for, wanted)
 
     def _move(self, npc: Npc, goal: int, wanted: float) -> None:
         """Set the controls of an NPC for a lane and a speed [m/s]; ways of others, bends and ends limit the speed."""
@@ -190,12 +179,12 @@ class NetworkDirector(Director):
         return self._bends.continues(lane, max(rear, 0.0), later)
 
     def _steer(self, npc: Npc, goal: int) -> None:
-        bends, driver = npc.bends, npc.driver if npc.pilot is None else npc.pilot
+        bends, driver = npc.bends, npc.driver
         direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
         later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
         later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
         npc.steering = driver.steering_in_bend(
-            npc.y - goal * self._width_of_lanes - npc.offset,
+            npc.y - goal * self._width_of_lanes,
             bends.heading_at(npc.x) + npc.heading - direction,
             npc.course - direction if self._tick else 0.0,
             npc.speed,
@@ -305,18 +294,6 @@ class JunctionDirector(BaseDirector):
         """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
         return self._with_crossing(() if self._grid is None else self._grid.driven)
 
-    @property
-    def begun(self) -> tuple[tuple[int, ...], ...]:
-        """The ticks at which the steps of each NPC's manoeuvre began; empty if no NPC has one."""
-        return self._with_crossing(() if self._grid is None else self._grid.begun)
-
-    @property
-    def handed_over(self) -> tuple[int | None, ...]:
-        """The tick at which each NPC left its recording; None if it has not. Empty if nobody drives as recorded."""
-        left = () if self._grid is None else self._grid.handed_over
-        others = iter(left)
-        return tuple(next(others) if each is None else None for each in self._scenario.crossings) if left else ()
-
     def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
         """Return the rows of the NPCs around the ego, with an empty one for each that crosses; empty without rows."""
         others = iter(rows)
@@ -339,11 +316,6 @@ class JunctionDirector(BaseDirector):
         """Return the starts of all NPCs, given those of the NPCs on the grid."""
         on_grid = iter(starts if self._grid is None else self._grid.started(starts))
         return [self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs]
-
-    def in_world(self) -> list[Body]:
-        """Return a body for each NPC in world coordinates."""
-        others = iter(() if self._grid is None else self._grid.in_world())
-        return [Body(npc.length, npc.width) if isinstance(npc, CrossingNpc) else next(others) for npc in self.npcs]
 
     def _start(self, npc: CrossingNpc) -> Start:
         track, along = npc.track, npc.begins

@@ -27,9 +27,9 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.crossing import CrossingNpc, Track
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.places import OwnWay
-from pytest_pafot.world.kernel.road_directors import JunctionDirector
+from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Shaped, director_on
+from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Shaped
 from pytest_pafot.world.roads.road import Pose
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
 from pytest_pafot.world.roads.route import way as way_of
@@ -215,7 +215,7 @@ class JunctionRoad(NetworkRoad):
         grid = None
         if None in scenario.crossings:
             others = scenario.of_npcs(npc for npc, crossing in enumerate(scenario.crossings) if crossing is None)
-            grid = director_on(self, others, limits, start_cells=cells, **common)
+            grid = NetworkDirector(others, self, limits, start_cells=cells, **common)
         del common["clearance"], common["ego_length"]
         return JunctionDirector(scenario, self, self.junction, limits, grid=grid, **common)
 

@@ -11,7 +11,7 @@ wherever the lane really is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -26,15 +26,13 @@ from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director, Start
-from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import Sensor
-from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces, seated
-from pytest_pafot.world.kernel.recorded import RecordedNetworkDirector
+from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces
 from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
 from pytest_pafot.world.kernel.road_sensor import RoadSensor
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
-from pytest_pafot.world.roads.road import ByNetwork, Meeting, Pose, Road
+from pytest_pafot.world.roads.road import Meeting, Pose, Road
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 
 SLOWING = 2.0
@@ -141,12 +139,6 @@ Shaped = Callable[..., tuple[tuple[Column, ...], list[Lane]]]
 """A function that returns lanes for driving and for a trace, by the limits of an NPC and its length [m]."""
 
 
-def director_on(road: NetworkRoad, scenario: Scenario, limits: NpcLimits, **common: Any) -> NetworkDirector:
-    """Make the director of the NPCs on the ego's way, of whom some may drive as recorded."""
-    kind = RecordedNetworkDirector if any(chain[0].follows_track for chain in scenario.npcs) else NetworkDirector
-    return kind(scenario, road, limits, **common)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NetworkRoad(Road):
     """The lanes along the ego's way through a network.
@@ -242,32 +234,6 @@ class NetworkRoad(Road):
         across, direction, lean = self.bends_of(vehicle).lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
 
-    def followed(self, states: FloatArray, bends: Bends) -> FloatArray:
-        """Return the states in the world of a vehicle that follows a track along the way.
-
-        Args:
-            states: its place along the way [m] and nominal place across it [m], its angle [rad] and speed [m/s] there,
-                as on a straight road; shape [rows, 4].
-            bends: the road for a vehicle of this length.
-        """
-        rows = []
-        for along, y, angle, speed in states.tolist():
-            lane, across = self._across(along, y)
-            x0, y0, heading = bends.reference(along)
-            turned = bends.direction_at(lane, along) + bends.lean_at(lane, along) + angle
-            place = x0 - math.sin(heading) * across, y0 + math.cos(heading) * across
-            rows.append((*place, turned, speed * bends.stretch(along, across)))
-        return np.array(rows)
-
-    def _across(self, along: float, y: float) -> tuple[int, float]:
-        """Return the lane of a nominal place across the road, and the distance of this place from the line [m]."""
-        bends = self.bends
-        lanes = [lane for lane in range(self.lane_count) if bends.exists(lane, along)] or [bends.nearest_lane(y)]
-        lane = min(lanes, key=lambda each: abs(y - self.centre(each)))
-        offset, side = y - self.centre(lane), math.copysign(1.0, y - self.centre(lane))
-        scale = abs(bends.in_lanes(lane, along, side) - self.centre(lane))
-        return lane, bends.across_at(lane, along) + offset / scale
-
     def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
         """Return a lane's distance to the right of the line [m], direction [rad] and lean [rad]; see Column."""
         return self.bends.lane_at(lane, along)
@@ -340,21 +306,11 @@ class NetworkRoad(Road):
         fastest = math.sqrt(most / max(math.sin(abs(bends.lean_at(lane, along))), 1e-9))
         return min(wanted, bends.speed_at(lane, along), fastest)
 
-    def bent_by(self, recorded: Any, along: float, lane: int) -> float:
-        """Return the largest lateral acceleration with which a recorded track follows the lanes [m/s^2]."""
-        states = recorded.at(np.arange(0.0, recorded.end + PACE, PACE))
-        states[:, 0] += along - states[0, 0]
-        states[:, 1] += self.centre(lane)
-        states[:, 2] = 0.0  # what the vehicle did across its lane was possible
-        followed = self.followed(states, self.bends)
-        turned = np.diff(followed[:, 2]) / PACE
-        return float(np.abs(turned * followed[:-1, 3]).max(initial=0.0))
-
     def director(
         self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any
     ) -> Director | JunctionDirector:
         """Make the director of the NPCs."""
-        return director_on(self, scenario, limits, start_cells=cells, **common)
+        return NetworkDirector(scenario, self, limits, start_cells=cells, **common)
 
     def places(
         self,
@@ -382,13 +338,6 @@ class NetworkRoad(Road):
         """Return the own way of each NPC that crosses, None for each other NPC."""
         return [None] * len(scenario.npcs)
 
-    def traffic_vehicle(
-        self, constants: Mapping[str, float], start: Start, *, changes_lanes: bool, by_network: ByNetwork
-    ) -> GoalVehicle | None:
-        """Make a vehicle that drives along the ego's way by IDM and MOBIL."""
-        along, _ = start
-        return by_network([index[:2] for index in self.route[self.line.piece[self.point(along)] :]])
-
     def sensor(
         self,
         places: Places,
@@ -397,13 +346,10 @@ class NetworkRoad(Road):
         rates: tuple[int, int],
         sight: Sight | None,
         ego: VehicleType,
-        seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations, in which the road is straight."""
         common = self.lane_count, self.lane_width, self.speed_limit, self.end
         zones, leaning = list(self.zones(scenario)), [*map(self.bends_of, (ego, *scenario.all_vehicles))]
-        if seat:
-            leaning, zones = seated(leaning, seat), seated([None, *zones], seat)[1:] if zones else zones
         on_road = cast("RoadPlaces", places), record, self.bends, leaning, zones, common, *rates
         return RoadSensor(*on_road, None if sight is None else (sight, scenario.seed))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 from pytest_pafot.model.crossings import Crossings, Zone
@@ -18,8 +18,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director, Start
-from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.observation import Sensor
 from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.kernel.road_directors import JunctionDirector
@@ -27,10 +26,6 @@ from pytest_pafot.world.limits import NpcLimits
 
 Meeting = Literal["crosses", "joins", "oncoming"]
 """The kind of meeting between the ego's way and a different road; a road that only leaves the way has none."""
-
-ByNetwork = Callable[[Sequence[tuple[str, str]]], GoalVehicle | None]
-"""A function that returns a vehicle for a route: the sections from the one in which the vehicle starts, as pairs of
-highway-env's nodes. A road of a single section needs none."""
 
 Pose = tuple[float, float, float]
 """World x [m], y [m] and heading [rad]."""
@@ -90,11 +85,6 @@ class Road(ABC):
         """True if world coordinates and road coordinates are the same."""
         return False
 
-    @property
-    def has_recorded_npcs(self) -> bool:
-        """True if NPCs can drive as recorded."""
-        return True
-
     def centre(self, lane: int) -> float:
         """Return the nominal position of a lane's centre across the road [m]."""
         return lane * self.lane_width
@@ -139,13 +129,6 @@ class Road(ABC):
         """Return the speed with which an NPC starts that is asked to start with ``wanted`` [m/s]."""
         return wanted
 
-    def bent_by(self, recorded: Any, along: float, lane: int) -> float:
-        """Return the largest lateral acceleration that the road's bends add to a recorded track [m/s^2].
-
-        The track starts at a place ``along`` the road [m], for an ego that starts in a ``lane``.
-        """
-        return 0.0
-
     # The parts of a run.
 
     @abstractmethod
@@ -177,19 +160,6 @@ class Road(ABC):
         """
 
     @abstractmethod
-    def traffic_vehicle(
-        self, constants: Mapping[str, float], start: Start, *, changes_lanes: bool, by_network: ByNetwork
-    ) -> GoalVehicle | None:
-        """Make a vehicle that drives along the road by IDM and MOBIL; None if ``by_network`` cannot make one.
-
-        Args:
-            constants: the constants of the vehicle class, by name.
-            start: where it starts; its speed is also the one that it wants.
-            changes_lanes: whether it changes lanes.
-            by_network: returns such a vehicle for a route through highway-env's network.
-        """
-
-    @abstractmethod
     def sensor(
         self,
         places: Places,
@@ -198,7 +168,6 @@ class Road(ABC):
         rates: tuple[int, int],
         sight: Sight | None,
         ego: VehicleType,
-        seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations.
 
@@ -209,8 +178,6 @@ class Road(ABC):
             rates: ticks per second, and ticks between decisions.
             sight: the sight of the planner; None for perfect sight.
             ego: what vehicle the ego is.
-            seat: the vehicle that the planner drives, 0 for the ego. The places and the record have it first, then the
-                others in their order.
         """
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:

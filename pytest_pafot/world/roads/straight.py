@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,14 +13,12 @@ from pytest_pafot.model.trace import Lane
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.world.driving.seeing import ImperfectSensor
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director, Start
-from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.lanes import Lanes
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.recorded import RecordedDirector
 from pytest_pafot.world.limits import TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.road import ByNetwork, Pose, Road
+from pytest_pafot.world.roads.road import Pose, Road
 
 
 def ego_start(headway: float, clearance: float) -> float:
@@ -84,11 +82,6 @@ class StraightRoad(Road):
         """True if world coordinates and road coordinates are the same."""
         return self._origin == (0.0, 0.0)
 
-    @property
-    def has_recorded_npcs(self) -> bool:
-        """True if the places of a track are those of the world."""
-        return self.starts_at_origin
-
     def project(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
         """Return the place along the road [m], to the right of lane 0's centre [m], and the angle to the road [rad]."""
         x0, y0 = self._origin
@@ -127,8 +120,7 @@ class StraightRoad(Road):
 
     def director(self, scenario: Scenario, limits: NpcLimits, cells: frozenset[Cell], **common: Any) -> Director:
         """Make the director of the NPCs."""
-        kind = RecordedDirector if any(chain[0].follows_track for chain in scenario.npcs) else Director
-        return kind(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
+        return Director(scenario, self.grid, limits, speed_limit=self.speed_limit, cells=self._cells, **common)
 
     def places(
         self,
@@ -143,16 +135,6 @@ class StraightRoad(Road):
         """Make the places of the vehicles of a run, which follow from their coordinates alone."""
         return Places(vehicles, bodies, self.grid, *self._origin)
 
-    def traffic_vehicle(
-        self, constants: Mapping[str, float], start: Start, *, changes_lanes: bool, by_network: ByNetwork
-    ) -> GoalVehicle | None:
-        """Make a vehicle that drives along the road by IDM and MOBIL."""
-        if not self.starts_at_origin:  # where a vehicle that counts lanes from y = 0 would be in another one
-            return by_network(())
-        vehicle = GoalVehicle(constants, self.grid, self.speed_limit)
-        vehicle.start(*start[1], changes_lanes)
-        return vehicle
-
     def sensor(
         self,
         places: Places,
@@ -161,7 +143,6 @@ class StraightRoad(Road):
         rates: tuple[int, int],
         sight: Sight | None,
         ego: VehicleType,
-        seat: int = 0,
     ) -> Sensor:
         """Make the maker of a planner's observations."""
         sizes = [(each.length, each.width) for each in places.vehicles]

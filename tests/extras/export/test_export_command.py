@@ -35,17 +35,6 @@ def test_export_drives_scenario_and_prints_the_written_files(tmp_path, capsys):
     assert len(path.read_text().splitlines()) == 1 + len(run.trace.sizes) * (run.trace.ticks + 1)
 
 
-def test_drivers_of_free_npcs_are_named(tmp_path, capsys):
-    free = pafot.Free(beside=1, ahead=20.0, speed=20.0, driver="last")
-    path = tmp_path / "front-2-1f3a9c.pafot.yaml"
-    path.write_text(text_of(plain_finding(scenario=pafot.Scenario(npcs=((free,),)))))
-    arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
-    assert export(*arguments) == 2
-    assert "driver: expected one of idm, mobil, policy, received 'last'" in capsys.readouterr().err
-    assert export(*arguments, "--driver", "last=constant_speed") == 0
-    assert (tmp_path / "front-2-1f3a9c.csv").exists()
-
-
 class Road:
     """A world of the user's own, which is code."""
 

@@ -12,7 +12,7 @@ import pytest
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Free, PositionInstruction, Run, Scenario
+from pytest_pafot import PositionInstruction, Run, Scenario
 from pytest_pafot.campaign.verdict import ads_text
 from pytest_pafot.findings.finding import ads_failure
 from pytest_pafot.model.trace import Outcome
@@ -203,30 +203,6 @@ def test_slow_environment_is_not_interrupted(clock, driven):
     trace = driven(wrapped(Healthy))
     assert (trace.outcome, trace.duration) == (Outcome.SAFE, 10.0)
     assert clock.slept > 1000.0
-
-
-def test_time_of_decisions_within_a_step_is_not_that_of_the_environment(clock):
-    """The ego decides at fifteen ticks of a step, or an NPC twelve times in a long step: each time for 29 s."""
-
-    class Deciding(IDMVehicle):
-        def act(self, action=None):
-            clock.sleep(29.0)
-            super().act(action)
-
-    def deciding(seen):
-        clock.sleep(29.0)
-        return 0.0, 0.0
-
-    class Long(gymnasium.Wrapper):
-        def step(self, action):
-            return [self.env.step(action) for _ in range(12)][-1]
-
-    ego = wrapped(Passing, env_id="highway-v0").rollout(SCENARIO, lambda: Deciding)
-    assert (ego.outcome, ego.duration, clock.slept) == (Outcome.SAFE, 10.0, 150 * 29.0)
-    free = Scenario(npcs=[[Free(beside=0, driver="slow", speed=20.0, ahead=-40.0)]], gene_seconds=12.0)
-    world = World("highway-v0", wrappers=[Long], duration=12.0).with_drivers({"slow": lambda: deciding})
-    npc = world.rollout(free, idle)
-    assert (npc.outcome, npc.duration, clock.slept) == (Outcome.SAFE, 12.0, (150 + 12) * 29.0)
 
 
 def test_episode_of_own_traffic_ends_as_a_hang(clock):

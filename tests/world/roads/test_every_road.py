@@ -18,7 +18,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.finding import disagreement
-from pytest_pafot.model.driving_style import STYLES, Traffic
+from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
@@ -478,7 +478,7 @@ def test_an_environment_of_ones_own_works_the_same():
 def test_attentive_npc_in_bend_holds_distance_along_road(lane):
     """At 10 m/s it is 6 m and a vehicle's length, on either lane; only one lane is as long as the way."""
     world = World("OwnCircuit-v0", duration=24.0)
-    trace = world.rollout(hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic=Traffic()), constant)
+    trace = world.rollout(hold(world, 6, speed=12.0, ego_lane=lane, ego_speed=10.0, traffic="hostile"), constant)
     assert np.hypot(*(trace.ego[-1, :2] - trace.npcs[-1, 0, :2])) == pytest.approx(11.0, abs=0.2)
 
 
@@ -495,7 +495,7 @@ def test_only_paper_npcs_hit_braking_ego_in_bend(style):
             self.ticks += 1
             self.action["acceleration"] = max(-2.5, -self.speed) if self.ticks > 120 else 0.0
 
-    scenario = hold(world, 6, speed=10.0, ego_speed=10.0, traffic=Traffic(style))
+    scenario = hold(world, 6, speed=10.0, ego_speed=10.0, traffic=style)
     trace = world.rollout(scenario, lambda: Brakes)
     assert trace.outcome is (Outcome.COLLISION if style == "paper" else Outcome.SAFE)
     assert trace.collision is None or trace.collision.side == "rear"
