@@ -212,7 +212,7 @@ class Question:
                 pool.expect(tasks)
                 for task, answer in pool.completed(lambda _: None):
                     if pool.failure or isinstance(answer, ProcessLostError):
-                        ended = f"its process {answer.how}" if isinstance(answer, ProcessLostError) else pool.failure
+                        ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
                         raise ChildProcessError(
                             f"expected a worker to finish {task!r}, received: {ended}; correct a policy that ends its "
                             "process, or if memory was short, use fewer --workers"
