@@ -94,7 +94,6 @@ def chosen_world(
     policies: Iterable[str] = (),
     *,
     is_planner: bool = False,
-    place: str = "--world",
 ) -> Any:
     """Return the world that ``--world`` names, with the options of ``--config``; None without ``--world``.
 
@@ -102,7 +101,6 @@ def chosen_world(
         reference, config: the texts.
         policies: the names of policies, whose modules are imported first: they may register the environment.
         is_planner: whether an environment is for a planner in SI units.
-        place: the argument or option that has the reference, for errors.
 
     Raises:
         RequestError: if there is no such world or policy.
@@ -113,7 +111,7 @@ def chosen_world(
     if reference is not None:
         from pytest_pafot.campaign.request import named_world  # noqa: PLC0415  (takes a while, and few commands need it)
 
-        return named_world(reference, place, config=options, is_planner=is_planner)
+        return named_world(reference, "--world", config=options, is_planner=is_planner)
     if options is not None:
         raise RequestError("--config: expected an environment, received none; give --world")
     return None

@@ -196,11 +196,6 @@ class Crossings:
         """The zones in the order in which the ego reaches them."""
         return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
 
-    @property
-    def meeting_places(self) -> int:
-        """The number of pairs of a zone and an interval of slots."""
-        return len(SLOTS) * len(self.zones)
-
     def meeting_place(self, instruction: CrossingInstruction) -> int:
         """Return the number of an instruction's zone and interval of slots, from 0."""
         zone = [each.way for each in self.zones].index(instruction.zone)

@@ -21,7 +21,6 @@ from pytest_pafot.plugin.option_sources import resolve, value_if_right
 from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
 from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, left_out, replaced_in
 from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
-from pytest_pafot.support.errors import collecting
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
@@ -174,8 +173,7 @@ class Collection:
         self, collector: pytest.Collector
     ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
         """Note what became of every module, also of one in which no test is left, and marks that nothing collects."""
-        with collecting():
-            report = yield
+        report = yield
         if type(collector).__module__ == "_pytest.doctest":  # a module with examples, which may also be a test file
             return report
         if not report.result and self._config.pluginmanager.has_plugin("lfplugin-collskip"):

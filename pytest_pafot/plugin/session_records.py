@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pytest_pafot.report.session_record import OrphanRecord, SessionRecord
 
 JSON = BY_NAME["json"]
-EVENTS = ("start", "progress", "finding", "search", "note", "warning")
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
 QUICK, REST = 0.1, 10

@@ -8,7 +8,6 @@ import shlex
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from datetime import date
 from numbers import Integral, Real
 from pathlib import Path
@@ -28,24 +27,6 @@ class RequestError(ArgumentTypeError):
 
     argparse prints the message of an error of this type, which a reader of an option raises.
     """
-
-
-_COLLECTS: ContextVar[bool] = ContextVar("pafot_collects", default=False)
-
-
-@contextmanager
-def collecting() -> Iterator[None]:
-    """Let :func:`is_collecting` return True in this context, in which pytest imports a test file."""
-    token = _COLLECTS.set(True)
-    try:
-        yield
-    finally:
-        _COLLECTS.reset(token)
-
-
-def is_collecting() -> bool:
-    """Return whether pytest is importing a test file, so that an error would take all of its tests along."""
-    return _COLLECTS.get()
 
 
 class FieldError(ValueError):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import visible
@@ -21,7 +19,7 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 """The beginning of a file in place of one that Git LFS stores."""
 
 
-def git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProxyType({})) -> str:
+def git(folder: Path, *arguments: str) -> str:
     """Run git in a folder and return its output. It fetches nothing, and runs no hook.
 
     Raises:
@@ -33,7 +31,7 @@ def git(folder: Path, *arguments: str, environ: Mapping[str, str] = MappingProxy
     try:
         done = subprocess.run(  # noqa: S603  (no shell)
             [*command, *arguments],
-            env={**own, **OFFLINE, **environ},
+            env={**own, **OFFLINE},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             check=False,

@@ -94,16 +94,12 @@ def name_of(factory: Callable[..., Any]) -> str:
         return ""
 
 
-def described(error: BaseException, folder: Path | None = None) -> str:
-    """Describe an exception of the user's code in one line: its class, its message and its place.
-
-    Paths below ``folder``, if there is one, are relative to it.
-    """
+def described(error: BaseException) -> str:
+    """Describe an exception of the user's code in one line: its class, its message and its place."""
     # The line of this package that called the user's code, or refused a value, is not where to look.
     # Nor is code that is in no file, such as the `__init__` of a dataclass.
     here = f"{Path(__file__).parents[1]}{os.sep}", "<"
     frames = [each for each in traceback.extract_tb(error.__traceback__) if not each.filename.startswith(here)]
-    prefix = "" if folder is None else f"{folder}{os.sep}"
-    text = one_line("".join(traceback.format_exception_only(error)).replace(prefix, ""))
+    text = one_line("".join(traceback.format_exception_only(error)))
     has_place = isinstance(error, SyntaxError) or not frames  # the message of a SyntaxError names the place
-    return text if has_place else f"{text} ({frames[-1].filename.removeprefix(prefix)}:{frames[-1].lineno})"
+    return text if has_place else f"{text} ({frames[-1].filename}:{frames[-1].lineno})"
