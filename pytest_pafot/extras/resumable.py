@@ -1,4 +1,4 @@
-"""The tasks of a long command, which run in one or several processes. After a stop, finished tasks are not repeated."""
+"""The runs of ``compare``, which continue after an interruption, and what commands share."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from pytest_pafot.support.versions import cores
 RUNS = "runs"
 """The name of the folder with a file of results for each task."""
 RESULTS = "results.csv"
+QUESTION = "comparison.json"
+"""The name of the file that states what the results depend on."""
 TIME = ".seconds"
 """The suffix of a task's second file, with its wall-clock time and a digest of its results.
 
@@ -46,44 +48,30 @@ Tick = Callable[[float], None]  # receives the finished share of a task
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumableJob:
-    """The work of a command, divided into tasks.
+    """The work of ``compare``, divided into tasks.
 
     Attributes:
-        command: the name of the command.
-        noun: the word for its results, such as ``comparison``.
-        units: the word for the units that its progress counts, such as ``runs``.
         tasks: the tasks in the order in which they are started.
         in_order: the tasks in the order of their rows in the result.
         question: everything on which the results of all tasks depend, as plain data; only results with equal data are
             combined.
-        question_file: the name of the file with ``question`` and ``identities``.
         identities: what else the results of tasks with a name depend on, such as the code of an algorithm, by name. A
             later job may have other names.
         text: a function that returns the rows of a task as CSV; it must be picklable.
-        sizes: the number of units of each task with more than one unit, whose progress is shown while it runs.
-        caution: a warning that is printed if earlier results are reused; empty if there is nothing to warn of.
+        caution: a warning that is printed if earlier results are reused.
     """
 
-    command: str
-    noun: str
-    units: str
     tasks: tuple[Task, ...]
     in_order: tuple[Task, ...]
     question: Mapping[str, Any]
-    question_file: str
     text: Callable[[Task, Tick], str]
-    identities: Mapping[str, Any] = field(default_factory=dict)
-    sizes: dict[Task, int] = field(default_factory=dict)
-    caution: str = ""
-
-    def size(self, task: Task) -> int:
-        """Return the number of units of a task, by default 1."""
-        return self.sizes.get(task, 1)
+    identities: Mapping[str, Any]
+    caution: str
 
     @property
     def total(self) -> int:
-        """The number of units of all tasks."""
-        return sum(map(self.size, self.tasks))
+        """The number of tasks."""
+        return len(self.tasks)
 
 
 def file_name(name: str, run: int) -> str:
@@ -112,10 +100,10 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, stream: TextIO, cl
     left = [task for task in job.tasks if seconds_of(folder / file_name(*task)) is None]
     for task in left:
         if (folder / file_name(*task)).exists():
-            stream.write(f"{job.command}: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
-    done = job.total - sum(map(job.size, left))
-    if done and job.caution:
-        stream.write(f"{job.command}: {done} of {job.total} {job.units} are reused from before; {job.caution}\n")
+            stream.write(f"compare: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
+    done = job.total - len(left)
+    if done:
+        stream.write(f"compare: {done} of {job.total} runs are reused from before; {job.caution}\n")
     progress = ProgressLine(job=job, done=done, stream=stream, clock=clock)
     for task in _done(job, folder, left, progress, workers):
         progress.finished(task)
@@ -158,7 +146,7 @@ def claim(job: ResumableJob, folder: Path) -> None:
     Raises:
         RequestError: if the folder holds the results of a different job, or cannot be written.
     """
-    path = folder / job.question_file
+    path = folder / QUESTION
     now: dict[str, Any] = json.loads(json.dumps({**job.question, OF_NAMES: job.identities}))  # tuples become lists
     with written_into(folder):
         # Only names with a finished task count. A folder in which no task was finished is free.
@@ -175,8 +163,8 @@ def claim(job: ResumableJob, folder: Path) -> None:
                 differ = visible("; ".join(differences("", compared, now)))  # a folder may come from somebody else
             if differ:
                 raise RequestError(
-                    f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
-                    f"{job.question_file} does not agree: {differ}; give another folder, or what it was made with"
+                    f"--out: expected an empty folder or the folder of this comparison, received {folder}, whose "
+                    f"{QUESTION} does not agree: {differ}; give another folder, or what it was made with"
                 )
         write_whole(path, json.dumps(now, indent=1, sort_keys=True) + "\n")
 
@@ -245,19 +233,15 @@ class ProgressLine:
         share = (self.done + shares) / max(job.total, 1)
         missing = job.total - self.done - shares
         left = "" if gained <= 0.02 else f", {_duration((now - self.started) / gained * missing)} left"
-        done = self.done + (math.floor(shares + 1e-6) if job.sizes else 0)
-        return f"{job.command}: {done} of {job.total} {job.units}, {share:.0%}{left}".replace("%", " %")
+        return f"compare: {self.done} of {job.total} runs, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
-        """Count a finished task and report it. Tasks of many units are reported by :meth:`tick`, except the last."""
+        """Count a finished task and report it."""
         job = self.job
-        self.done += job.size(task)
-        if self.stream.isatty():
-            return
-        which = "100 %," if job.sizes else f"{task[0]} {job.units.removesuffix('s')} {task[1]} done"
-        if not job.sizes or self.done == job.total:
-            spent = _duration(self.clock() - self.started)
-            self._tell(f"{job.command}: {self.done} of {job.total} {job.units}, {which} after {spent}\n")
+        self.done += 1
+        if not self.stream.isatty():
+            which, spent = f"{task[0]} run {task[1]}", _duration(self.clock() - self.started)
+            self._tell(f"compare: {self.done} of {job.total} runs, {which} done after {spent}\n")
 
     def close(self) -> None:
         """Erase the line of progress on a terminal."""
@@ -315,7 +299,7 @@ def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
         nonlocal stream
         if share - stream >= 0.01:
             stream = share
-            tick(share * job.size(task))
+            tick(share)
 
     path = folder / file_name(*task)
     text = job.text(task, tick_sparsely)

@@ -38,13 +38,9 @@ def run_all(plan: Plan, folder: Path, *, workers: int, stream: TextIO, clock: Ca
     The arguments and the exceptions are as for :func:`run_job`.
     """
     job = ResumableJob(
-        command="compare",
-        noun="comparison",
-        units="runs",
         tasks=plan.tasks,
         in_order=tuple((name, run) for name in plan.names for run in range(plan.runs)),
         question=plan.question,
-        question_file="comparison.json",
         identities=plan.identities,
         text=partial(_text, plan),
         caution=CAUTION,
