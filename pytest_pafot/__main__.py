@@ -35,8 +35,8 @@ OWN_COMMANDS = MappingProxyType({
     ),
     "corpus": Command(
         "pytest_pafot.commands.corpus_command",
-        "list, count, join, prune and accept saved scenarios",
-        "List, count, join, prune and accept the saved scenarios of folders, without running them.",
+        "list saved scenarios, or accept their failures",
+        "List the saved scenarios of folders, or accept their failures up to a day, without running them.",
     ),
 })  # fmt: skip
 """The commands of the core."""

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.request import drawn_space
     from pytest_pafot.campaign.setup_fault import SetupFaultError
     from pytest_pafot.campaign.verdict import Verdict
-    from pytest_pafot.commands.inventory import Inventory
     from pytest_pafot.commands.policy_reference import (
         CAUTION,
         add_world_arguments,
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
         chosen_world,
         identity,
     )
-    from pytest_pafot.commands.results import Session
     from pytest_pafot.corpus.layout import SUFFIX, files_below
     from pytest_pafot.corpus.saved import Saved
     from pytest_pafot.criticality.measures import Encounters
@@ -63,9 +61,7 @@ _NAMES = {
     "campaign.request": "drawn_space",
     "campaign.setup_fault": "SetupFaultError",
     "campaign.verdict": "Verdict",
-    "commands.inventory": "Inventory",
     "commands.policy_reference": "add_world_arguments ads_factory CAUTION check_function chosen_world identity",
-    "commands.results": "Session",
     "corpus.layout": "SUFFIX files_below",
     "corpus.saved": "Saved",
     "criticality.measures": "Encounters",
@@ -115,7 +111,6 @@ __all__ = [
     "GenerationFinished",
     "GenerationState",
     "GenerationalSearch",
-    "Inventory",
     "Job",
     "Lane",
     "LocalSearchStarted",
@@ -126,7 +121,6 @@ __all__ = [
     "Restarted",
     "Saved",
     "SearchSpace",
-    "Session",
     "SetupFaultError",
     "Severity",
     "Verdict",

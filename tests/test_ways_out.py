@@ -66,10 +66,10 @@ def calls(name):
 def test_messages_name_ways_out_only_by_the_functions():
     texts = [(place, text) for place, is_document, text in facts().texts if not is_document]
     found = [(place, said) for place, text in texts for said in SAID.findall(text)]
-    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "door.py", "support/errors.py"}
+    assert {place for place, _ in found} == {"__main__.py", "campaign/options.py", "support/errors.py"}
     assert [said for place, said in found if place == "__main__.py"] == ["python -m pytest"]  # the name of the program
     flags = {option.flag for option in OPTIONS}
-    assert {said for place, said in found if place in ("campaign/options.py", "door.py")} <= flags  # texts of help
+    assert {said for place, said in found if place == "campaign/options.py"} <= flags  # texts of help
 
 
 def test_every_option_that_messages_name_exists_also_in_search():
@@ -99,15 +99,11 @@ OF_COMMANDS = {
     "export": ["extras/export/export_command.py", "extras/export/exporter.py"],
     "corpus": ["commands/corpus_command.py"],
 }
-SHOWN_BY = {
-    "corpus": [["corpus", each] for each in ("list", "join", "prune", "shrink", "accept")],
-}
+SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "accept")]}
 """The helps with the options of a command."""
 OF_PYTEST = {
     "--rootdir",
     "--collect-only",
-    "--remove-orphans",
-    "--shrink-saved",
     "--no-header",
     "--runxfail",
     "--tb",
@@ -164,12 +160,8 @@ def idle(name):
     return lambda observation: 1
 """
 RUN_BY = {
-    "plugin/orphans.py": "test_the_command_that_a_summary_names_removes_the_files",
     "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
-    "campaign/search_session.py": "test_finding_that_was_not_shrunk_names_the_command",
-    "plugin/search_item.py": "test_finding_that_was_not_shrunk_names_the_command",
-    "commands/corpus_command.py": "test_finding_that_may_not_repeat_is_refused",
     "report/terminal.py": "test_the_list_that_a_ci_job_names_has_the_findings",
 }
 """The test that runs the command of each place where a message names one."""

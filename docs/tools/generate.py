@@ -148,8 +148,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
     "each with another seed, or of a flaky one with the same.",
     "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
-    "xfail": "[Your reason to accept the failure](../guide/triage.md#accept-a-failure-for-a-while). With `{reason: "
-    "..., until: 2027-01-31}` up to that day; with `flaky: true` in addition it may pass as well.",
+    "xfail": "[Why you accept the failure](../guide/triage.md#accept-a-failure-for-a-while), and up to which day: "
+    "`{reason: ..., until: 2027-01-31}`.",
     "expect.closing_speed": "Of the collision [m/s]; only a label.",
     "expect.against": "The reference that passed, such as `module:factory`.",
     "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "

@@ -101,14 +101,13 @@ class Replays:
         failure. If it passes, also when it is driven on, it covers nothing. So for each known failure there is an item
         that fails with it or accepts it. A file that cannot be used covers nothing either, as its item reports the
         error. Nor does a file in which the reference fails as well: old failures must not hide new failures. A flaky
-        failure that is accepted, or one that is accepted as flaky, is covered even if its replay passes this time: else
-        the search would find it again by chance.
+        failure that is accepted is covered even if its replay passes this time: else the search would find it again by
+        chance.
         """
         known: dict[Signature, str] = {}
         for each in saved:
             owner, finding = self.harness.saved_node_id(each.id), each.finding
-            is_flaky = finding is not None and (finding.flaky is not None or finding.xfail_flaky)
-            if finding is not None and is_flaky and self.accepts(finding):
+            if finding is not None and finding.flaky is not None and self.accepts(finding):
                 known.setdefault(finding.signature, each.id)
             with suppress(RequestError):
                 world = self.world_of(each)

@@ -52,7 +52,7 @@ from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
 from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.support.errors import OutOfTime, RequestError, command, flag
+from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec
@@ -273,7 +273,6 @@ class SearchSession:
 
     watch: TimedWatch
     replays: Replays
-    shrinks_later: bool = False  # True if the command ``corpus shrink`` can shrink its findings, which needs the test
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
@@ -591,7 +590,7 @@ class SearchSession:
         __tracebackhide__ = True
         state, bench, store = self.state, self.bench, self.store
         for find in state.earlier:
-            # There is a file of the same name, or a simpler one of the same kind after `corpus join`.
+            # There is a file of the same name, or a simpler one of the same kind.
             is_there = any(
                 each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
                 for each in saved
@@ -769,14 +768,12 @@ class SearchSession:
             first = "delete its files and " if any(each.file for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             resume = request.option("resume", settings.resume or "FOLDER")
-            by_command = self.shrinks_later and all(each.file for each in left)
-            shrink = f"{command('pytest_pafot', 'corpus', 'shrink', 'FILE')} goes on"
             if not is_broken_off:
-                how = shrink if by_command else f"{again} and more time, or with {resume}"
+                how = f"{again} and more time, or with {resume}"
                 how = f"{resume} goes on" if self.state.file is not None else how
                 yield f"{self.limit.flag} ended before {what} shrunk: {how}"
             elif self.state.file is None:
-                yield f"ended before {what} shrunk: {shrink if by_command else again}"
+                yield f"ended before {what} shrunk: {again}"
         is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
             yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING
 from dataclasses import fields as fields_of
+from datetime import date
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
@@ -22,8 +23,6 @@ from pytest_pafot.corpus.yaml_document import MAX_BYTES, Field, Keys, one_of, pa
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import (
     MAX_NUMBER,
-    NOT_ACCEPTED,
-    Acceptance,
     Expect,
     Finding,
     Found,
@@ -73,9 +72,6 @@ TARGETS: Mapping[str, type[Instruction]] = MappingProxyType(
 """The kinds of instructions by the key of their target."""
 
 EGO = Keys(("lane", "speed"))
-XFAIL = Keys(("reason",), ("until", "flaky"))
-"""The keys of ``xfail``, if it is not just a reason."""
-
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {Expect: ("responsibility",), Found: ("versions",), Shrunk: ("is_minimal",)}
 )
@@ -137,7 +133,7 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
     def npc(field: Field) -> int:
         return field.whole(0, len(scenario.npcs) - 1)
 
-    reason, until, is_flaky = _given(fields, "xfail", _xfail, NOT_ACCEPTED)
+    reason, until = _given(fields, "xfail", _xfail, (None, None))
     return Finding(
         id=name,
         test=fields["test"].some_text("name the test's node id, such as tests/test_safety.py::test_it"),
@@ -152,7 +148,6 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
         xfail=reason,
         xfail_until=until,
-        xfail_flaky=is_flaky,
     )
 
 
@@ -382,17 +377,10 @@ def _expect(field: Field, npc: Read) -> Expect:
     )
 
 
-def _xfail(field: Field) -> Acceptance:
-    """Return why the failure is accepted, the last day or None, and whether the scenario may pass as well."""
-    fix = 'write the reason in quotes, as in xfail: "issue 12" or xfail: {reason: "issue 12", until: 2027-01-31}'
-    if not isinstance(field.value, dict):
-        return field.some_text(fix), None, False
-    fields = field.mapping(XFAIL)
-    reason, until = fields["reason"].some_text(fix), _given(fields, "until", Field.day)
-    is_flaky: bool = _given(fields, "flaky", Field.truth, default=False)
-    if is_flaky and until is None:
-        raise fields["flaky"].error("a last day with flaky", "add the day, as in until: 2027-01-31", "none")
-    return reason, until, is_flaky
+def _xfail(field: Field) -> tuple[str, date]:
+    """Return why the failure is accepted, and the last day."""
+    fields = field.mapping(Keys(("reason", "until")))
+    return fields["reason"].some_text('write the reason in quotes, as in reason: "issue 12"'), fields["until"].day()
 
 
 def _rate(field: Field) -> FailureRate:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,7 +12,6 @@ from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:  # sessions without saved scenarios do not import findings
     from pytest_pafot.findings.finding import Finding
-    from pytest_pafot.findings.signature import Signature
 
 
 class Saved(NamedTuple):
@@ -94,20 +92,6 @@ def named_file(given: str) -> Path:
 def saved_in(folder: Path) -> list[Saved]:
     """Read all corpus files in a folder; return them, sorted by id."""
     return [Saved.read(path) for path in files_in(folder)]
-
-
-def of_one_kind(files: Iterable[Saved]) -> list[list[Saved]]:
-    """Return groups of files that name the same test and have the same kind of failure, if there are two or more.
-
-    Files of older versions with a fault but no mistake of the ego are left out. They do not store where the other
-    vehicle was, so it is unknown whether two of them are of one kind.
-    """
-    groups: dict[tuple[str, Signature], list[Saved]] = {}
-    for saved in files:
-        signature = None if saved.finding is None else saved.finding.signature
-        if saved.finding is not None and signature is not None and (signature.fault is None or signature.mistake):
-            groups.setdefault((saved.finding.test, signature), []).append(saved)
-    return [group for group in groups.values() if len(group) > 1]
 
 
 def refused_in(folder: Path, link: Path) -> list[Saved]:

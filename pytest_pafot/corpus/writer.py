@@ -66,7 +66,8 @@ def rewrite(path: Path, finding: Finding) -> Finding:
     kept = finding
     if finding.xfail is None and os.path.lexists(path):
         try:
-            kept = finding.accepting(load(path).acceptance)
+            there = load(path)
+            kept = finding.accepting(there.xfail, there.xfail_until)
         except CorpusError as error:
             raise CorpusWriteError(path, f"a file that cannot be read ({error})", "correct or delete it") from error
     write(path, kept, over=True)
@@ -116,11 +117,9 @@ def text_of(finding: Finding) -> str:
     """Return the text of the corpus file of a finding, with LF line ends."""
     test = finding.test if _is_plain(finding.test, also=":[],") else _quoted(finding.test)  # on a line of its own
 
-    xfail = '# xfail: "reason"'  # a hint on how to accept the failure
+    xfail = "# xfail: {reason, until}"  # a hint on how to accept the failure
     if finding.xfail is not None:
-        reason, until = _quoted(finding.xfail), finding.xfail_until
-        is_flaky = ", flaky: true" if finding.xfail_flaky else ""
-        xfail = f"xfail: {reason}" if until is None else f"xfail: {{reason: {reason}, until: {until}{is_flaky}}}"
+        xfail = f"xfail: {{reason: {_quoted(finding.xfail)}, until: {finding.xfail_until}}}"
     rate = finding.rate
     lines = [
         f"{f'pafot: {VERSION}':30}# format version",

@@ -282,12 +282,6 @@ class Found:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
-Acceptance = tuple[str | None, date | None, bool]
-"""The reason to accept a failure, the last day, and whether the scenario may pass as well; see :class:`Finding`."""
-
-NOT_ACCEPTED: Acceptance = (None, None, False)
-
-
 IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 """The metadata of a dataclass's field that plain data leaves out (:mod:`pytest_pafot.searching.plain`)."""
 
@@ -311,14 +305,13 @@ class Finding:
             that draws no random numbers.
         flaky: what differed when the scenario was run again, or None; a flaky finding is never reported as fixed.
         xfail: the user's reason to accept the failure, or None.
-        xfail_until: the last day on which the failure is accepted; None for no end.
-        xfail_flaky: True if the scenario may pass as well while its failure is accepted.
+        xfail_until: the last day on which the failure is accepted; None without a reason.
         trace: trace of the run that shows the failure, if a search in this process made it. It is part of neither the
             identity nor the file of a finding.
 
     Raises:
-        ValueError: for an invalid id, a world that is not plain data, an empty reason, a day without a reason, or a
-            failure that is accepted as flaky without a last day.
+        ValueError: for an invalid id, a world that is not plain data, an empty reason, or a reason without a last day
+            or the other way round.
     """
 
     id: str
@@ -334,7 +327,6 @@ class Finding:
     flaky: str | None = None
     xfail: str | None = None
     xfail_until: date | None = None
-    xfail_flaky: bool = False
     trace: Trace | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     def __post_init__(self) -> None:
@@ -343,12 +335,9 @@ class Finding:
         for name, text in (("xfail", self.xfail), ("flaky", self.flaky)):
             if text is not None and not text.strip():
                 raise ValueError(f"{name}: expected a reason or None, received an empty text")
-        if self.xfail is None and self.xfail_until is not None:
-            raise ValueError(
-                f"xfail_until: expected None without xfail, received {self.xfail_until!r}; give a reason in xfail"
-            )
-        if self.xfail_flaky and self.xfail_until is None:
-            raise ValueError("xfail_until: expected a day with xfail_flaky, received None; give the last day")
+        if (self.xfail is None) != (self.xfail_until is None):
+            received = f"received {self.xfail!r} and {self.xfail_until!r}"
+            raise ValueError(f"xfail, xfail_until: expected a reason and a last day, or neither, {received}")
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
@@ -382,23 +371,16 @@ class Finding:
 
     @property
     def accepted(self) -> str:
-        """The reason why the failure is accepted, with its last day if there is one; empty if it is not accepted."""
-        until = "" if self.xfail_until is None else f", {'flaky ' * self.xfail_flaky}until {self.xfail_until}"
-        return "" if self.xfail is None else f"{self.xfail}{until}"
+        """The reason why the failure is accepted, with its last day; empty if it is not accepted."""
+        return "" if self.xfail is None else f"{self.xfail}, until {self.xfail_until}"
 
-    @property
-    def acceptance(self) -> Acceptance:
-        """The content of the line ``xfail`` of the file."""
-        return self.xfail, self.xfail_until, self.xfail_flaky
-
-    def accepting(self, acceptance: Acceptance) -> Finding:
+    def accepting(self, reason: str | None, until: date | None) -> Finding:
         """Return the finding with another line ``xfail``."""
-        reason, until, is_flaky = acceptance
-        return replace(self, xfail=reason, xfail_until=until, xfail_flaky=is_flaky)
+        return replace(self, xfail=reason, xfail_until=until)
 
     def is_accepted(self, today: date) -> bool:
-        """Return whether the failure is accepted on the day ``today``: there is a reason, and it has not expired."""
-        return self.xfail is not None and (self.xfail_until is None or today <= self.xfail_until)
+        """Return whether the failure is accepted on the day ``today``."""
+        return self.xfail_until is not None and today <= self.xfail_until
 
     def with_sight(self, line: str) -> str:
         """Return a line on the failure that also names the imperfect sight with which it was found."""

@@ -9,7 +9,6 @@ from functools import total_ordering
 from types import MappingProxyType
 from typing import ClassVar, Literal
 
-from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import Failure, Signature, normalised
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run
@@ -64,22 +63,6 @@ class Severity:
         if self.kind == "collision":
             return 2, value, 0.0
         return 1, math.inf if self.margin is None else -self.margin, value
-
-    @staticmethod
-    def in_file(expect: Expect) -> Severity | None:
-        """Return how bad the failure in a file is; None if it has no measure, or if an older file does not store it.
-
-        A file does not store the scale of a check, so the margin is the one with the default scale.
-        """
-        if expect.check is None:
-            return _of_collision(expect.signature, expect.closing_speed)
-        value = math.nan if expect.check.value is None else expect.check.value
-        most, least, unit = expect.check.at_most, expect.check.at_least, expect.check.unit
-        signed = [(bound, sign) for bound, sign in ((most, -1), (least, 1)) if bound is not None]
-        margin = min((sign * (value - bound) / (abs(bound) or 1.0) for bound, sign in signed), default=-math.inf)
-        return _of_check(
-            Check(name=expect.assertion, value=value, margin=margin, at_most=most, at_least=least, unit=unit)
-        )
 
     @staticmethod
     def worst_first(responsible: str, severity: Severity | None) -> tuple[float, ...]:

@@ -58,7 +58,6 @@ class Sighting:
         repeats: number of other runs of the search that failed in the same way.
         against: the reference that a replay is compared with; empty without one.
         is_accepted: True if the file of a replay accepts its failure.
-        may_pass: True if the failure is accepted as flaky, so that its scenario may pass as well.
         sentences: who did what in a collision; empty without one, and until an item reports it.
         command: the command that runs it again; empty until an item reports it.
         is_first: True if it is reported for the first time.
@@ -91,7 +90,6 @@ class Sighting:
     repeats: int = 0
     against: str = ""
     is_accepted: bool = False
-    may_pass: bool = False
     sentences: tuple[str, ...] = ()
     command: str = ""
     is_first: bool = True

@@ -29,10 +29,6 @@ if TYPE_CHECKING:
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""
 
-NAMES_ONLY: pytest.StashKey[bool] = pytest.StashKey()
-"""True for a session that only lists its items: it reads no saved scenario, so that none counts as accepted."""
-
-
 REQUEST: pytest.StashKey[Request] = pytest.StashKey()
 """What the mark and the options of an item ask for, once they are checked."""
 
@@ -158,12 +154,7 @@ class Collection:
             self._listed[module_folder] = layout.TestFolders(module_folder)
         for folder in self._listed[module_folder].of(name):
             if folder not in self._saved:
-                if link is not None:
-                    read = refused_in(folder, link)
-                elif self._config.stash.get(NAMES_ONLY, False):
-                    read = list(map(Saved, layout.files_in(folder)))
-                else:
-                    read = saved_in(folder)
+                read = saved_in(folder) if link is None else refused_in(folder, link)
                 self._saved[folder] = {saved.path.name: saved for saved in read}
             found |= {saved.id: saved for saved in self._saved[folder].values()}
         return found.values()
@@ -222,8 +213,7 @@ class Collection:
         # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
-            is_strict = saved.finding is None or not saved.finding.xfail_flaky
-            item.add_marker(pytest.mark.xfail(strict=is_strict, reason=visible(saved.xfail or "")), append=False)
+            item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
         return True
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)

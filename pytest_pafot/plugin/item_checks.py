@@ -201,7 +201,7 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Run the search, replay or shrinking of a marked item, in place of pytest's call of the function."""
+        """Run the search or replay of a marked item, in place of pytest's call of the function."""
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
@@ -216,10 +216,6 @@ class Execution:
             with session_ends_if_stuck(pyfuncitem):
                 if saved is None:
                     run_search(pyfuncitem, request)
-                elif pyfuncitem.config.getoption("shrink_saved", False):
-                    from pytest_pafot.plugin.shrinking import run_shrink  # noqa: PLC0415
-
-                    run_shrink(pyfuncitem, request, saved)
                 else:
                     run_replay(pyfuncitem, request, saved)
         except RequestError as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import chain
@@ -38,7 +38,7 @@ from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import value_if_right
 from pytest_pafot.plugin.session import SUMMARY_LINES
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
-from pytest_pafot.support.errors import RequestError, command
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import open_regular
 from pytest_pafot.support.git import git
 from pytest_pafot.support.text import plural, visible
@@ -58,6 +58,11 @@ ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if the test of saved scenarios no longer exists."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 """The node id of the error with which a session fails if pytest leaves out a marked test because of its name."""
+ADVICE = (
+    "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
+    "their line `test:`; else delete them"
+)
+"""What the user can do about orphans."""
 
 
 def find_orphans(collected: Collected) -> dict[Path, Orphan]:
@@ -212,22 +217,6 @@ def _is_asked_for(path: Path, collected: Collected) -> bool:
     return any(map(path.is_relative_to, collected.asked_for))
 
 
-def advice(config: pytest.Config) -> str:
-    """Return what the user can do about the orphans of a session."""
-    if config.getoption("remove_orphans", False):  # in the session of the command below
-        return (
-            "only files whose line `test:` names a test of this rootdir and of that folder are removed, and nothing "
-            "behind a link; delete the others by hand"
-        )
-    corpus = BY_NAME["corpus"]
-    given = config.getoption(corpus.key)
-    return (
-        "if the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name "
-        "it in their line `test:`; else remove them with "
-        + command("pytest_pafot", "corpus", "prune", "--write", *(("--", f"{corpus.flag}={given}") if given else ()))
-    )
-
-
 class Guard:
     """The hook that fails a session, on the controller, if no test can replay saved scenarios or run a marked test."""
 
@@ -305,7 +294,7 @@ def _errors(config: pytest.Config) -> dict[str, list[str]]:
         lines.append(f"the test of {counts} is gone ({cause}; {allow.flag} lets it pass):")
         for folder, orphan in gone.items():
             lines += [*(relative(file, config.rootpath) for file in files_in(folder)), f"  {orphan.expected}"]
-        lines.append(f"  {advice(config)}")
+        lines.append(f"  {ADVICE}")
     strays = {file: why for file, (why, fails) in sorted(unrun.strays.items()) if fails}
     if strays:
         lines.append(f"no test replays {plural(len(strays), 'saved scenario')} ({cause}; {allow.flag} lets it pass):")
@@ -398,7 +387,6 @@ def _orphan(folder: Path, root: Path, directory: Path, collected: Collected) -> 
         # A parameter may be removed. But if no file of the test is replayed, its parameters were renamed.
         is_gone = not any(map(files_in, same_test))
     return Orphan(
-        removable=[str(path) for path in _own_files(folder, saved, directory, collected.rootpath)],
         expected=f"expected the test {file}::{name:.{MAX_NAME}}, received {there}: it was renamed, moved or deleted",
         is_gone=is_gone and is_asked_for,
     )
@@ -425,28 +413,6 @@ def _named_test(file: Path) -> str:
     except CorpusError:
         return ""
     return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
-
-
-def _own_files(folder: Path, saved: Iterable[Saved], directory: Path, rootpath: Path) -> list[Path]:
-    """Return the files in an orphaned folder that may be removed: they name the test to which the folder belongs.
-
-    Files behind a link are left out. A corpus outside of the rootdir may be shared with other projects, so files there
-    may be removed only if the module that they name exists in this rootdir.
-    """
-    inside = folder.is_relative_to(rootpath)
-    depth = len(directory.relative_to(rootpath).parts) if directory.is_relative_to(rootpath) else 0
-    # Outside of the rootdir, the top is the corpus. It contains the path from the rootdir to the test file, then the
-    # folders of the module and the test.
-    top = rootpath if inside else folder.parents[1 + depth]
-    if any(each.is_symlink() for each in _up(folder, top) if each != top):
-        return []
-
-    def is_own(file: Path, name: str) -> bool:
-        path = rootpath / name.partition("::")[0]
-        return _is_folder_of(folder, name) and path.parent == directory and (inside or os.path.lexists(path))
-
-    files = {each.path: _test_of(each) for each in saved if not each.path.is_symlink() and each.path.is_file()}
-    return [file for file, name in files.items() if is_own(file, name)]
 
 
 def _up(folder: Path, top: Path) -> Iterator[Path]:

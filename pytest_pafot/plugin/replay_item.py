@@ -120,9 +120,9 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
 
 def _explain_pass(item: pytest.Function, finding: Finding, sighting: Sighting, path: str, *, is_accepted: bool) -> None:
     """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if sighting.label is not Label.FLAKY and not (is_accepted and finding.xfail_flaky):
+    if sighting.label is not Label.FLAKY:
         _add_section(item, [f"{sighting.result}: remove the line `xfail:` from {path}"])
-    elif is_accepted and not finding.xfail_flaky:
+    elif is_accepted:
         pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
 
 
@@ -176,9 +176,6 @@ def _send(
     reference = None if verdict is None else verdict.reference
     # What differs from the accepted failure is not accepted, see the caller.
     is_accepted = finding.is_accepted(today) and NOT_ACCEPTED not in item.stash
-    may_pass = finding.xfail_flaky and is_accepted
-    if may_pass:
-        detail = "; ".join(filter(None, [detail, f"accepted: {finding.accepted}"]))
     sighting = Sighting(
         finding=finding,
         node_id=item.nodeid,
@@ -191,7 +188,6 @@ def _send(
         severity_before=None if reference is None else reference.severity,
         against=replays.harness.against_name,
         is_accepted=is_accepted,
-        may_pass=may_pass,
         rate_now=None if now is None else now.rate,
         run=None if now is None else now.run,
         is_first=False,

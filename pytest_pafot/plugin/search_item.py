@@ -55,7 +55,7 @@ from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
-from pytest_pafot.support.errors import OF_SEARCH, RequestError, command, flag, rerun
+from pytest_pafot.support.errors import RequestError, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.support.versions import installed_versions
@@ -223,7 +223,6 @@ def run_search(item: pytest.Function, request: Request) -> None:
                 item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
             ),
             replays=replace(replays, harness=chosen),
-            shrinks_later=not os.environ.get(OF_SEARCH),  # the command search has no test that stays
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         )
         events = Events(session.run())
@@ -328,11 +327,6 @@ class SearchMessages:
         advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky else ""
         if sighting.difference == NOT_REPEATED:
             advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
-        # A file in a corpus of the command line can only be run with the same option.
-        corpus = config.getoption(BY_NAME["corpus"].key)
-        where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
-        shrink = command("pytest_pafot", "corpus", "shrink", sighting.path, *(["--", *where] if where else []))
-        is_due = bool(sighting.unshrunk) and self.settings.resume is None and not os.environ.get(OF_SEARCH)
         avoided, run = sighting.finding.expect.avoided_by, sighting.run
         first = [] if avoided is None or sighting.is_first else [avoided.sentence]
         if avoided is None and run is not None and run.collision is not None and moved_over(run) is not None:
@@ -344,7 +338,6 @@ class SearchMessages:
             first=first,
             details=details,
             advice=advice,
-            shrink=shrink if is_due and sighting.path else "",
             width=width,
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
@@ -354,6 +347,9 @@ class SearchMessages:
             is_told = bool(story) and story[0].partition(":")[0] in sighting.headline
             # A file whose finding does not count in a comparison will be removed.
             is_sure = self.settings.against is None or not self.settings.pairs
+            # A file in a corpus of the command line can only be run with the same option.
+            corpus = config.getoption(BY_NAME["corpus"].key)
+            where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
             again = rerun(["pytest", sighting.path], os.environ, *where, saved=sighting.id) if is_sure else ""
             is_final = not sighting.is_firm or self.settings.shrink_rollouts == 0
             later = [] if is_final else ["as found; at the end, shrinking changes times and numbers of NPCs"]

@@ -21,7 +21,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin.messages import received
-from pytest_pafot.plugin.orphans import advice
+from pytest_pafot.plugin.orphans import ADVICE
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.plugin.unrun import UNRUN
@@ -150,7 +150,7 @@ class Records:
                 folder=relative(folder, self._config.rootpath),
                 files=count,
                 expected=orphan.expected,
-                way_out=advice(self._config),
+                way_out=ADVICE,
                 is_gone=orphan.is_gone,
             )
             for folder, orphan, count in sorted(left)

@@ -204,7 +204,7 @@ class Reporter:
             replays=record.replays,
             orphans=[(relative(each, root), [file.name for file in files], why) for each, why, files in left if files],
             strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
-            way_out=orphans.advice(self._config),
+            way_out=orphans.ADVICE,
             problems=self._lines.problems,
             written=self._lines.reports,
             interrupted=[*record.running],

@@ -17,7 +17,6 @@ from pytest_pafot.corpus.layout import CORPUS
 class Orphan(NamedTuple):
     """A folder of saved scenarios whose test is gone."""
 
-    removable: list[str]  # paths of the files that may be removed
     expected: str  # a sentence on which test was expected and what was found instead
     is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
 

@@ -61,8 +61,8 @@ def _rate_of(sighting: Sighting) -> dict[str, Any] | None:
 
 
 def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
-    until = None if finding.xfail_until is None else finding.xfail_until.isoformat()
-    return None if finding.xfail is None else {"reason": finding.xfail, "until": until, "flaky": finding.xfail_flaky}
+    until = finding.xfail_until
+    return None if until is None else {"reason": finding.xfail, "until": until.isoformat()}
 
 
 FINDING: Mapping[str, Key] = MappingProxyType({
@@ -178,7 +178,7 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         None, lambda seen: _data(seen.severity_before),
     ),
     "xfail": Key(
-        "`reason`, `until` and `flaky` of an accepted failure, or null.",
+        "`reason` and `until` of an accepted failure, or null.",
         None, lambda seen: _acceptance_of(seen.finding),
     ),
 })  # fmt: skip
@@ -351,9 +351,7 @@ def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     parts += [plain(entry["unshrunk"])] if entry["unshrunk"] else []
     xfail = entry["xfail"]
     if xfail is not None and entry["result"] == "xfailed":
-        flaky = " as flaky" if xfail.get("flaky") else ""
-        until = f" until {xfail['until']}" if xfail["until"] else ""
-        parts.append(f"accepted{flaky}{until}: {plain(xfail['reason'] or '')}")
+        parts.append(f"accepted until {xfail['until']}: {plain(xfail['reason'])}")
     yield f"- {': '.join(filter(None, [code(entry['test'] or entry['node_id']), '; '.join(filter(None, parts))]))}"
     moment = None if entry["moment"] is None else Moment(**entry["moment"])
     told = entry["sentences"] or ([] if moment is None else [str(moment)])

@@ -136,7 +136,6 @@ def find_section(
     first: Sequence[str] = (),
     details: Sequence[str] = (),
     advice: str = "",
-    shrink: str = "",
     width: int = WIDTH,
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
@@ -148,7 +147,6 @@ def find_section(
         first: lines that come before those on the policy's decisions.
         details: further lines, each of which begins with a title of at most ten letters.
         advice: a text that follows the finding's remark.
-        shrink: the command that shrinks the finding further; empty if it needs none.
         width: the width of the terminal in columns.
     """
     fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *sighting.on_decisions()]), width)
@@ -164,7 +162,6 @@ def find_section(
         [*details, f"note       {'; '.join(filter(None, (sighting.remark, advice)))}"] if sighting.remark else details
     )
     fitted += fitted_lines(map(ascii_text, rest), width)
-    fitted += [ascii_text(f"shrink it  {shrink}")] if shrink else []
     if content:
         fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
     return "\n".join(fitted)
@@ -343,7 +340,7 @@ def replay_lines(replays: Sequence[Sighting], width: int = WIDTH) -> list[str]:
     counts = sorted(Counter(replay.result for replay in replays).items())
     figures = ", ".join(f"{count} {result}" for result, count in counts)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
-    shown = [replay for replay in replays if replay.may_pass or replay.label not in (Label.STILL_FAILING, Label.COMMON)]
+    shown = [replay for replay in replays if replay.label not in (Label.STILL_FAILING, Label.COMMON)]
     for replay in shown[:MAX_REPLAYS]:
         lines.append(f"  {replay.heading}: {replay.node_id}")
         remarks = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))

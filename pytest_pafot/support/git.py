@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from pytest_pafot.support.errors import RequestError
@@ -18,6 +20,9 @@ OFFLINE = {"GIT_ALLOW_PROTOCOL": "", "GIT_LFS_SKIP_SMUDGE": "1", "GIT_TERMINAL_P
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 """The beginning of a file in place of one that Git LFS stores."""
 
+Since = tuple[str, str]
+"""The short hash of a commit, and its day."""
+
 
 def git(folder: Path, *arguments: str) -> str:
     """Run git in a folder and return its output. It fetches nothing, and runs no hook.
@@ -31,7 +36,7 @@ def git(folder: Path, *arguments: str) -> str:
     try:
         done = subprocess.run(  # noqa: S603  (no shell)
             [*command, *arguments],
-            env={**own, **OFFLINE},
+            env=own | OFFLINE,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             check=False,
@@ -47,14 +52,22 @@ def git(folder: Path, *arguments: str) -> str:
     return os.fsdecode(done.stdout)
 
 
-def repository_of(folder: Path) -> Path:
-    """Return the root of the repository around a folder.
+def added_in(folders: Iterable[Path]) -> dict[Path, Since]:
+    """Return the commit that added each file in some folders, as far as git knows it.
 
-    Raises:
-        RequestError: if the folder is in no repository, or if git is missing.
+    Files that the oldest commit of a shallow clone has are left out, because an earlier commit may have added them.
     """
-    try:
-        return Path(os.path.realpath(git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
-    except RequestError as error:
-        fix = "run in a clone, or copy the other version to a module of another name and give its factory"
-        raise RequestError(f"expected a folder in a git repository, received {folder} ({error}); {fix}") from None
+    found: dict[Path, Since] = {}
+    form = ("-z", "--no-show-signature", "--format=%x01%h %cs %p", "--no-color", "--no-renames", "--no-relative")
+    for folder in folders:
+        with suppress(RequestError, OSError):
+            root = Path(os.path.realpath(git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")))
+            is_shallow = git(root, "rev-parse", "--is-shallow-repository").strip() == "true"
+            log = ("-c", "log.showRoot=true", "log", *form, "--name-only", "--diff-filter=A")
+            commit, day, parents = "", "", ""
+            for part in git(root, *log, "--", str(folder.resolve())).split("\0"):  # The newest commit is first.
+                if part.startswith("\1"):
+                    commit, day, parents = part.removeprefix("\1").split(" ", 2)
+                elif (name := part.removeprefix("\n")) and (parents.strip() or not is_shallow):
+                    found.setdefault(root / name, (commit, day))
+    return found

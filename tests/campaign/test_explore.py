@@ -510,7 +510,7 @@ def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
     assert again.findings == ()
     assert again.summary.known.keys() == {finding.id for finding in first.findings}
     kept, gone, *_ = sorted(tmp_path.rglob("entered-lane-*.yaml"))
-    accepted = kept.read_text().replace('# xfail: "reason"', 'xfail: "reason"')
+    accepted = kept.read_text().replace("# xfail: {reason, until}", "xfail: {reason: ours, until: 9999-12-31}")
     gone_mistake = signature_of(load(gone).scenario)
     kept.write_text(accepted)
     gone.unlink()

@@ -212,7 +212,7 @@ def perceptions(draw):
 def findings(draw):
     scenario = draw(scenarios())
     reason = draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip)))
-    until = None if reason is None else draw(st.none() | st.dates())
+    until = None if reason is None else draw(st.dates())
     return Finding(
         id=draw(st.sampled_from(["front-2-1f3a9c", "a", "A_b.c-d"])),
         test=draw(texts(min_size=1).filter(str.strip)),
@@ -227,10 +227,9 @@ def findings(draw):
         ),
         perception=draw(st.none() | perceptions()),
         original=draw(st.one_of(st.none(), scenarios())),
-        shrunk=draw(st.one_of(st.none(), simplifications(scenario))),
+        shrunk=draw(st.one_of(st.none(), simplifications())),
         rate=draw(st.none() | rates()),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),
         xfail=reason,
         xfail_until=until,
-        xfail_flaky=until is not None and draw(st.booleans()),
     )

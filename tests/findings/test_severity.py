@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure
 from pytest_pafot.model.instructions import PositionInstruction
@@ -52,27 +51,6 @@ def test_collision_is_measured_one_tick_after_contact(steering):
     )
     by_cosines = math.sqrt(speed**2 + other**2 - 2 * speed * other * math.cos(course))
     assert severity_of(Run(trace), CRASHED).value == pytest.approx(by_cosines, rel=0.01)
-
-
-@table(
-    "failure",
-    [
-        CRASHED,
-        Failure(kind="AssertionError", assertion="assert run.min_ttc > 2"),
-        failed(35.125, at_most=20.0),
-        failed(0.25, at_least=0.5),
-        failed(12.0, at_least=0.0, at_most=9.0),
-        failed(-3.0, at_least=0.0),
-        failed(math.nan, at_most=9.0),
-    ],
-)
-def test_a_file_is_as_bad_as_the_run_that_it_was_saved_for(failure):
-    run = crash(closing=9.875)
-    assert Severity.in_file(Expect.of(run, failure)) == severity_of(run, failure)
-
-
-def test_an_older_file_of_a_collision_has_no_measure():
-    assert Severity.in_file(replace(Expect.of(crash(), CRASHED), closing_speed=None)) is None
 
 
 @table(

@@ -227,8 +227,7 @@ def holds(finding: Finding) -> dict[str, Any]:
 
 def _accepted(finding: Finding) -> Any:
     until = finding.xfail_until
-    is_flaky = {"flaky": True} if finding.xfail_flaky else {}
-    return finding.xfail if until is None else {"reason": finding.xfail, "until": until.isoformat(), **is_flaky}
+    return None if until is None else {"reason": finding.xfail, "until": until.isoformat()}
 
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:

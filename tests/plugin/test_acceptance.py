@@ -23,7 +23,7 @@ def accepted(project):
     project.write(TEST)
     project.pytester.makepyfile(planner=KEEPS)
     project.run_once(generations=4)
-    edited(project, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    edited(project, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     return project
 
 
@@ -95,12 +95,6 @@ def test_other_versions_may_move_the_collision_but_not_change_what_fails(accepte
     assert (result.ret, finding["result"]) == (0, "xfailed")
     result, finding = replayed(accepted, "return 0.0, 0.0 if observation.time < 2 else 1 / 0")
     assert (result.ret, finding["result"]) == (1, "failed")
-
-
-def test_a_failure_that_is_accepted_as_flaky_is_still_the_only_one(accepted):
-    edited(accepted, 'xfail: "planner issue 12"', 'xfail: {reason: "issue 12", until: 9999-01-31, flaky: true}')
-    assert replayed(accepted)[1]["result"] == "xfailed"
-    assert replayed(accepted, "return 0.0, 0.0 if observation.time < 2 else 1 / 0")[1]["result"] == "failed"
 
 
 @pytest.mark.processes

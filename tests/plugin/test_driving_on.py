@@ -232,7 +232,9 @@ def test_pass_without_its_situation_is_driven_on_too(saved):
 
 def test_flaky_file_stays_flaky(saved):
     path = saved.only_file
-    path.write_text(path.read_text().replace('# xfail: "reason"', 'flaky: "running it again gave a different run"'))
+    path.write_text(
+        path.read_text().replace("# xfail: {reason, until}", 'flaky: "running it again gave a different run"')
+    )
     replay(saved, "slow").stdout.fnmatch_lines(["*1 flaky"])
 
 
@@ -276,7 +278,9 @@ def test_error_of_the_test_after_the_end_is_named(saved):
 
 def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
     path = saved.only_file
-    path.write_text(path.read_text().replace('# xfail: "reason"', 'xfail: "a known mistake"'))
+    path.write_text(
+        path.read_text().replace("# xfail: {reason, until}", 'xfail: {reason: "a known mistake", until: 9999-12-31}')
+    )
     replay(saved, "slow").assert_outcomes(xfailed=1, skipped=1)
 
 

@@ -1,8 +1,6 @@
-"""Saved scenarios that no test runs are reported and retained; pruning removes only those without a test."""
+"""Saved scenarios that no test runs are reported, and stay."""
 
 import pytest
-
-from tests.plugin.test_prune import prune
 
 
 def test_renamed_test_leaves_a_reported_orphan(saved):
@@ -10,7 +8,7 @@ def test_renamed_test_leaves_a_reported_orphan(saved):
     result = saved.run()
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
-        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails", "*corpus prune --write"]
+        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails", "*; else delete them"]
     )
     assert saved.files
 
@@ -175,7 +173,7 @@ def test_module_with_import_error_makes_no_orphans(saved):
     assert saved.files
 
 
-def test_prune_spares_files_below_a_misplaced_one(project):
+def test_a_misplaced_file_above_a_test_is_named_alone(project):
     one = "@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert not run\n"
     project.write(one, name="test_top")
     project.write(one, name="tests/test_low")
@@ -184,8 +182,7 @@ def test_prune_spares_files_below_a_misplaced_one(project):
     files = project.files
     assert {name.split("/")[1] for name in files} == {"test_top", "tests"}
     (corpus / "tests" / "test_low" / "a.pafot.yaml").write_text("test: tests/test_low.py::test_fails")
-    result = prune(project, f"--pafot-corpus={corpus}")
-    assert set(files) < set(project.files)
+    result = project.run("--pafot-corpus", corpus, generations=0)
     assert told(result) == [
         "all/tests/test_low/a.pafot.yaml: it is in no test's folder; "
         "move it to the folder of tests/test_low.py::test_fails, or delete it"

@@ -73,7 +73,7 @@ def test_a_rediscovered_scenario_is_known(saved):
 
 
 def test_accepted_failure_lets_the_session_pass(saved):
-    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     result = saved.run(generations=5)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
@@ -81,7 +81,7 @@ def test_accepted_failure_lets_the_session_pass(saved):
 
 
 def test_accepted_file_that_passes_fails_until_line_removed(saved):
-    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     saved.write(PASSES)
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
@@ -99,7 +99,7 @@ def prepared():
 
 @pytest.mark.parametrize(("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")])
 def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcome):
-    edited(saved, '# xfail: "reason"', 'xfail: "planner issue 12"')
+    edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
     saved.write(f"{text}\n{FIXTURE.replace('RAISE', raises)}")
     saved.run(generations=0).assert_outcomes(**{outcome: 1}, skipped=1)
@@ -110,7 +110,7 @@ OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), 
 
 
 def test_xfail_is_valid_through_its_last_day(saved):
-    edited(saved, '# xfail: "reason"', UNTIL)
+    edited(saved, "# xfail: {reason, until}", UNTIL)
     last = saved.run("--pafot-today=2027-01-31", generations=0)
     last.assert_outcomes(xfailed=1, skipped=1)
     next_day = saved.run("--pafot-today=2027-02-01", generations=0)
@@ -120,7 +120,7 @@ def test_xfail_is_valid_through_its_last_day(saved):
 
 @pytest.mark.processes
 def test_workers_use_the_date_of_the_controller(saved):
-    edited(saved, '# xfail: "reason"', UNTIL)
+    edited(saved, "# xfail: {reason, until}", UNTIL)
     saved.run("-n1", "--pafot-today=2027-01-31", generations=0).assert_outcomes(xfailed=1, skipped=1)
     next_day = saved.run("-n1", "--pafot-today=2027-02-01", generations=0)
     next_day.assert_outcomes(failed=1, skipped=1)
@@ -128,7 +128,7 @@ def test_workers_use_the_date_of_the_controller(saved):
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
-    edited(saved, '# xfail: "reason"', UNTIL)
+    edited(saved, "# xfail: {reason, until}", UNTIL)
     saved.write(PASSES)
     saved.run("--pafot-today=2027-01-31", generations=0).assert_outcomes(failed=1, skipped=1)
     result = saved.run("--pafot-today=2027-02-01", generations=0)
@@ -137,14 +137,14 @@ def test_expired_xfail_that_passes_is_only_a_warning(saved):
 
 
 def test_last_xfail_day_is_compared_with_the_calendar(saved):
-    edited(saved, '# xfail: "reason"', UNTIL.replace("2027-01-31", "9999-12-31"))
+    edited(saved, "# xfail: {reason, until}", UNTIL.replace("2027-01-31", "9999-12-31"))
     saved.run(generations=0).assert_outcomes(xfailed=1, skipped=1)
     edited(saved, "9999-12-31", "2026-01-01")
     saved.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_a_wrong_last_day_fails_its_one_item(saved):
-    edited(saved, '# xfail: "reason"', UNTIL.replace("2027-01-31", "2027-02-30"))
+    edited(saved, "# xfail: {reason, until}", UNTIL.replace("2027-01-31", "2027-02-30"))
     result = saved.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*: xfail.until: expected a day of the calendar, *; write it as 2027-01-31"])
@@ -378,7 +378,7 @@ def by_chance(project, monkeypatch):
     project.write(CHANCE)
     monkeypatch.setenv("PASSES", FAILS_ALWAYS)
     project.run()
-    edited(project, '# xfail: "reason"', f'flaky: "another run"\n{UNTIL}')
+    edited(project, "# xfail: {reason, until}", f'flaky: "another run"\n{UNTIL}')
     return lambda passes: monkeypatch.setenv("PASSES", passes)
 
 
@@ -393,14 +393,7 @@ def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, pas
     over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
 
 
-AS_FLAKY = UNTIL.replace("}", ", flaky: true}")
-
-
-@pytest.mark.parametrize(
-    "lines", [f'flaky: "another run"\n{UNTIL}', AS_FLAKY], ids=["flaky and accepted", "accepted as flaky"]
-)
-def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance, lines):
-    edited(project, f'flaky: "another run"\n{UNTIL}', lines)
+def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
     before = project.contents
     by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
     result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
@@ -409,23 +402,3 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance, line
     assert project.contents == before
     over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
     assert over.ret == pytest.ExitCode.TESTS_FAILED
-
-
-def test_failure_accepted_as_flaky_may_pass_until_its_last_day(saved):
-    edited(saved, '# xfail: "reason"', AS_FLAKY)
-    fails = saved.run("--pafot-today=2027-01-31", generations=0)
-    fails.assert_outcomes(xfailed=1, skipped=1)
-    fails.stdout.fnmatch_lines(["  still failing: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
-    over = saved.run("--pafot-today=2027-02-01", generations=0)
-    over.assert_outcomes(failed=1, skipped=1)
-    over.stdout.fnmatch_lines(["  warning: *: accepted (planner issue 12, flaky until 2027-01-31), but that *"])
-    saved.write(PASSES)
-    passes = saved.run("--pafot-today=2027-01-31", "--pafot-json=r.json", generations=0)
-    passes.assert_outcomes(xpassed=1, skipped=1)
-    assert passes.ret == 0
-    assert "remove the line" not in passes.stdout.str()
-    passes.stdout.fnmatch_lines(["  passes*: *", "*accepted: planner issue 12, flaky until 2027-01-31"])
-    (record,) = json.loads((saved.path / "r.json").read_text())["findings"]
-    assert record["status"] == "passes"
-    assert record["xfail"] == {"reason": "planner issue 12", "until": "2027-01-31", "flaky": True}
-    saved.run("--pafot-today=2027-02-01", generations=0).assert_outcomes(passed=1, skipped=1)

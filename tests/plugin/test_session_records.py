@@ -114,7 +114,9 @@ def test_replay_is_recorded_with_label_and_result(saved):
 
 
 def test_expired_xfail_is_recorded_with_a_warning(saved):
-    text = saved.only_file.read_text().replace('# xfail: "reason"', "xfail: {reason: issue 12, until: 2027-01-31}")
+    text = saved.only_file.read_text().replace(
+        "# xfail: {reason, until}", "xfail: {reason: issue 12, until: 2027-01-31}"
+    )
     saved.only_file.write_text(text)
     records = [recorded(saved, f"--pafot-today={day}", generations=0) for day in ("2027-01-31", "2027-02-01")]
     assert [record.findings[0].result for record in records] == ["xfailed", "failed"]

@@ -445,7 +445,11 @@ class TestAReplayWithAFaultOfTheSetUp:
 
     def test_an_accepted_failure_does_not_excuse_it(self, two):
         for path in two.path.rglob("*.pafot.yaml"):
-            path.write_text(path.read_text().replace('# xfail: "reason"', 'xfail: "planner issue 12"'))
+            path.write_text(
+                path.read_text().replace(
+                    "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}'
+                )
+            )
         two.run(generations=0).assert_outcomes(xfailed=2, skipped=1)
         two.write(drives(next(iter(SIGNATURES))))
         two.run(generations=0).assert_outcomes(failed=2, skipped=1)

@@ -101,8 +101,6 @@ def test_accepted_finding_comes_with_reason_and_last_day():
     text = markdown(SessionRecord(findings=[accepted]))
     assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
-    flaky = accepted | {"xfail": {**accepted["xfail"], "flaky": True}}
-    assert "; accepted as flaky until 2027-01-31: issue 12\n" in markdown(SessionRecord(findings=[flaky]))
 
 
 def test_unsaved_finding_comes_with_its_search_command():
