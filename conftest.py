@@ -7,9 +7,8 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import suppress
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -193,14 +192,3 @@ def modules_of_no_other_test(tmp_path_factory: pytest.TempPathFactory) -> Genera
     for name in {*sys.modules} - known:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(folder):
             del sys.modules[name]
-
-
-@pytest.fixture
-def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Pretend that a group has these entry points, by name and value, as if their packages were installed."""
-
-    def put(named: str, **values: str) -> None:
-        entries = tuple(metadata.EntryPoint(name, value, named) for name, value in values.items())
-        monkeypatch.setattr(metadata, "entry_points", lambda *, group: entries if group == named else ())
-
-    return put

@@ -14,7 +14,6 @@ from pytest_pafot.support.errors import FieldError
 from pytest_pafot.world import NpcLimits
 
 BUS = VehicleType(name="bus", length=12.0, width=2.5, acceleration=1.2)
-STAY = [PositionInstruction(2, 20.0)]
 
 
 def of(*vehicles, npcs=3):
