@@ -85,7 +85,7 @@ def shots(browser: Browser, page: Path) -> Iterator[tuple[str, bytes]]:
 def _prepare(page: Page) -> None:
     """Go to the moment before the event, and remove paths of this machine and the date from the page."""
     page.evaluate(
-        "for (const each of document.querySelectorAll('.session .copyline, .session dl div'))"
+        "for (const each of document.querySelectorAll('.campaigns .copyline, .campaigns dl div'))"
         "  if (each.matches('.copyline') || each.textContent.startsWith('written')) each.remove();"
         "document.querySelector('h1').textContent = document.querySelector('h1').textContent.replace(/^.*: /, '');"
     )

@@ -233,7 +233,7 @@ class Settings:
     report: str | None = option(
         "page",
         "Write the findings to FILE.html as one web page.",
-        "Of more than 100, the worst 100 are whole, and others rows of a table.",
+        "Of more than 100, the worst 100 are whole, and the others are only listed.",
         is_argument=False,
     )
     json: str | None = option(

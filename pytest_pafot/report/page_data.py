@@ -2,23 +2,19 @@
 
 Positions are in the frame of the road: *along* the road, and *across* it from the centre of lane 0 to the right.
 Headings are relative to the road, positive to the right. Lengths are in m, times in s since the start of the run,
-speeds in m/s, accelerations in m/s^2, jerks in m/s^3, angles in rad. None stands for a number that does not exist, such
+speeds in m/s, accelerations in m/s^2, angles in rad. None stands for a number that does not exist, such
 as the time to contact of vehicles that never touch. An empty text stands for a text that does not exist.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Self
 
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.finding import IN_MEMORY
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.model.grid import Cell
 
 Numbers = tuple[float | None, ...]
-Pose = tuple[float, float, float]
-"""A place and a direction: along the road [m], across it [m], heading [rad]."""
 Errors = tuple[tuple[str, str], ...]
 """Tests that failed without a finding: the node id of each, and the text that pytest shows for the failure."""
 
@@ -33,14 +29,6 @@ class LaneView:
 
 Place = tuple[float, float, float]
 """A gap that grows with the ego's speed: its minimum [m], its value at a standstill [m], its growth [m per m/s]."""
-
-
-def gap_to(road: RoadView, cell: Cell, speed: float) -> float:
-    """Return the gap between the ego at a speed [m/s] and a cell ahead of or behind it [m]."""
-    if cell.column:
-        return road.clearance
-    least, start, seconds = road.ahead if cell.row > 0 else road.behind
-    return max(road.clearance, least, start + seconds * speed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,30 +53,21 @@ class RoadView:
     shapes: tuple[LaneView, ...] = ()
 
 
-Window = tuple[float, float | None]
-"""The times at which a vehicle enters and leaves a zone [s]. The second is None if the run ended before."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZoneView:
     """The zone, where the way of a crossing NPC meets the ego's way.
 
     Attributes:
         name: entry and exit of the NPC's way.
-        stretch: start and end of the zone along the NPC's way.
         way: points of the NPC's way; empty if they are unknown.
         area: the points of the NPC's way at which the NPC would be in the ego's way.
         width: width of that area.
-        of_ego, of_npc: when the ego, and the NPC, was in the zone; None if it never was.
     """
 
     name: str
-    stretch: tuple[float, float]
     way: tuple[tuple[float, float], ...] = ()
     area: tuple[tuple[float, float], ...] = ()
     width: float = 0.0
-    of_ego: Window | None = None
-    of_npc: Window | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,13 +78,11 @@ class VehicleView:
         name: ``ego``, or ``NPC 0`` and so on.
         along, across: position of the vehicle's centre.
         acceleration: acceleration along the vehicle's way.
-        jerk: the largest jerk, positive or negative, since the previous frame.
         gap: distance between the vehicle's box and the ego's box; empty for the ego.
         ttc: time to contact with the ego at constant velocities; empty for the ego.
         cells: grid cell that contains the vehicle's centre: 0 for the ego's place, None while the vehicle is not on the
             ego's way; empty for the ego.
         zone: the zone of an NPC that crosses; None for other vehicles.
-        on_way: position of a crossing NPC along its way; empty for other vehicles.
         advantage: expected time between the ego and a crossing NPC at the zone; empty for other vehicles.
     """
 
@@ -117,12 +94,10 @@ class VehicleView:
     heading: Numbers
     speed: Numbers
     acceleration: Numbers = ()
-    jerk: Numbers = ()
     gap: Numbers = ()
     ttc: Numbers = ()
     cells: tuple[int | None, ...] = ()
     zone: ZoneView | None = None
-    on_way: Numbers = ()
     advantage: Numbers = ()
 
 
@@ -131,7 +106,7 @@ class InstructionView:
     """One instruction to one NPC: for a cell, for a lane, or for crossing the ego's way.
 
     Attributes:
-        npc, gene: number of the NPC, and of the instruction in the NPC's chain, both from 0.
+        npc: number of the NPC, from 0.
         start, end: time at which the instruction begins and ends.
         requested: the cell in the scenario; 0 if the instruction is not for a cell.
         cell: the cell that the NPC drove to; it differs from ``requested`` if the repair during the run changed it.
@@ -140,12 +115,10 @@ class InstructionView:
         arrived: time at which the NPC reached the cell, the lane or the zone; None if it did not.
         lane: ``keep``, ``left`` or ``right`` if the NPC drove to a lane; otherwise empty.
         zone: entry and exit of the NPC's way if it crosses the ego's way; otherwise empty.
-        slot: when a crossing NPC is to be in the zone, relative to the ego, such as ``0.5 s after the ego``.
         words: the instruction for a lane or for crossing in words.
     """
 
     npc: int
-    gene: int
     start: float
     end: float
     requested: int
@@ -155,7 +128,6 @@ class InstructionView:
     arrived: float | None
     lane: str = ""
     zone: str = ""
-    slot: str = ""
     words: str = ""
 
 
@@ -164,14 +136,13 @@ class EventView:
     """The event of a run, such as a collision, which the page shows first. A failed check may have another moment.
 
     ``kind`` is the outcome of the run, such as ``collision``. The other fields are the time of the event, the NPC
-    involved, the side of the ego that was hit, and the cell that the NPC was in.
+    involved, and the side of the ego that was hit.
     """
 
     kind: str
     time: float
     npc: int | None = None
     side: str = ""
-    cell: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,13 +182,11 @@ Stretch = tuple[float, float, str]
 """Decisions that are the same: the time of the first one, the time of the next other one [s], and their words."""
 Paragraph = tuple[str, str, tuple[tuple[str, tuple[str, ...]], ...]]
 """A title, which may be empty, sentences, and lines of the user's code by whom they are about."""
-Chains = tuple[str, tuple[tuple[str, ...], ...]]
-"""The size of a scenario in words, and for each NPC its instructions in words."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunView:
-    """A run, as the report page shows it, and the finding that it shows, if any.
+    """A finding with one of its runs, as the report page shows it.
 
     Attributes:
         sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
@@ -226,23 +195,18 @@ class RunView:
         deadline: what the ego should have done by when to avoid the collision, in a few words; empty if unknown, or if
             it is not at fault.
         happened: what else is known of the run and of the finding, in prose.
-        found: the scenario as the search found it, if shrinking has replaced it by a simpler one; otherwise None.
-        shrunk: the scenario of the run, to compare it with ``found``; None without that.
         decisions: decisions of the ego's ADS, in order; equal ones in succession are one stretch.
         assertion: the line of the test that failed, or the exception that was raised.
         responsibility: ``ego``, ``npc``, ``both`` or ``none``.
-        runs: number of runs of the search that failed in this way; 0 for a run without a verdict.
+        runs: number of runs of the search that failed in this way.
         label: ``new``, ``still failing``, ``flaky`` and so on.
         vehicles: the ego, then the NPCs.
         times: times of the frames; empty if no run was recorded.
         instructions: instructions to all NPCs, ordered by NPC and gene.
-        yaml: text of its file; empty for a run without a file.
+        yaml: text of its file.
         check: the check that failed; None if something else failed.
         traffic: how the NPCs drive; empty for the paper's traffic.
-        grid: poses of the eight cells at each frame of a bent road, None for a cell without a lane. Empty if all NPCs
-            cross, because these use no cells.
-        name: what identifies a run that shows no finding.
-        sighting: the finding, as the session saw it; None for a run alone. It has its own message.
+        sighting: the finding, as the session saw it. It has its own message.
     """
 
     headline: str
@@ -261,41 +225,26 @@ class RunView:
     assertion: str = ""
     check: CheckView | None = None
     traffic: str = ""
-    grid: tuple[tuple[Pose | None, ...], ...] = ()
-    name: str = ""
     deadline: str = ""
     happened: tuple[Paragraph, ...] = ()
-    found: Chains | None = None
-    shrunk: Chains | None = None
     decisions: tuple[Stretch, ...] = ()
     sighting: Sighting | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     @property
-    def id(self) -> str:
-        """The name of the finding, or of the run alone; together with the node id it is unique within a report."""
-        return self.name if self.sighting is None else self.sighting.id
+    def seen(self) -> Sighting:
+        """The finding, as the session saw it.
+
+        Raises:
+            ValueError: if it is not known yet.
+        """
+        if self.sighting is None:
+            raise ValueError("sighting: expected the finding of the view, received None; set it with replace")
+        return self.sighting
 
     @property
-    def node_id(self) -> str:
-        """The node id of the item that replays the finding; empty for a run alone."""
-        return "" if self.sighting is None else self.sighting.node_id
-
-    @property
-    def path(self) -> str:
-        """The path of the file of the finding; empty if there is none."""
-        return "" if self.sighting is None else self.sighting.path
-
-    @property
-    def test(self) -> tuple[str, str]:
-        """The name of its test, and the parameters of the test; both are empty for a run alone."""
-        name = "" if self.sighting is None else self.sighting.finding.test.rpartition("::")[2]
-        function, _, parameters = name.partition("[")
-        return function, parameters.removesuffix("]")
-
-    @property
-    def is_crossed(self) -> bool:
-        """True if an NPC crosses."""
-        return any(vehicle.zone is not None for vehicle in self.vehicles)
+    def test(self) -> str:
+        """The name of its test, with its parameters."""
+        return self.seen.finding.test.rpartition("::")[2]
 
     @property
     def duration(self) -> float:
@@ -316,7 +265,7 @@ class Report:
         facts: names and values to show of the session, such as versions and seeds.
         command: command that started the session.
         findings, searches: in the order in which they are listed.
-        further: findings that the page shows only as rows of a table, the worst first, without their runs and texts.
+        further: findings that the page only lists, the worst first.
         is_interrupted: whether the session was interrupted.
     """
 
@@ -325,11 +274,6 @@ class Report:
     command: str = ""
     findings: tuple[RunView, ...] = ()
     searches: tuple[SearchSummary, ...] = ()
-    further: tuple[RunView, ...] = ()
+    further: tuple[Sighting, ...] = ()
     errors: Errors = ()
     is_interrupted: bool = False
-
-    @classmethod
-    def of(cls, finding: RunView) -> Self:
-        """Make a report on a single finding, without facts on a session."""
-        return cls(title=finding.headline, findings=(finding,))

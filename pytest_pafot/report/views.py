@@ -16,21 +16,18 @@ from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.campaign.verdict import collision_in_short
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.criticality import Encounters, Passage, gap, passages, time_advantage, ttc
-from pytest_pafot.criticality.signals import jerk
+from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
 from pytest_pafot.findings.decisions import advice_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.driving_style import AMPLE, STYLES, DrivingStyle
-from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, FloatArray, Lane, Trace, X, Y
+from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, lanes_apart
 from pytest_pafot.report.page_data import (
-    Chains,
     CheckView,
     EventView,
     InstructionView,
@@ -38,22 +35,17 @@ from pytest_pafot.report.page_data import (
     Numbers,
     Paragraph,
     Place,
-    Pose,
     RoadView,
     RunView,
     Stretch,
     VehicleView,
-    Window,
     ZoneView,
-    gap_to,
 )
 from pytest_pafot.report.terminal import prevention_text, shrunk_lines
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
-from pytest_pafot.world.roads.route import wrapped
-from pytest_pafot.world.roads.survey import SAME_DIRECTION
 
 # The road of a run for its picture: lanes and, if the road bends, the cells around the ego in world coordinates.
 
@@ -106,61 +98,6 @@ def _measured(lane: Lane) -> tuple[FloatArray, FloatArray]:
     end = lane.x + lane.length * np.cos(lane.heading), lane.y + lane.length * np.sin(lane.heading)
     points = np.array(lane.points or [(lane.x, lane.y), end])
     return points, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-
-
-def grid_poses(trace: Trace, ticks: Sequence[int], road: RoadView) -> tuple[tuple[Pose | None, ...], ...]:
-    """Return the poses of the eight cells around the ego at some ticks: x [m], y [m], direction [rad].
-
-    The pose is None for a cell in which there is no lane.
-    """
-    other = float(trace.sizes[min(1, len(trace.sizes) - 1) :, 0].min())  # a longer NPC's cell begins at the same gap
-    row = (float(trace.sizes[0, 0]) + other) / 2
-    parts = []
-    for number, lane in enumerate(trace.lanes):
-        points, length = _measured(lane)
-        steps = np.arange(0.0, length[-1] + DENSE / 2, DENSE)
-        x, y = (np.interp(steps, length, points[:, column]) for column in (0, 1))
-        parts.append((x, y, np.arctan2(np.gradient(y), np.gradient(x)), np.full(len(x), number)))
-    dense = np.concatenate(parts, axis=1)  # x [m], y [m], direction [rad] and number of the lane, shape [4, points]
-    rows = [[cell.row * (row + gap_to(road, cell, float(trace.ego[tick, SPEED]))) for cell in Cell] for tick in ticks]
-    return tuple(
-        _cells_around(trace.ego[tick], along, trace.lanes, dense) for tick, along in zip(ticks, rows, strict=True)
-    )
-
-
-def _cells_around(
-    ego: FloatArray, along: Sequence[float], lanes: Sequence[Lane], dense: FloatArray
-) -> tuple[Pose | None, ...]:
-    """Return the poses of the cells around the ego; ``along`` is how far ahead of the ego each cell is [m]."""
-    own = np.flatnonzero(dense[3] == ego[LANE])
-    if not len(own):
-        return (None,) * len(Cell)
-    near = own[0] + int(np.hypot(dense[0, own] - ego[X], dense[1, own] - ego[Y]).argmin())
-    bases = [near + round(each / DENSE) for each in along]
-    width = lanes[int(ego[LANE])].width
-    return tuple(
-        _beside(base, cell.column, width, dense) if own[0] <= base <= own[-1] else None
-        for cell, base in zip(Cell, bases, strict=True)
-    )
-
-
-def _beside(base: int, column: int, width: float, dense: FloatArray) -> Pose | None:
-    """Return the pose of the cell next to a cell in the ego's lane; None if there is no lane.
-
-    It is the point of a neighbouring lane that is closest to one lane's width to the side.
-    """
-    xs, ys, headings, numbers = dense
-    best = base
-    if column:
-        sideways = column * width
-        x, y = xs[base] - sideways * np.sin(headings[base]), ys[base] + sideways * np.cos(headings[base])
-        distance = np.hypot(xs - x, ys - y)
-        turned = np.abs(wrapped(headings - headings[base]))
-        distance[(turned > SAME_DIRECTION) | (numbers == numbers[base])] = np.inf
-        best = int(distance.argmin())
-        if distance[best] > width / 2:
-            return None
-    return round(float(xs[best]), 2), round(float(ys[best]), 2), round(float(headings[best]), 3)
 
 
 # The page's view of a failed check: its figures, and the curve of its values with the bounds.
@@ -272,7 +209,6 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         who = "The ego's policy" if run.ads_error.is_of_ads else "The environment"
         headline = f"{who} failed at {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
-    found = None if finding.original is None or finding.shrunk is None else finding.original
     if check is None and headline.endswith("at fault") and run is not None and run.event_npc is not None:
         sentences = sentences[:-1]  # the headline says who is responsible
     view = RunView(
@@ -281,8 +217,6 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         besides=besides,
         deadline=deadline,
         happened=(*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
-        found=None if found is None else _chains(found, finding.longest_run),
-        shrunk=None if found is None else _chains(finding.scenario, finding.longest_run),
         assertion=_assertion(expect),
         responsibility=expect.responsibility,
         road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
@@ -298,33 +232,6 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
     if trace is None:
         return view
     return replace(_with_run(view, trace, clearance, check), decisions=_decisions(trace, finding.world))
-
-
-def run_view(trace: Trace, clearance: float = CLEARANCE) -> RunView:
-    """Return the data to show of a run that has no file and no verdict.
-
-    The clearance is the gap between the ego and the cells ahead of and behind it [m].
-    """
-    run = Run(trace)
-    headline, *others = _explained(run, run.sentences)
-    view = RunView(
-        name=f"scenario {run.scenario.id}",
-        headline=headline,
-        happened=(("", _prose(others), ()),) if others else (),
-        sentences=run.sentences,
-        deadline=_deadline(run, ()),
-        responsibility=run.responsibility or "none",
-        road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
-        vehicles=(),
-        times=(),
-        instructions=_instructions(trace, run.scenario),
-        event=EventView(kind=str(run.outcome), time=run.event_time),
-        yaml="",
-        command="",
-        runs=0,
-        traffic=STYLES[run.scenario.traffic].described,
-    )
-    return _with_run(view, trace, clearance, None)
 
 
 def _with_curve(check: Check, trace: Trace) -> Check:
@@ -404,19 +311,6 @@ def _deadline(run: Run, names: Sequence[str]) -> str:
     return f"{words} ({name})" if words and name in names else words
 
 
-def _chains(scenario: Scenario, longest_run: float) -> Chains:
-    """Return the size of a scenario and its instructions, given the longest run of its world [s]."""
-    seconds = scenario.gene_seconds
-    npcs = (
-        tuple(
-            f"{'' if gene.crosses else f'{number * seconds:g} s: '}{gene.goal}, {gene.speed:g} m/s"
-            for number, gene in enumerate(chain)
-        )
-        for chain in scenario.npcs
-    )
-    return size_of(scenario, longest_run), tuple(npcs)
-
-
 def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
     """Return the decisions of a run's ADS in words, given the plain data of its world."""
     names = action_names(world)
@@ -463,10 +357,8 @@ def _with_run(view: RunView, trace: Trace, clearance: float, check: Check | None
             time=round(min(run.event_time, run.duration), 3),
             npc=run.event_npc,
             side="" if run.collision is None else run.collision.side,
-            cell=None if run.event_cell is None else int(run.event_cell),
         ),
         check=None if check is None else check_view(check, trace, ticks),
-        grid=() if not road.shapes or all(trace.zones or [None]) else grid_poses(trace, ticks, road),
     )
 
 
@@ -480,15 +372,12 @@ def frame_ticks(trace: Trace) -> list[int]:
 
 
 def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
-    encounters, changes = Encounters(trace), jerk(trace)
+    encounters = Encounters(trace)
     gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
     along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
     heading = trace.road.drawn_headings
     views = []
     for vehicle in range(trace.states.shape[1]):
-        # Take the largest jerk since the previous frame: a peak lasts only one tick and would be missed.
-        spans = [changes[vehicle][before + 1 : tick + 1] for before, tick in pairwise([-1, *ticks])]
-        peaks = np.array([span[np.argmax(np.abs(span))] for span in spans])
         view = VehicleView(
             name=_name_of(trace, vehicle),
             length=float(trace.sizes[vehicle, 0]),
@@ -498,7 +387,6 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
             heading=_numbers(heading[ticks, vehicle], 3),
             speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
             acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
-            jerk=_numbers(peaks, 1),
         )
         if vehicle:
             npc = vehicle - 1
@@ -507,40 +395,27 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
             room, seconds = _numbers(gaps[ticks, npc], 2), _numbers(ttcs[ticks, npc], 2)
             view = replace(view, gap=room, ttc=seconds, cells=cells)
             passage = passed[npc]
-            if passage is not None and trace.on_way is not None:
-                zone = zone_view(passage, view.length, trace.lanes[0].width)
-                on_way, advantage = _numbers(trace.on_way[ticks, npc], 1), _numbers(advantages[ticks, npc], 2)
-                view = replace(view, zone=zone, on_way=on_way, advantage=advantage)
+            if passage is not None:
+                zone = zone_view(passage.zone, view.length, trace.lanes[0].width)
+                view = replace(view, zone=zone, advantage=_numbers(advantages[ticks, npc], 2))
         views.append(view)
     return tuple(views)
 
 
-def zone_view(passage: Passage, length: float, width: float) -> ZoneView:
-    """Return the zone of a crossing NPC, and when the NPC and the ego were in it.
+def zone_view(zone: Zone, length: float, width: float) -> ZoneView:
+    """Return the zone of a crossing NPC of a length, whose drawn area has a width [m].
 
     A vehicle's centre is in the zone from when its front may touch a vehicle there until its rear no longer can, so the
     drawn area is shorter than the zone by the NPC's length.
-
-    Args:
-        passage: the zone, and the times at which both vehicles passed it.
-        length: length of the NPC [m].
-        width: width of the drawn area, which is the width of a lane [m].
     """
-    zone = passage.zone
-    view = ZoneView(
-        name=zone.way,
-        stretch=(round(zone.npc[0], 2), round(zone.npc[1], 2)),
-        of_ego=_window(passage.ego_enters, passage.ego_leaves),
-        of_npc=_window(passage.npc_enters, passage.npc_leaves),
-    )
     if not zone.line:
-        return view
+        return ZoneView(name=zone.way)
     line = np.array(zone.line)
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     first, last = zone.npc[0] + length / 2, zone.npc[1] - length / 2
     places = np.linspace(first, max(last, first), max(round(last - first), 1) + 1)
     area = np.stack([np.interp(places, along, line[:, column]) for column in (0, 1)], axis=-1)
-    return replace(view, way=_points(line), area=_points(area), width=float(width))
+    return ZoneView(name=zone.way, way=_points(line), area=_points(area), width=float(width))
 
 
 def _name_of(trace: Trace, vehicle: int) -> str:
@@ -550,10 +425,6 @@ def _name_of(trace: Trace, vehicle: int) -> str:
 
 def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:
     return tuple((round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in line.tolist())
-
-
-def _window(enters: float, leaves: float) -> Window | None:
-    return (round(enters, 3), round(leaves, 3) if math.isfinite(leaves) else None) if math.isfinite(enters) else None
 
 
 def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
@@ -573,7 +444,6 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
             zone = zones[npc]
             view = InstructionView(
                 npc=npc,
-                gene=gene,
                 start=round(gene * wanted.gene_seconds, 3),
                 end=round(end, 3),
                 requested=0,

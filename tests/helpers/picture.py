@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.report.page_data import InstructionView, Numbers, RoadView, RunView, gap_to
+from pytest_pafot.report.page_data import InstructionView, Numbers, RoadView, RunView
 
 TRAIL_SECONDS = 4.0
 TRAIL_STEP = 0.125
@@ -36,13 +36,12 @@ class DrawnVehicle:
 
 @dataclass(frozen=True, slots=True)
 class DrawnCell:
-    """A cell around the ego: its number, its centre [m], True if there is a lane, and that lane's heading [rad]."""
+    """A cell around the ego: its number, its centre [m], and True if there is a lane."""
 
     cell: int
     along: float
     across: float
     exists: bool
-    heading: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +50,7 @@ class Picture:
 
     Attributes:
         vehicles: the ego first; None for a vehicle whose position is unknown.
-        cells: the eight cells around the ego.
+        cells: the eight cells around the ego; none on a bent road.
         targets: the cell that each NPC is driving to, or its place in the lane that it is driving to, or None.
         trails: recent positions of each vehicle. The ego's trail is its path on the road. An NPC's trail is its path
             relative to the ego; on a bent road it is its path on the road, too.
@@ -74,12 +73,12 @@ def picture_at(finding: RunView, time: float) -> Picture:
         ValueError: for a finding without frames, or a moment at which the ego's position is unknown.
     """
     if not finding.times:
-        raise ValueError(f"finding: expected frames to draw, received none for {finding.id}; no run of it was recorded")
+        raise ValueError(f"finding: expected frames to draw, received none: {finding.headline}")
     vehicles = tuple(vehicle_at(finding, vehicle, time) for vehicle in range(len(finding.vehicles)))
     ego = vehicles[0]
     if ego is None:
-        raise ValueError(f"time: expected a moment with a position of the ego, received {time} s of {finding.id}")
-    cells = tuple(drawn_cell(finding, ego, cell, time) for cell in Cell)
+        raise ValueError(f"time: expected a moment with a position of the ego, received {time} s of {finding.headline}")
+    cells = () if finding.road.shapes else tuple(drawn_cell(finding, ego, cell) for cell in Cell)
     return Picture(
         time=time,
         ego=ego,
@@ -121,30 +120,23 @@ def instruction_at(finding: RunView, npc: int, time: float) -> tuple[Instruction
     return row, "arrived" if row.arrived is not None and time >= row.arrived - 1e-9 else "approach"
 
 
-def drawn_cell(finding: RunView, ego: DrawnVehicle, cell: Cell, time: float) -> DrawnCell:
-    """Return the place of a cell at a time [s].
-
-    On a bent road it is the cell's place at the nearest recorded frame, moved along with the ego. If all NPCs cross, no
-    cells are recorded.
-    """
+def drawn_cell(finding: RunView, ego: DrawnVehicle, cell: Cell) -> DrawnCell:
+    """Return the place of a cell on a straight road."""
     road = finding.road
-    if not road.shapes:
-        other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
-        along = ego.along + cell.row * ((ego.length + other) / 2 + gap_to(road, cell, ego.speed))
-        lane = _nearest_lane(road, ego.across)
-        goal = lane + cell.column
-        exists = 0 <= goal < len(road.lanes)
-        across = road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width
-        return DrawnCell(int(cell), along, across, exists)
-    before, after, share = _frame_at(finding, time)
-    frame = after if share > 0.5 else before
-    pose = finding.grid[frame][cell - 1] if finding.grid else None
-    if pose is None:
-        return DrawnCell(int(cell), ego.along, ego.across, exists=False)
-    x, y, heading = pose
-    dx = ego.along - (finding.vehicles[0].along[frame] or 0.0)
-    dy = ego.across - (finding.vehicles[0].across[frame] or 0.0)
-    return DrawnCell(int(cell), x + dx, y + dy, exists=True, heading=heading)
+    other = finding.vehicles[min(1, len(finding.vehicles) - 1)].length
+    along = ego.along + cell.row * ((ego.length + other) / 2 + _gap_to(road, cell, ego.speed))
+    lane = _nearest_lane(road, ego.across)
+    goal = lane + cell.column
+    exists = 0 <= goal < len(road.lanes)
+    return DrawnCell(
+        int(cell), along, road.lanes[goal] if exists else road.lanes[lane] + cell.column * road.lane_width, exists
+    )
+
+
+def _gap_to(road: RoadView, cell: Cell, speed: float) -> float:
+    """Return the gap between the ego at a speed [m/s] and a cell ahead of or behind it [m]."""
+    least, start, seconds = (0.0, 0.0, 0.0) if cell.column else road.ahead if cell.row > 0 else road.behind
+    return max(road.clearance, least, start + seconds * speed)
 
 
 def _nearest_lane(road: RoadView, across: float) -> int:
@@ -158,9 +150,9 @@ def _target(finding: RunView, cells: Sequence[DrawnCell], npc: int, time: float)
     The target of an NPC that changes lanes is drawn as a cell without a number, beside the NPC in its target lane.
     """
     row, phase = instruction_at(finding, npc, time) or (None, "ended")
-    if row is None or phase != "approach":
+    if row is None or phase != "approach" or finding.road.shapes:
         return None
-    if row.lane and finding.road.lanes:
+    if row.lane:
         box, start = vehicle_at(finding, npc + 1, time), vehicle_at(finding, npc + 1, row.start)
         if box is None or start is None:
             return None
@@ -169,8 +161,7 @@ def _target(finding: RunView, cells: Sequence[DrawnCell], npc: int, time: float)
         return DrawnCell(0, box.along, finding.road.lanes[lane], exists) if exists else None
     if row.cell == 0:
         return None
-    target = cells[row.cell - 1]
-    return target if target.exists or not finding.road.shapes else None
+    return cells[row.cell - 1]
 
 
 def _frame_at(finding: RunView, time: float) -> tuple[int, int, float]:

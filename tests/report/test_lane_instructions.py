@@ -7,9 +7,6 @@ import pytest
 
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.report.page import render_page
-from pytest_pafot.report.page_data import Report
-from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.picture import DrawnCell, instruction_at, picture_at
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import view_of
@@ -61,36 +58,3 @@ def test_an_instruction_says_which_change_was_requested():
     stayed = replace(trace.scenario, npcs=((LaneInstruction("keep", 25.0), *IN_LANES[1:]), ON_GRID))
     first = view_of(replace(trace, scenario=asked, executed=stayed)).instructions[0]
     assert first.words == "keep the lane left of the ego (requested one lane left)"
-
-
-@pytest.mark.processes
-@pytest.mark.skipif(find_chromium() is None, reason="no Chromium here: expected chromium or google-chrome on PATH")
-def test_page_names_lanes_and_draws_lines_to_them(view, tmp_path):
-    path = tmp_path / "report.html"
-    report = Report(title="t", facts=(), command="pytest", findings=(view,))
-    path.write_text(render_page(report), encoding="utf-8")
-    browser = Browser(find_chromium(), tmp_path / "profile")
-    try:
-        page = browser.open(f"{path.as_uri()}#finding={view.id}&t=1")
-        words = "document.querySelector('article.current').textContent.replaceAll('\u00a0', ' ')"
-        text = page.evaluate(words)
-        assert "from the left into the ego's lane at 25.0 m/s" in text
-        assert "NPC 0, 0.0 s: from the left into the ego's lane, 25.0 m/s; reached at 2.0 s" in text
-        assert "Dashed line: to the cell or lane that an NPC is to drive to." in text
-        assert "undefined" not in text
-        rings, cells = (f"[...document.querySelectorAll('article.current rect.{name}')]" for name in ("target", "cell"))
-        top = "getBoundingClientRect().top"
-        beside_lane_0, beside_lane_1 = (page.evaluate(f"{cells}[{each}].{top}") for each in (0, 1))
-        assert page.evaluate(f"{rings}[0].{top}") == pytest.approx(beside_lane_1, abs=3)
-        for time in (3, 7, 13):
-            page.evaluate(f"location.hash = 'finding={view.id}&t={time}'")
-            moment = "Number(document.querySelector('article.current .player').dataset.time)"
-            page.until(f"Math.abs({moment} - {time}) < 0.01")
-            shown = page.evaluate(f"{rings}.map(each => each.getAttribute('visibility'))")
-            assert shown == ["hidden" if each is None else "visible" for each in picture_at(view, time).targets]
-            readout = page.evaluate(words)
-            assert ("keep the ego's lane at 8.0 m/s" in readout) is (time == 7)
-        assert page.evaluate(f"{rings}[0].{top}") == pytest.approx(beside_lane_0, abs=3)
-        assert page.complaints == []
-    finally:
-        browser.close()

@@ -13,8 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, render_page
+from pytest_pafot.campaign.events import Ending, SearchSummary
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, data_json, finding_article, finding_list, render_page
 from pytest_pafot.report.page_data import Report, RunView
+from pytest_pafot.searching.plain import from_plain, plain
+from tests.findings.builders import sighting
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import HOSTILE, as_seen, cut_in_trace, real_report, scenario, values_of, view_of
 
@@ -82,21 +86,23 @@ def test_page_allows_own_style_and_script_without_connection(page):
 def test_everything_in_words_is_there_without_scripts(page):
     words = " ".join(Reader(page).words)
     for finding in real_report().findings:
-        for part in (finding.id, finding.headline, finding.yaml, finding.command, finding.node_id):
+        for part in (finding.seen.id, finding.headline, finding.yaml, finding.command, finding.seen.node_id):
             assert part in words
-    assert "Runs by responsibility" in words
+    assert "45 none, 3 ego, 2 npc" in words
     assert any(f"{who} at fault" in words for who in ("ego", "both"))
 
 
 def test_page_data_have_what_the_scripts_read_and_nothing_else(page):
     data = json.loads(Reader(page).raw["script:application/json"])
     scripts = "".join(files(ASSETS).joinpath(name).read_text() for name in SCRIPTS)
-    assert set(data) == set(re.findall(r"\breport\.(\w+)", scripts))
-    for told, finding in zip(data["findings"], real_report().findings, strict=True):
+    for told, finding in zip(data, real_report().findings, strict=True):
         whole = json.loads(json.dumps(asdict(replace(finding, sighting=None))))
         assert told == {name: whole[name] for name in DRAWN}
-    read = {*re.findall(r"\bfinding\.(\w+)", scripts), *re.findall(r"report\.findings\[\w+\]\.(\w+)", scripts)}
-    assert read == set(DRAWN)
+    read = {*re.findall(r"\bfinding\??\.(\w+)", scripts), *re.findall(r"\bfindings\[\w+\]\.(\w+)", scripts)}
+    read |= {
+        name for names in re.findall(r"const \{([^}]*)\} = (?:this\.)?finding;", scripts) for name in names.split(", ")
+    }
+    assert {each.strip() for each in read} == set(DRAWN)
 
 
 def page_that_says(text):
@@ -153,20 +159,48 @@ def test_positions_are_rounded_so_that_pages_stay_small():
     assert all(len(str(value)) <= 8 for value in view.vehicles[1].along)
 
 
-def test_every_kind_of_view_renders_whatever_it_holds():
-    cells = {int: st.integers(1, 8)}
+@settings(max_examples=15)
+@given(values_of(RunView, {int: st.integers(1, 8)}))
+def test_any_view_is_a_page_and_survives_json_and_its_script_element(view):
+    assert render_page(Report(title="t", findings=(replace(view, sighting=view.sighting or sighting()),)))
+    assert from_plain(RunView, json.loads(json.dumps(plain(view)))) == view
+    data = data_json(Report(title="t", findings=(view,)))
+    assert data.isascii()
+    assert not set("<>&") & set(data)
+    assert json.loads(data)[0]["headline"] == view.headline
 
-    @given(values_of(RunView, cells))
-    @settings(max_examples=15)
-    def check(finding):
-        render_page(Report(title="t", findings=(finding,)))
 
-    check()
+def test_conditions_stand_below_the_vehicle_that_they_are_about():
+    groups = (("NPC 0", ("line 1: a < b  (a = 1)", "line 2")), ("", ("line 3",)))
+    finding = replace(view_of(cut_in_trace()), happened=(("The moment", "At 3 s.", groups),))
+    assert (
+        "<b>The moment.</b> At 3 s.</p>"
+        "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1)</code></li><li><code>line 2</code></li></ul>"
+        "<ul><li><code>line 3</code></li></ul>"
+    ) in finding_article(finding, 0)
 
 
-def test_list_names_tests_only_for_several_tests():
+def test_the_list_has_the_findings_of_each_test_under_its_name():
+    names = ("t.py::test_a[late]", "t.py::test_a[late]", "t.py::test_b")
     view = view_of(cut_in_trace())
-    other = as_seen(view, finding={"id": "other", "test": "tests/test_b.py::test_other"})
-    one, several = (render_page(Report(title="t", findings=views)) for views in ((view,), (view, other)))
-    assert re.findall(r'<h3 id="group-\d">(\w+) <', several) == ["test_never_at_fault_in_a_collision", "test_other"]
-    assert '<h3 id="group-' not in one
+    listed = finding_list([as_seen(view, finding={"test": name}) for name in names])
+    assert re.findall(r"<h3>(.*?)</h3>|data-key=\"(.*?)\"", listed) == [
+        ("test_a[late]", ""), ("", view.seen.id), ("", f"{view.seen.id}-2"), ("test_b", ""), ("", f"{view.seen.id}-3"),
+    ]  # fmt: skip
+
+
+def test_an_error_of_the_policy_is_the_egos():
+    error = AdsError(kind="ValueError", message="no plan", traceback="", tick=30)
+    trace = replace(cut_in_trace(), outcome=Outcome.ADS_ERROR, collision=None, error=error)
+    view = view_of(trace, headline="ValueError: no plan")
+    assert view.headline == f"The ego's policy failed at {view.event.time:.1f} s: ValueError: no plan"
+    assert "1 policy error" in finding_list([view])
+
+
+def test_page_shows_errors_without_a_finding():
+    failed = SearchSummary(node_id="t.py::test_c[search]", reason=Ending.ERROR)
+    errors = (("t.py::test_c[search]", "E   ValueError: no <plan>"), ("t.py::test_d", "x"))
+    page = render_page(Report(title="t", searches=(failed,), errors=errors))
+    assert "<p>The search ended with an error.</p><pre>E   ValueError: no &lt;plan&gt;</pre>" in page
+    assert "It failed, and no finding on this page shows why." in page
+    assert "No findings, but an error stopped something before its end." in page

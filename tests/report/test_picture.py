@@ -1,7 +1,6 @@
 """The geometry of the picture."""
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
-from pytest_pafot.report.views import run_view
 from tests.helpers.picture import picture_at, vehicle_at
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
@@ -28,7 +27,7 @@ def test_npc_arrives_in_drawn_cell_in_any_traffic(style):
     npcs = tuple(tuple(PositionInstruction(*gene) for gene in chain) for chain in chains)
     asked = Scenario(npcs=npcs, ego_speed=24.0, traffic=style)
     trace = Highway().rollout(asked, lambda: lambda seen: (0.0, 0.0))
-    view = run_view(trace)
+    view = view_of(trace)
     for npc, cell in enumerate((2, 6)):
         time = trace.arrivals[npc][2] / trace.physics_hz
         drawn, place = vehicle_at(view, npc + 1, time), picture_at(view, time).cells[cell - 1]

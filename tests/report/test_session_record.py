@@ -23,7 +23,6 @@ from pytest_pafot.report.session_record import (
     to_text,
     worst,
 )
-from pytest_pafot.report.views import run_view
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
 from tests.helpers.hostile import CHARACTERS
@@ -87,7 +86,7 @@ def test_finding_names_the_traffic_it_was_driven_in():
     explanation = Run(trace).explain()
     assert explanation.endswith(f", repair seed 7, {told}")
     assert SCENARIO.fullmatch(f"E   {explanation.splitlines()[-1]}")
-    assert f"<li>{told}</li>" in finding_article(run_view(trace), 0)
+    assert f"<li>{told}</li>" in finding_article(view_of(trace), 0)
 
 
 def test_keys_are_sorted_and_include_the_version():

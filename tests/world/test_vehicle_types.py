@@ -28,12 +28,12 @@ from pytest_pafot.criticality.measures import Encounters
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome, X
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.views import run_view
 from pytest_pafot.searching import sample
 from pytest_pafot.world import Highway, World
 from tests.helpers.road_cases import ROADS, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.world_cases import violations as violations_of_straight
+from tests.report.builders import view_of
 
 KINDS = (
     CAR, VAN, TRUCK, MOTORCYCLE,
@@ -167,7 +167,7 @@ def test_explanation_and_picture_say_what_a_vehicle_is():
     scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2, [PositionInstruction(1, 22.0)] * 2], vehicles=[TRUCK])
     trace = Highway().rollout(scenario, keeping)
     assert "\n  NPC 0 is a truck, 12 x 2.55 m\n" in Run(trace).explain()
-    assert [each.name for each in run_view(trace).vehicles] == ["ego", "NPC 0, truck", "NPC 1"]
+    assert [each.name for each in view_of(trace).vehicles] == ["ego", "NPC 0, truck", "NPC 1"]
     assert str(scenario).endswith(": truck 2@10 2@10; 1@22 1@22>")
     assert " is a " not in Run(Highway().rollout(replace(scenario, vehicles=()), keeping)).explain()
 
@@ -301,7 +301,7 @@ def test_explanation_and_picture_say_what_the_ego_is():
     scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2], vehicles=["van"])
     trace = Highway(ego=TRUCK).rollout(scenario, keeping)
     assert "\n  the ego is a truck, 12 x 2.55 m; NPC 0 is a van, 6.5 x 2.16 m\n" in Run(trace).explain()
-    assert [(each.name, each.length) for each in run_view(trace).vehicles] == [
+    assert [(each.name, each.length) for each in view_of(trace).vehicles] == [
         ("ego, truck", 12.0),
         ("NPC 0, van", 6.5),
     ]

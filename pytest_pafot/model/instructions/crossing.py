@@ -184,8 +184,7 @@ class CrossingInstruction(Instruction):
 
     def shown(self, requested: Any, apart: float, whence: str) -> Mapping[str, Any]:
         """Return the zone and the slot."""
-        slot = f"{abs(self.slot):g} s {'after' if self.slot > 0 else 'before'} the ego" if self.slot else "with the ego"
-        return {"zone": self.zone, "slot": slot, "words": self.words_from(whence)}
+        return {"zone": self.zone, "words": self.words_from(whence)}
 
 
 def _checked_slot(value: object) -> float:

@@ -5,149 +5,92 @@ const REPLAY_SECONDS = 6;
 const CALM_STEP = 0.5;
 
 class Player {
-  constructor(finding, place, time, announce) {
+  constructor(finding, place, time, onSettle) {
     this.finding = finding;
     this.place = place;
-    this.announce = announce;
+    this.onSettle = onSettle;
     this.duration = finding.times[finding.times.length - 1];
-    this.time = clamp(time === null ? momentOf(finding) : time, 0, this.duration);
+    this.time = clamp(time ?? momentOf(finding), 0, this.duration);
     this.rate = 1;
-    this.zoom = null;  // As the picture likes it, until the reader zooms.
+    this.zoom = 1;
     this.isPlaying = false;
-    this.onSettle = () => {};
     this.build();
     this.layout();
-    this.forget = onResize(this.stage, () => this.layout());
+    // Wait for the next frame: a layout inside the notification could resize the element again.
+    this.observer = new ResizeObserver(() => requestAnimationFrame(() => { if (this.stage.clientWidth !== this.width) this.layout(); }));
+    this.observer.observe(this.stage);
+  }
+
+  control(tag, attributes, children, type, listener) {
+    const element = html(tag, attributes, children);
+    element.addEventListener(type, listener);
+    return element;
   }
 
   build() {
-    this.checked = this.finding.check && this.finding.check.values.length ? html("div", { class: "charts checked" }) : null;
     this.stage = html("div", { class: "stage" });
     this.charts = html("div", { class: "charts" });
-    this.button = html("button", { type: "button", class: "play" });
-    this.button.addEventListener("click", () => this.toggle());
+    this.button = this.control("button", { type: "button", class: "play" }, [], "click", () => this.toggle());
     this.clock = html("output", { class: "clock", "aria-live": "off" });
-    this.scrubber = html("input", { type: "range", min: 0, max: this.duration, step: 0.01, "aria-label": "Time" });
-    this.scrubber.addEventListener("input", () => {
-      const time = Number(this.scrubber.value);  // before the pause, which draws, and moves the scrubber back
-      this.pause();
-      this.seek(time);
-    });
-    this.scrubber.addEventListener("change", () => this.settle());
-    const event = html("button", { type: "button" }, "Go to the event");
-    event.addEventListener("click", () => this.jump(momentOf(this.finding)));
-    const rates = html("select", { "aria-label": "Speed of play" }, SPEEDS.map((rate) => html("option", { value: rate }, `${rate}\u00d7`)));
+    this.scrubber = this.control("input", { type: "range", min: 0, max: this.duration, step: 0.01, "aria-label": "Time" }, [], "input", () => this.jump(Number(this.scrubber.value)));
+    const event = this.control("button", { type: "button" }, "Go to the event", "click", () => this.jump(momentOf(this.finding)));
+    const rates = this.control("select", { "aria-label": "Speed of play" }, SPEEDS.map((rate) => html("option", { value: rate }, `${rate}\u00d7`)), "change", () => { this.rate = Number(rates.value); });
     rates.value = 1;
-    rates.addEventListener("change", () => { this.rate = Number(rates.value); });
-    const zooms = [["Zoom in", "+", 1.25], ["Zoom out", "\u2212", 0.8]].map(([name, sign, factor]) => {
-      const button = html("button", { type: "button", "aria-label": name, title: name }, sign);
-      button.addEventListener("click", () => this.zoomBy(factor));
-      return button;
+    const zooms = [["Zoom in", "+", 1.25], ["Zoom out", "\u2212", 0.8]].map(
+      ([name, sign, factor]) => this.control("button", { type: "button", "aria-label": name }, sign, "click", () => this.zoomBy(factor)));
+    const heads = ["", "speed [m/s]", "in cell", "gap [m]", "contact in [s]", "decision, instruction"];
+    this.rows = this.finding.vehicles.map(() => Array.from({ length: 5 }, () => html("td")));
+    const body = this.finding.vehicles.map((vehicle, index) => {
+      const chip = svg("svg", { class: "chip", viewBox: "0 0 26 14", "aria-hidden": "true" }, svg("rect", { x: 1, y: 1, width: 24, height: 12, rx: 2, class: index ? `npc-body ${stroke(index)}` : "ego-body" }));
+      return html("tr", {}, [html("th", { scope: "row" }, [chip, vehicle.name]), ...this.rows[index]]);
     });
-    this.readout = html("tbody");
-    const heads = ["", "speed [m/s]", isCrossed(this.finding) ? "place" : "in cell", "gap [m]", "contact in [s]", this.finding.decisions.length ? "decision, instruction" : "instruction"];
-    const table = html("div", { class: "scroll" }, html("table", { class: "readout" }, [
+    const table = html("table", { class: "readout" }, [
       html("caption", { class: "unseen" }, "All vehicles at the time shown"),
-      html("thead", {}, html("tr", {}, heads.map((head) => html("th", { scope: "col" }, head)))), this.readout,
-    ]));
-    this.rows = this.finding.vehicles.map((vehicle, index) => this.row(vehicle, index));
+      html("thead", {}, html("tr", {}, heads.map((head) => html("th", { scope: "col" }, head)))), html("tbody", {}, body),
+    ]);
     this.place.replaceChildren(
-      ...(this.checked ? [this.checked] : []),
-      this.stage,
-      html("div", { class: "controls" }, [this.button, this.clock, this.scrubber, event, rates, html("span", { class: "zoom" }, zooms)]),
-      table, this.charts,
+      this.stage, html("div", { class: "controls" }, [this.button, this.clock, this.scrubber, event, rates, ...zooms]),
+      html("div", { class: "scroll" }, table), this.charts,
     );
-    this.bindCharts(this.charts);
-    if (this.checked) this.bindCharts(this.checked);
-  }
-
-  row(vehicle, index) {
-    const chip = svg("svg", { class: "chip", viewBox: "0 0 26 14", "aria-hidden": "true" });
-    if (index) {
-      const [pattern, reference] = bodyPattern(index - 1);
-      chip.append(svg("defs", {}, pattern), svg("rect", { x: 1, y: 1, width: 24, height: 12, rx: 2, fill: reference, class: stroke(index), "stroke-width": 1.5 }));
-    } else {
-      chip.append(svg("rect", { x: 1, y: 1, width: 24, height: 12, rx: 2, class: "ego-body" }));
-    }
-    const cells = Array.from({ length: 5 }, () => html("td"));
-    this.readout.append(html("tr", {}, [html("th", { scope: "row" }, [chip, vehicle.name]), ...cells]));
-    return cells;
-  }
-
-  bindCharts(place) {
-    let isDragging = false;
-    const seek = (event) => {
-      const box = place.firstChild.getBoundingClientRect();
-      this.seek(this.curves.time((event.clientX - box.left) * (this.curves.width / box.width)));
+    const seek = (pointer) => {
+      if (pointer.type === "pointermove" && !pointer.buttons) return;
+      const box = this.charts.getBoundingClientRect();
+      this.jump(this.curves.time((pointer.clientX - box.left) * (this.curves.width / box.width)));
     };
-    place.addEventListener("pointerdown", (event) => {
-      isDragging = true;
-      place.setPointerCapture(event.pointerId);
-      this.pause();
-      seek(event);
-    });
-    place.addEventListener("pointermove", (event) => { if (isDragging) seek(event); });
-    for (const end of ["pointerup", "pointercancel"]) {
-      place.addEventListener(end, () => { if (isDragging) this.settle(); isDragging = false; });
-    }
+    for (const type of ["pointerdown", "pointermove"]) this.charts.addEventListener(type, seek);
   }
 
   layout() {
-    const width = this.stage.clientWidth;
-    const close = this.closeUp();
-    if (!width || (width === this.drawnWidth && this.zoom === this.drawnZoom && close === this.drawnClose)) return;
-    [this.drawnWidth, this.drawnZoom, this.drawnClose] = [width, this.zoom, close];
-    this.scene = new Scene(this.finding, width, this.zoom ?? 1, close);
-    this.curves = new Charts(this.finding, width);
-    this.checkCurve = this.checked ? new Charts(this.finding, width, this.finding.check) : null;
-    if (this.checked) this.checked.replaceChildren(this.checkCurve.root);
-    const rows = this.finding.instructions;
-    const isLaned = !this.scene.isWorld && rows.some((row) => row.lane);
-    const isOnGrid = rows.some((row) => row.cell) || !(this.scene.isCrossed || rows.some((row) => row.lane));
-    const goals = [isOnGrid ? "cell" : "", isLaned ? "lane" : ""].filter(Boolean).join(" or ");
+    this.width = this.stage.clientWidth;
+    if (!this.width) return;
+    this.scene = new Scene(this.finding, this.width, this.zoom);
+    this.curves = new Charts(this.finding, this.width);
+    const isRelative = !this.scene.isWorld;
     this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
-      `E is the ego; NPCs carry their number and a pattern. Dotted trails: the last 4 s${this.scene.isWorld ? "" : " relative to the ego"}. ` +
-      (this.finding.grid.length || !this.scene.isWorld ? "Numbered boxes: the cells around the ego; 2 is ahead of it, 6 behind. " : "") +
-      (goals ? `Dashed line: to the ${goals} that an NPC is to drive to. ` : "") +
-      (this.scene.isCrossed ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's; the text at an NPC says when it is to be there. " : "") +
+      `E is the ego, numbers are NPCs. Dotted trails: the last ${TRAIL_SECONDS} s${isRelative ? " relative to the ego" : ""}. ` +
+      (isRelative ? "Numbered boxes: the cells around the ego. Dashed lines: to where NPCs are to drive. " : "") +
+      (isCrossed(this.finding) ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
       "Bars at the rear: braking."));
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
 
-  // A junction is drawn larger around the moment, if an NPC is near then.
-  closeUp() {
-    const moment = momentOf(this.finding);
-    const frame = frameAt(this.finding.times, moment);
-    const gaps = this.finding.vehicles.slice(1).map((vehicle) => held(vehicle.gap, frame));
-    const isNear = Math.abs(this.time - moment) <= CLOSE_SECONDS && gaps.some((gap) => gap !== null && gap < CLOSE_GAP);
-    return isNear && isCrossed(this.finding) && this.zoom === null ? CLOSE_UP : 1;
-  }
-
   draw() {
     if (!this.scene) return;
-    if (this.closeUp() !== this.drawnClose) { this.layout(); return; }
     const states = this.scene.draw(this.time);
     this.curves.draw(this.time);
-    if (this.checkCurve) this.checkCurve.draw(this.time);
     this.scrubber.value = this.time;
     this.scrubber.setAttribute("aria-valuetext", `${fixed(this.time, 2)} s of ${fixed(this.duration, 2)} s`);
     this.clock.textContent = `${fixed(this.time, 2)} / ${fixed(this.duration, 2)} s`;
     this.button.textContent = this.isPlaying ? "Pause" : this.isAtEnd() ? `Replay ${REPLAY_SECONDS} s` : "Play";
     this.place.dataset.time = fixed(this.time, 3);
-    states.forEach((state, index) => this.fillRow(state, index));
-  }
-
-  fillRow(state, index) {
-    const instruction = index ? instructionAt(this.finding, index - 1, this.time) : null;
-    const texts = state ? [
-      fixed(state.speed, 1),
-      index ? placeName(state, this.finding.vehicles[index].zone) : "",
-      index ? fixed(state.gap, 1) : "",
-      index ? fixed(state.ttc, 2) : "",
-      index ? (instruction ? PHASES[instruction.zone ? "crossing" : instruction.phase](instruction) : "") : decisionAt(this.finding, this.time),
-    ] : ["-", "-", "-", "-", ""];
-    this.rows[index].forEach((cell, column) => { if (cell.textContent !== tied(texts[column])) cell.textContent = tied(texts[column]); });
+    states.forEach((state, index) => {
+      const row = index && instructionAt(this.finding, index - 1, this.time);
+      const told = index ? row && wordsOf(row) : decisionAt(this.finding, this.time);
+      const [gap, ttc] = index && state ? [fixed(state.gap, 1), fixed(state.ttc, 2)] : ["", ""];
+      const texts = [state ? fixed(state.speed, 1) : "-", index && state ? CELL_NAMES[state.cell] ?? "" : "", gap, ttc, state && told ? told : ""];
+      this.rows[index].forEach((cell, column) => { cell.textContent = texts[column]; });
+    });
   }
 
   isAtEnd() { return this.time >= this.duration - 1e-6; }
@@ -158,54 +101,41 @@ class Player {
   }
 
   jump(time) {
-    this.pause();
+    this.isPlaying = false;
+    cancelAnimationFrame(this.request);
     this.seek(time);
-    this.settle();
-  }
-
-  settle() {
     this.onSettle();
-    this.announce(`${fixed(this.time, 1)} seconds`);
   }
 
   toggle() {
-    if (this.isPlaying) { this.pause(); this.settle(); } else this.play();
-  }
-
-  play() {
+    if (this.isPlaying) { this.jump(this.time); return; }
     if (this.isAtEnd()) this.time = Math.max(0, this.duration - REPLAY_SECONDS);
     this.isPlaying = true;
+    this.draw();
     const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     let last = null;
     let owed = 0;
     const tick = (now) => {
-      if (!this.isPlaying) return;
       owed += last === null ? 0 : Math.min(0.25, (now - last) / 1000) * this.rate;
       last = now;
       // With reduced motion the picture changes in steps instead of gliding.
       const due = isCalm ? Math.floor(owed / CALM_STEP) * CALM_STEP : owed;
       owed -= due;
       if (due > 0) this.seek(this.time + due);
-      if (this.isAtEnd()) { this.pause(); this.settle(); } else this.request = requestAnimationFrame(tick);
+      if (this.isAtEnd()) this.jump(this.time); else this.request = requestAnimationFrame(tick);
     };
-    this.draw();
     this.request = requestAnimationFrame(tick);
   }
 
-  pause() {
-    this.isPlaying = false;
-    cancelAnimationFrame(this.request);
-    this.draw();
-  }
-
   zoomBy(factor) {
-    this.zoom = clamp((this.zoom ?? this.closeUp()) * factor, 0.4, 3);
+    this.zoom = clamp(this.zoom * factor, 0.4, 3);
     this.layout();
   }
 
   close() {
-    this.pause();
-    this.forget();
+    this.isPlaying = false;
+    cancelAnimationFrame(this.request);
+    this.observer.disconnect();
     this.place.replaceChildren();
   }
 }
