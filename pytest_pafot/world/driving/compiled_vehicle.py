@@ -72,8 +72,6 @@ class CompiledRoad:
         body.has_goal = isinstance(vehicle, ControlledVehicle)
         body.drives_itself = idm_model(type(vehicle)) is not None
         body.waited = vehicle.yield_timer if getattr(vehicle, "is_yielding", False) else -1
-        if not hasattr(vehicle, "target_speed"):
-            body.taken_for = 0.0  # highway-env's IDM treats it as one that wants to stand still
         body.start(*self.state(vehicle), bool(getattr(vehicle, "enable_lane_change", True)))
         body.stay(self._numbers[vehicle.lane_index])
         body.timer = float(getattr(vehicle, "timer", body.timer))

@@ -12,9 +12,8 @@ cdef class GoalVehicle(Body):
     cdef double _speed_limit, _acc_max, _comfort, _braking, _distance, _time, _delta, _politeness, _min_gain
     cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _kp_speed, _max_steering, _target_speed
     cdef public bint has_goal, drives_itself
-    cdef public double taken_for, timer
-    cdef double _next_x, _next_y, _next_heading, _next_speed
-    cdef bint _changes_lanes, _is_led
+    cdef public double timer
+    cdef bint _changes_lanes
     cdef public int waited
     cdef int _closest, _goal, _routed
 
@@ -25,8 +24,6 @@ cdef class GoalVehicle(Body):
     cpdef want(self, double speed)
 
     cpdef void stay(self, int lane)
-
-    cpdef void lead(self, double x, double y, double heading, double speed)
 
     cpdef tuple seen(self)
 
@@ -48,9 +45,6 @@ cdef class GoalVehicle(Body):
     @cython.locals(lane=int, side=int)
     cdef void _choose_lane(self, list others) except *
 
-    @cython.locals(other=GoalVehicle)
-    cdef void _give_way(self, list others) except *
-
     @cython.locals(lateral=double, inside=bint)
     cdef bint _reaches(self, int lane) except -1
 
@@ -58,15 +52,12 @@ cdef class GoalVehicle(Body):
                    others_gain=double)
     cdef bint _gains(self, int lane, list others) except -1
 
-    @cython.locals(liked=double, share=double, acceleration=double, gap=double)
+    @cython.locals(wanted=double, liked=double, share=double, acceleration=double, gap=double)
     cdef double _pulled(self, Body vehicle, Body front) except? -1
 
     cdef double _apart(self, Body vehicle, Body front) except? -1
 
     cdef double _limit(self, Body vehicle) except? -1
-
-    @cython.locals(other=GoalVehicle)
-    cdef double _liked(self, Body vehicle) except? -1
 
     @cython.locals(cos_h=double, sin_h=double, closing_x=double, closing_y=double, closing=double, ab=double)
     cdef double _desired_gap(self, Body vehicle, Body front) except? -1

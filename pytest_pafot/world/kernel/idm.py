@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from pytest_pafot.world.kernel.action import lane_steering, not_zero
 from pytest_pafot.world.kernel.bodies import Body
@@ -38,8 +37,6 @@ class GoalVehicle(Body):
         has_goal: true if it steers for a lane and a speed, its goal; else its controls are set from outside and held.
         drives_itself: true if it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
             outside, for instance by meta-actions.
-        taken_for: the desired speed that others assume [m/s]. NaN stands for the speed of its goal, or without a goal
-            for its current speed.
         timer: the time since its last decision on lanes [s].
         waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
     """
@@ -47,10 +44,7 @@ class GoalVehicle(Body):
     def __init__(self, constants: Mapping[str, float], lanes: Lanes, speed_limit: float) -> None:
         super().__init__(constants["LENGTH"], constants["WIDTH"])
         self.has_goal = self.drives_itself = True
-        self.taken_for = float("nan")
         self.waited = -1
-        self._is_led = False
-        self._next_x = self._next_y = self._next_heading = self._next_speed = 0.0
         self._lanes = lanes
         self._speed_limit = speed_limit
         self._acc_max = constants["ACC_MAX"]
@@ -95,14 +89,6 @@ class GoalVehicle(Body):
         """Be in a lane until the next step, although another one may be closer."""
         self._closest = lane
 
-    def lead(self, x: float, y: float, heading: float, speed: float) -> None:
-        """Move to the given state in the next tick, whatever the controls are [m, m, rad, m/s]."""
-        self._is_led = True
-        self._next_x = x
-        self._next_y = y
-        self._next_heading = heading
-        self._next_speed = speed
-
     def seen(self) -> tuple[float, float, float, float, int, int, float, float]:
         """Return x [m], y [m], heading [rad], speed [m/s], its lane, its goal's lane and speed, and its timer [s]."""
         return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed, self.timer
@@ -116,7 +102,7 @@ class GoalVehicle(Body):
     def act(self, others: list[Body]) -> None:
         """Set acceleration and steering for the coming tick, by IDM and MOBIL if it drives itself."""
         if not self.drives_itself:
-            if self.has_goal and not self._is_led:
+            if self.has_goal:
                 self.pursue()
             return
         self._follow_road()
@@ -132,10 +118,7 @@ class GoalVehicle(Body):
     def step(self, dt: float) -> None:
         """Move for one time step [s]."""
         self.timer += dt
-        if self._is_led:
-            self.place(self._next_x, self._next_y, self._next_heading, self._next_speed)
-        else:
-            Body.step(self, dt)  # C methods have no super()
+        Body.step(self, dt)  # C methods have no super()
         self._closest = self._found(self)
 
     # What a road of another shape replaces.
@@ -156,29 +139,13 @@ class GoalVehicle(Body):
         return 0 <= side < self._lanes.count
 
     def _choose_lane(self, others: list[Body]) -> None:
-        if self._closest != self._goal:
-            if self._has_beside(self._closest, self._goal):
-                self._give_way(others)
-            return
-        if self.timer <= self._delay:
+        if self._closest != self._goal or self.timer <= self._delay:
             return
         self.timer = 0.0
         lane = self._closest
         for side in (lane - 1, lane + 1):
             if self._has_beside(lane, side) and self._reaches(side) and self._gains(side, others):
                 self._goal = side
-
-    def _give_way(self, others: list[Any]) -> None:
-        """Stay in its lane if a vehicle ahead enters the same lane as this one."""
-        for each in others:
-            if each is self or not isinstance(each, GoalVehicle):
-                continue
-            other: GoalVehicle = each
-            if not other.has_goal or other._goal != self._goal or other._closest == self._goal:
-                continue
-            if 0.0 < self._apart(self, other) < self._desired_gap(self, other):
-                self._goal = self._closest
-                return
 
     def _reaches(self, lane: int) -> bool:
         lateral = abs(self.y - lane * self._lanes.width)
@@ -205,7 +172,8 @@ class GoalVehicle(Body):
         """Return the acceleration of a vehicle behind ``front`` by the IDM [m/s^2]; 0 if ``vehicle`` is None."""
         if vehicle is None:
             return 0.0
-        liked = min(max(self._liked(vehicle), 0.0), self._limit(vehicle))
+        wanted = self._target_speed if vehicle is self else vehicle.speed
+        liked = min(max(wanted, 0.0), self._limit(vehicle))
         share = max(vehicle.speed, 0.0) / abs(not_zero(liked))
         acceleration = self._comfort * (1.0 - math.pow(share, self._delta))
         if front is not None:
@@ -220,15 +188,6 @@ class GoalVehicle(Body):
     def _limit(self, vehicle: Body) -> float:
         """Return the speed limit of a vehicle's lane [m/s]."""
         return self._speed_limit
-
-    def _liked(self, vehicle: Body) -> float:
-        """Return the desired speed of a vehicle, as far as this vehicle knows [m/s]."""
-        if not isinstance(vehicle, GoalVehicle):
-            return vehicle.speed
-        other: GoalVehicle = vehicle
-        if not math.isnan(other.taken_for):
-            return other.taken_for
-        return other._target_speed if other.has_goal else other.speed
 
     def _desired_gap(self, vehicle: Body, front: Body) -> float:
         cos_h, sin_h = math.cos(vehicle.heading), math.sin(vehicle.heading)

@@ -36,7 +36,6 @@ cdef class NetworkVehicle(GoalVehicle):
 
     cdef double _limit(self, Body vehicle) except? -1
 
-    @cython.locals(other=GoalVehicle)
     cdef int _lane_of(self, Body vehicle) except -1
 
     @cython.locals(network=Network, goal=int, offset=double, ahead=double, angle=double)

@@ -88,10 +88,7 @@ class NetworkVehicle(GoalVehicle):
         return self._network.speed_limit(self._lane_of(vehicle))
 
     def _lane_of(self, vehicle: Body) -> int:
-        if isinstance(vehicle, GoalVehicle):
-            other: GoalVehicle = vehicle
-            return other._closest
-        return self._found(vehicle)
+        return self._closest if vehicle is self else self._found(vehicle)
 
     def _steering(self) -> float:
         network, goal = self._network, self._goal
