@@ -1,9 +1,9 @@
-"""What the decisions of an ADS rest on: how many of them depend on a vehicle, and the one that could have mattered."""
+"""The decision of an ADS that could have avoided a failure: which one it is, and what it rests on."""
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -27,61 +27,16 @@ PARTS = {
 """The parts of a planner's decision: the smallest difference that counts, and how each is shown."""
 SHARE = 0.05
 """The smallest difference between two values of an action in an environment's own units."""
-BEFORE_CHECK = 5.0
-"""The time before a failed check from which on decisions count if no situation led to it [s]."""
 CENTRED = 0.25
 """The largest distance from the centre of a lane at which the ego drives along it [m]."""
 ALONG = DRIFTING / 10
 """The sideways speed below which the ego drives along the road [m/s]."""
 STEADY = 0.003
 """The sideways speed, or change of it from one decision to the next, that no steering causes [m/s]."""
-HARDER = 1.0
-"""The least difference between two accelerations with which one decision brakes harder than another [m/s^2]."""
 DRIFT_SECONDS = 3.0
 """The least time of a drift to a line [s]: a change of lanes begins slowly, too, but is over the line earlier."""
 NEEDLESS: tuple[Fault, ...] = ("braked-for-nothing", "stopped-for-nothing")
 """The faults of an ego that should not have braked."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answers:
-    """The number of decisions that depend on the vehicle of a failure.
-
-    They were made again by two fresh policies, one with all that was seen in the failing run, one without the vehicle.
-
-    Attributes:
-        npc: the vehicle's index in the scenario.
-        since: time from which on decisions count: when the danger began, or if none was due after that, when the last
-            one was made [s].
-        decisions: number of decisions from then to the failure.
-        depending: number of them that are others without the vehicle.
-        unseen: True if what the policy saw until the failure is the same without the vehicle.
-        masking: another NPC with which hidden the policy brakes harder, if no decision depends on this one; else None.
-        masked: the hardest braking with that one hidden [m/s^2]; 0 without one.
-    """
-
-    npc: int
-    since: float
-    decisions: int
-    depending: int
-    unseen: bool = False
-    masking: int | None = None
-    masked: float = 0.0
-
-    def __str__(self) -> str:
-        whom, since = f"NPC {self.npc}", f"from {self.since:.1f} s on"
-        unseen = f"{whom} is in none of the observations of its {self.decisions} decisions {since}"
-        told = f"{self.depending} of its {self.decisions} decisions {since} depend on {whom}"
-        if self.decisions == 1:
-            unseen = f"{whom} is not in the observation of its only decision {since}"
-            told = f"its only decision {since} {'depends' if self.depending else 'does not depend'} on {whom}"
-        if self.unseen:
-            return unseen
-        return (
-            told
-            if self.masking is None
-            else f"{told}; with NPC {self.masking} hidden it brakes at {self.masked:.1f} m/s^2"
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,27 +105,6 @@ def vehicle_of(run: Run, expect: Expect) -> int | None:
     tick = min(round(expect.time * run.trace.physics_hz), run.trace.ticks)
     away = np.hypot(*(run.trace.states[tick, 1:, [X, Y]] - run.trace.ego[tick, [X, Y], None]))
     return None if np.isnan(away).all() or not away.size else int(np.nanargmin(away))
-
-
-def window(run: Run, expect: Expect) -> tuple[float, float]:
-    """Return when the danger of a failure began and when the failure occurred [s]."""
-    if run.collision is not None and expect.check is None:
-        began = run.attribution.time
-        return (run.event_time if began is None else began), run.event_time
-    if expect.situation is not None:
-        return expect.situation.time, expect.time
-    return max(expect.time - BEFORE_CHECK, 0.0), expect.time
-
-
-def counted(trace: Trace, since: float, until: float) -> tuple[range, float]:
-    """Return the numbers of the decisions between two times [s], and the first of these times.
-
-    If none was due between them, it is the last one before, and its own time.
-    """
-    times = [tick / trace.physics_hz for tick in trace.decision_ticks]
-    last = max(bisect_right(times, until + 1e-9), 1)
-    first = min(bisect_left(times, since - 1e-9), last - 1)
-    return range(first, last), min(since, times[first])
 
 
 def deciding(run: Run, expect: Expect) -> int | None:
@@ -307,12 +241,6 @@ def differ(action: Any, other: Any) -> bool:
         is_like = np.shape(action) == np.shape(other)
         return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
     return not bool(np.array_equal(action, other)) if isinstance(action, np.ndarray) else repr(action) != repr(other)
-
-
-def braking_of(action: Any) -> float:
-    """Return the deceleration of a planner's decision [m/s^2]; 0 if it has none."""
-    value = action[0] if is_si(action) else getattr(action, "acceleration", None)
-    return max(0.0, -value) if isinstance(value, float) else 0.0
 
 
 def is_si(action: Any) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pytest_pafot.findings.decisions import Answers, Moment
+from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import IN_MEMORY, Finding
 from pytest_pafot.findings.labels import PASSING, Label
@@ -48,7 +48,6 @@ class Sighting:
         rate_now: how often it fails in a replay; None for a new finding, and without a rate.
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
-        answers: how many decisions depend on the vehicle of a new finding; None if that was not examined.
         moment: the last decision that could have avoided it; None if that was not examined, or none is known.
         searched: number of runs of the search of its test that found no such failure, if a replay passes and that
             search ran to its end in this session; otherwise 0.
@@ -81,7 +80,6 @@ class Sighting:
     rate_now: FailureRate | None = None
     is_timed: bool = False
     unshrunk: str = ""
-    answers: Answers | None = None
     moment: Moment | None = None
     searched: int = 0
     elsewhere: str = ""
@@ -170,10 +168,9 @@ class Sighting:
 
     def on_decisions(self) -> list[str]:
         """Return lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
-        lines = [f"answers    {self.answers}"] if self.answers is not None else []
-        if self.moment is not None:
-            lines += [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.condition_lines(CONDITIONS))]
-        return lines
+        if self.moment is None:
+            return []
+        return [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.condition_lines(CONDITIONS))]
 
     @property
     def summary(self) -> str:

@@ -145,12 +145,6 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "that no time was left to confirm it, or to shrink it fully.",
         "", lambda seen: seen.unshrunk,
     ),
-    "answers": Key(
-        "of a new finding: how many decisions depend on `npc`, `depending` of the `decisions` from `since` [s], when "
-        "the danger began, to the failure; `unseen`, true if no observation had it; `masking`, another NPC with which "
-        "hidden the policy brakes harder, at `masked` [m/s^2].",
-        None, lambda seen: _data(seen.answers),
-    ),
     "moment": Key(
         "the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy saw "
         "the NPC; `action`, its answer; `hidden`, the answer with the NPC hidden (empty for the same, null if "

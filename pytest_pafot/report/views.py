@@ -286,8 +286,6 @@ def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]
     """
     finding, moment = sighting.finding, sighting.moment
     shown: list[tuple[str, list[str], tuple[tuple[str, tuple[str, ...]], ...]]] = [("", [*filter(None, lines)], ())]
-    if sighting.answers is not None:
-        shown.append(("The policy's answers", [str(sighting.answers)], ()))
     if moment is not None:
         about = ", by the NPC that they are about" if any(whom for whom, _ in moment.conditions) else ""
         listed = [f"its conditions then, with their values{about}:"] if moment.conditions else []

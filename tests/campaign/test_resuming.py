@@ -214,7 +214,7 @@ def test_an_interrupt_is_not_held_back_after_a_listener_has_raised(search):
 
 def test_session_interrupted_while_it_examines_a_finding_is_continued_with_it(search, tmp_path):
     def interrupted(event):
-        if isinstance(event, Sighting) and event.answers is not None:
+        if isinstance(event, Sighting) and event.moment is not None:
             raise KeyboardInterrupt
 
     whole = search("whole", resume=None, runs=24)

@@ -1,4 +1,4 @@
-"""What decisions rest on: how many depend on a vehicle, and the last that could have avoided a failure."""
+"""What decisions rest on, and the last decision that could have avoided a failure."""
 
 from dataclasses import replace
 from functools import partial
@@ -10,21 +10,17 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.attribution.sentences import Fact, What, advice
 from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.campaign.refine.moment import _braked_for, _moment_of, _nudged, text_of
+from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import (
-    Answers,
     Moment,
     advice_on,
-    counted,
     deciding,
     differ,
     placed,
     seen_of,
     vehicle_of,
-    window,
 )
 from pytest_pafot.findings.finding import Bounded, Expect
-from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
 from pytest_pafot.world.kernel.action import checked_si_action
@@ -98,28 +94,6 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
 )
 def test_each_kind_of_action_has_its_words(action, other, text):
     assert text_of(action, other) == text
-
-
-def test_answers_are_told_in_one_line():
-    answers = Answers(npc=0, since=12.8, decisions=11, depending=0)
-    assert str(answers) == "0 of its 11 decisions from 12.8 s on depend on NPC 0"
-    assert str(replace(answers, masking=2, masked=8.5)).endswith("NPC 0; with NPC 2 hidden it brakes at 8.5 m/s^2")
-    assert (
-        str(replace(answers, unseen=True)) == "NPC 0 is in none of the observations of its 11 decisions from 12.8 s on"
-    )
-
-
-def test_answers_of_a_single_decision_are_told_as_such():
-    one = Answers(npc=0, since=4.0, decisions=1, depending=0)
-    assert str(one) == "its only decision from 4.0 s on does not depend on NPC 0"
-    assert str(replace(one, depending=1)) == "its only decision from 4.0 s on depends on NPC 0"
-    assert str(replace(one, unseen=True)) == "NPC 0 is not in the observation of its only decision from 4.0 s on"
-
-
-def test_where_no_decision_was_due_in_the_danger_the_last_one_before_counts_at_its_time():
-    trace = pafot.World("highway-v0").rollout(SCENARIO, lambda: lambda seen: 1)  # a decision each second
-    assert counted(trace, 4.2, 4.9) == (range(4, 5), 4.0)
-    assert counted(trace, 4.2, 5.0) == (range(5, 6), 4.2)
 
 
 CAR = (0.0, 5.0, 2.0)
@@ -219,7 +193,6 @@ def test_a_policy_decides_beside_its_run_with_a_vehicle_hidden(factory):
     assert any(map(differ, whole.answers, hidden.answers))
     other = asked(factory, trace, npc=1)  # it is behind
     assert not any(map(differ, whole.answers, other.answers))
-    assert whole.seen != other.seen
 
 
 def test_hiding_a_vehicle_changes_no_other_vehicle_of_an_imperfect_sight():
@@ -360,45 +333,6 @@ def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory,
     assert (moment.hidden, moment.otherwise) == (None, None)
 
 
-class Timid:
-    """Brakes hard for a vehicle ahead in another lane."""
-
-    def __call__(self, seen):
-        ahead = [o.x - seen.ego.x for o in seen.others if o.lane != seen.ego.lane and o.x > seen.ego.x]
-        return (-8.0 if min(ahead, default=99.0) < 30.0 else 0.0), 0.0
-
-
-def test_the_moment_of_a_needless_braking_is_about_the_vehicle_that_it_depends_on():
-    def holds(run):
-        assert run.attribution.fault != "braked-for-nothing"
-
-    found = []
-    small = {"runs": 40, "npcs": 2, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 20}
-    pafot.explore(Timid, holds=holds, seed=3, stop_after=1, instructions="cells", on_event=found.append, **small)
-    (find,) = {each.id: each for each in found if isinstance(each, Sighting) and each.moment is not None}.values()
-    assert str(find.answers).startswith("0 of its ")
-    assert {find.answers.npc, find.moment.npc} == {0, 1}
-    assert (find.moment.action, find.moment.hidden) == ("acceleration -8.0 m/s^2", "acceleration 0.0 m/s^2")
-
-
-class Trusting:
-    """Brakes for a vehicle ahead, unless there is one behind."""
-
-    def __call__(self, seen):
-        ahead = [other.x - seen.ego.x for other in seen.others]
-        return (-6.0 if 0 < min(ahead, default=99.0) < 60.0 else 0.0), 0.0
-
-
-def test_a_vehicle_that_masks_another_is_the_one_that_the_lack_of_braking_depends_on():
-    trace = WORLD.rollout(SCENARIO, Trusting)
-    number = 5
-    whole, without_it = (asked(Trusting, trace, npc=npc, question=Question(number=number)) for npc in (None, 1))
-
-    ask = asking(lambda question: asked(Trusting, trace, question=question))
-    assert returned(_braked_for(number, whole, {1: without_it}, ask, is_needless=False)) == 1
-    assert returned(_braked_for(number, whole, {1: without_it}, ask, is_needless=True)) is None
-
-
 def crash(ads):
     scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 0.0)]], gene_seconds=20.0, ego_speed=22)
     trace = WORLD.rollout(scenario, ads)
@@ -439,11 +373,6 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     kept = replace(run, avoided_by=Avoidance(time=3.0))  # keeping the lane from then on says nothing of braking
     assert (kept.sentences, advice_on(kept)) == (run.sentences, advice_on(run))
     assert vehicle_of(run, expecting(run)) == 0
-    since, until = window(run, expecting(run))
-    assert (since, until) == (run.attribution.time, run.event_time)
-    numbers, first = counted(run.trace, since, until)
-    assert first == since <= run.trace.decision_ticks[numbers[0]] / run.trace.physics_hz
-    assert numbers.stop == len(run.trace.decision_ticks)
 
 
 def test_an_ego_that_is_not_at_fault_gets_no_advice():
@@ -570,4 +499,3 @@ def test_a_failed_check_has_the_last_decision_up_to_it():
     )
     assert deciding(run, expect) == int(2.05 * run.trace.ads_hz)
     assert vehicle_of(run, expect) in (0, 1)
-    assert window(run, expect) == (0.0, 2.05)

@@ -38,7 +38,6 @@ from highway_env.vehicle.objects import Landmark, Obstacle
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.findings.decisions import counted
 from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
@@ -250,7 +249,6 @@ def test_readers_of_a_run_use_the_times_of_its_decisions():
     hit = Collision(tick=105, time=7.0, npc=0, side="front", cell=None, ego_speed=9.0, npc_speed=0.0, closing_speed=9.0)
     before = before_impact(replace(trace, outcome="collision", collision=hit))
     assert (before.ticks, before.decided, len(before.actions)) == (60, (0, 30), 2)
-    assert counted(trace, 1.0, 5.0) == (range(1, 3), 1.0)
 
 
 def test_decision_that_fails_has_its_time_too():

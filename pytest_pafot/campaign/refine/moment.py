@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import is_dataclass, replace
 from functools import partial
@@ -19,13 +19,8 @@ from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
-    HARDER,
-    NEEDLESS,
     PARTS,
-    Answers,
     Moment,
-    braking_of,
-    counted,
     deciding,
     differ,
     is_si,
@@ -35,11 +30,9 @@ from pytest_pafot.findings.decisions import (
     seen_of,
     told_parts,
     vehicle_of,
-    window,
 )
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
@@ -68,27 +61,38 @@ MANY = 1_000_000
 
 NUDGE = 0.01
 """What is added to places [m] and speed [m/s] to see which conditions are about a vehicle: it changes hardly any."""
-LITTLE = {"acceleration": HARDER, "steering": 0.05}
+LITTLE = {"acceleration": 1.0, "steering": 0.05}
 """The least differences of an acceleration [m/s^2] and a steering angle [rad] with which a decision is another one."""
 POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering}
 """The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
 def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
-    """Return a finding with how many decisions depend on its vehicle, and the last that could have avoided the failure.
+    """Return a finding with the last decision that could have avoided the failure, and what would change it.
 
     The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
     saw and without a vehicle. Nothing can be hidden from a vehicle class, which reads the road itself, from a policy
     that has the environment, or in a world that is not built in. Nothing is said of a policy that decides otherwise
-    when it sees the same.
+    when it sees the same. With a reference, it is the first decision that differs from the reference's.
     """
-    harness, run = bench.harness, sighting.run
+    harness, run, expect = bench.harness, sighting.run, sighting.finding.expect
     if run is None or not harness.policy.only_observes or not codec.is_built_in(harness.world):
         return sighting
-    moment = None if harness.against is None else _first_difference(run.trace, state, bench)
-    ask = partial(_decided_aside, sighting, run.trace, state, bench)
-    answers, moment = yield from _on_vehicles(sighting, run, moment, ask)
-    return replace(sighting, answers=answers, moment=moment)
+    if harness.against is not None and (moment := _first_difference(run.trace, state, bench)) is not None:
+        return replace(sighting, moment=moment)
+    trace, npc, number = run.trace, vehicle_of(run, expect), deciding(run, expect)
+    if npc is None or number is None or not trace.actions:
+        return sighting
+    ask = partial(_decided_aside, sighting, trace, state, bench)
+    whole = yield from ask(None, Question(number=number))
+    # The policy must decide in the recorded run as it did, or a difference would not be due to the vehicle.
+    if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
+        return sighting
+    without_it = yield from ask(npc, Question(number=number))
+    if without_it is None:
+        return sighting
+    moment = yield from _moment_of(trace, npc, number, whole, without_it, ask)
+    return replace(sighting, moment=moment)
 
 
 def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
@@ -156,55 +160,6 @@ def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
     return next((each for each in changes if each[0] and said.startswith(f"{each[0]} ")), furthest)
 
 
-def _on_vehicles(
-    sighting: Sighting, run: Run, moment: Moment | None, ask: Ask
-) -> Refining[tuple[Answers | None, Moment | None]]:
-    """Return how many decisions depend on the vehicle of a failure, and the moment, unless there is one already."""
-    expect, trace = sighting.finding.expect, run.trace
-    npc = vehicle_of(run, expect)
-    if npc is None or not trace.actions:
-        return None, moment
-    number = None if moment is not None else deciding(run, expect)
-    question = None if number is None else Question(number=number)
-    without_it = yield from ask(npc, question)
-    if without_it is None:
-        return None, moment
-    whole = yield from ask(None, question)
-    # The policy must decide in the recorded run as it did, or a difference would not be due to the hidden vehicle.
-    if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
-        return None, None
-    # Decisions before the danger began say nothing of it.
-    numbers, since = counted(trace, *window(run, expect))
-    others = [each for each in range(len(run.scenario.npcs)) if each != npc]
-    answers = Answers(
-        npc=npc,
-        since=round(since, 3),
-        decisions=len(numbers),
-        depending=sum(differ(whole.of(each), without_it.of(each)) for each in numbers),
-        unseen=bool(whole.seen) and whole.seen[: numbers.stop] == without_it.seen[: numbers.stop],
-    )
-    if not answers.depending:
-        # Another vehicle may mask it: without that one the policy brakes harder, without this one hardest of all.
-        braked = max(braking_of(whole.of(each)) for each in numbers)
-        for other in others:
-            aside = yield from ask(other, None)
-            hardest = max((braking_of(aside.of(each)) for each in numbers), default=0.0) if aside else 0.0
-            if hardest >= braked + HARDER and hardest > answers.masked:
-                answers = replace(answers, masking=other, masked=round(hardest, 3))
-    if number is not None:
-        moment = yield from _moment_of(trace, npc, number, whole, without_it, ask)
-        if moment.hidden == "" and expect.check is None and run.attribution.fault != "entered-lane":
-            asides = {}
-            for other in others:
-                aside = yield from ask(other, question)
-                if aside is not None:
-                    asides[other] = aside
-            about = yield from _braked_for(number, whole, asides, ask, is_needless=run.attribution.fault in NEEDLESS)
-            if about is not None:
-                moment = yield from _moment_of(trace, about, number, whole, asides[about], ask)
-    return answers, moment
-
-
 def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None:
     """Return the first decision that differs from the one of the reference in the same scenario."""
     harness, isolate = bench.harness, bench.harness.request.settings.isolate
@@ -233,8 +188,7 @@ def _decided_aside(
     harness, record, scenario = bench.harness, bench.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate
     check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
-    # A planner with perfect sight sees everybody.
-    aside = Aside(is_noted=space is not None or harness.policy.sight is not None)
+    aside = Aside()
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
@@ -288,29 +242,6 @@ def _moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: As
             break
     time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
     return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
-
-
-def _braked_for(
-    number: int, whole: Aside, others: Mapping[int, Aside], ask: Ask, *, is_needless: bool
-) -> Refining[int | None]:
-    """Return the vehicle on which it depends most that a policy brakes at a decision, or does not; None if on none.
-
-    Each vehicle is hidden in this one decision. ``others`` has the decisions of a policy without each of them, and
-    ``is_needless`` is whether the policy should not have braked. Of another policy than a planner it is not known how
-    much it brakes, so that there any other decision counts, and only if it should not have braked.
-    """
-    action, found, largest = whole.of(number), None, 0.0
-    for npc, without_it in others.items():
-        aside = yield from ask(None, Question(number=number, instead=without_it.at))
-        if aside is None or aside.of(number) is None:
-            continue
-        answer = aside.of(number)
-        change = (braking_of(answer) - braking_of(action)) * (-1.0 if is_needless else 1.0)
-        if is_needless and not isinstance(whole.at, Observation) and differ(action, answer):
-            change = HARDER
-        if change >= HARDER and change > largest:
-            found, largest = npc, change
-    return found
 
 
 def _is_other(action: Any, other: Any) -> bool:

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import copy
 import functools
-import hashlib
-import pickle
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,16 +30,12 @@ class Aside:
     Attributes:
         asked: the number of decisions that it was asked for.
         answers: its actions, one per decision; None where it raised an error.
-        is_noted: whether to note what it sees, which takes longer than a decision.
-        seen: digests of its observations; those that cannot be pickled are left out.
         at: what it would have seen at the decision of a question, had nothing been changed; None without one.
         conditions: those that it evaluated in this decision, with their values, if the question is about them.
     """
 
-    is_noted: bool = True
     asked: int = 0
     answers: list[Any] = field(default_factory=list)
-    seen: list[bytes] = field(default_factory=list)
     at: Any = None
     conditions: list[Evaluated] = field(default_factory=list)
 
@@ -75,9 +69,6 @@ class Shadow(Around):
     def __call__(self, observation: Any) -> Any:
         """Decide, note the decision, and return the recorded one."""
         aside, number = self._aside, len(self._aside.answers)
-        if aside.is_noted:
-            with suppress(Exception):  # a class of the user's own may not be picklable
-                aside.seen.append(hashlib.blake2b(pickle.dumps(observation), digest_size=16).digest())
         question = self._question
         recording: AbstractContextManager[None] = nullcontext()
         if question is not None and question.instead is not None and question.number < number < len(self._actions):
