@@ -62,10 +62,8 @@ NAMES: Mapping[str, str] = MappingProxyType({
 })  # fmt: skip
 """The public names of ``pytest_pafot`` that an extra has."""
 
-DASK_EXECUTOR = f"{EXTRAS}.executors:dask_executor"
-"""A context manager: the executor of a Dask scheduler for the option ``dask``."""
-EXECUTOR_POOL = f"{EXTRAS}.executors:ExecutorPool"
-"""The pool of scenarios that runs them by the user's executor."""
+DASK = f"{EXTRAS}.dask_cluster:connected"
+"""A context manager for the option ``dask``: a function that makes pools of the workers of a scheduler."""
 
 
 def opened(place: str) -> Any:

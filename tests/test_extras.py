@@ -121,17 +121,6 @@ def test_check_world_accepts_a_right_world_and_names_what_is_wrong():
         check_world(Wrong(), **short)
 
 
-@pytest.mark.processes
-def test_executor_of_any_kind_makes_the_runs_of_a_search(project):  # noqa: F811
-    project.write(
-        "from concurrent.futures import ThreadPoolExecutor\n\n"
-        "@pytest.fixture(scope='session')\ndef pafot_executor():\n"
-        "    with ThreadPoolExecutor(1) as executor:\n        yield executor\n\n"
-        "@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration\n"
-    )
-    project.run().assert_outcomes(passed=1)
-
-
 def test_algorithm_asks_and_is_told(make_evaluation):  # noqa: F811
     search, rng = resolve_algorithm("av-fuzzer").make(SearchSpace(npcs=2)), np.random.default_rng(1)
     state, asked = search.ask(search.start(rng), rng)

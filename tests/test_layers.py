@@ -23,7 +23,7 @@ CORE = (
     "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "extending", "__main__",
 )  # fmt: skip
 EXTRAS = (
-    "resumable", "algorithms", "executors", "policies", "testing", "comparison", "episodes",
+    "resumable", "algorithms", "dask_cluster", "policies", "testing", "comparison", "episodes",
     "export", "sumo",
 )  # fmt: skip
 ROOMS = (*CORE, *EXTRAS)
@@ -33,8 +33,8 @@ PUBLIC_NAMES = ("testing", "policies")
 
 HOMES = {
     "yaml": {"corpus"},
-    "cloudpickle": {"executors"},
-    "distributed": {"executors"},
+    "cloudpickle": {"dask_cluster"},
+    "distributed": {"dask_cluster"},
     "highway_env": {"world"},
     "gymnasium": {"world"},
     "hypothesis": {"strategies"},

@@ -26,7 +26,7 @@ DRIVEN_SECONDS, FED_SECONDS = 0.06, 0.004
 and for each process, since the session needs about half of that to hand over one scenario and to take its run."""
 
 AHEAD_ELSEWHERE = 128
-"""The number of scenarios of later blocks that the workers of an executor get, since their own number is unknown."""
+"""The number of scenarios of later blocks that the workers of a cluster get, since their own number is unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -116,7 +115,6 @@ def explore(
     seed: int = 0,
     node_id: str = "",
     on_event: Listener | None = None,
-    executor: Executor | None = None,
     **settings: Any,
 ) -> Exploration:
     """Search for scenarios in which a property fails, without pytest.
@@ -135,7 +133,6 @@ def explore(
         seed: the base seed; the seed of the search is derived from it and the node id.
         node_id: the node id of the corresponding test, without ``[search]``; by default a name made from ``holds``.
         on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
-        executor: runs the scenarios of the generations, as the fixture ``pafot_executor`` does.
         settings: other arguments of ``@pafot.search``, and the options ``corpus``, ``max_time``, ``stop_after`` and
             ``workers``. With ``corpus=``, findings are saved below that folder, and failures that are saved there
             already are known. Without ``corpus=``, no finding is saved.
@@ -154,7 +151,7 @@ def explore(
     table = RunTable()
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        replays = replays_of(request, holds, name, Path(scratch), executor, needs_only_run=on_event is None)
+        replays = replays_of(request, holds, name, Path(scratch), needs_only_run=on_event is None)
         now = time.monotonic()
         with prepared(replays.harness, has_table=True) as parts:
             limit = time_limit(request.settings, now=now, began=now, left=1)
@@ -325,7 +322,6 @@ def replays_of(
     holds: Callable[[Run], None],
     node_id: str,
     scratch: Path,
-    executor: Executor | None = None,
     *,
     needs_only_run: bool = False,
 ) -> Replays:
@@ -366,7 +362,6 @@ def replays_of(
         root=Path.cwd(),
         versions=installed_versions(world.packages),
         against=reference_of(settings.against, fixture, policy),
-        executor=executor,
         needs_only_run=needs_only_run,
         states=None if settings.resume is None else Path.cwd() / settings.resume,
     )

@@ -6,7 +6,6 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,7 +18,7 @@ from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, referen
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
+from pytest_pafot.execution.scenario_pool import Cluster, ExecutionError, Job, trace_of
 from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.instructions import ScenarioError
@@ -137,7 +136,7 @@ class Harness:
     root: Path  # the folder of the project; paths in messages are relative to it
     versions: dict[str, str]  # versions of the packages on which a run depends
     against: Reference | None = None  # the reference that must pass, so that a failure counts
-    executor: Executor | None = None  # the user's executor for the runs of a search, if any
+    cluster: Cluster | None = None  # the workers on other machines for the runs of a search, if any
     # True if the test function takes only the run, so that a process that was forked from this one can call it, too
     needs_only_run: bool = False
     states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any

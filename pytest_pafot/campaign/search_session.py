@@ -231,7 +231,7 @@ def prepared(
                 record,
                 workers=settings.workers,
                 isolate=settings.isolate,
-                executor=harness.executor,
+                cluster=harness.cluster,
             )
         stack.push(runner.__exit__)  # Runs after the search start new processes, which must be stopped as well.
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
@@ -263,7 +263,7 @@ def _why_judged_here(harness: Harness) -> str:
         return "the fitness is your own"
     if not harness.needs_only_run:
         return "the test function needs more than the run"
-    is_apart = harness.executor is not None  # its workers may be on other machines
+    is_apart = harness.cluster is not None  # its workers may be on other machines
     return "they were not forked from it" if is_apart or scenario_pool.METHOD != "fork" else ""
 
 

@@ -163,7 +163,7 @@ class TimedWatch(Watch):
         runner = self.bench.runner
         if runner.in_use:
             return runner.run_seconds
-        # The first runs of an executor come at the same time, after that of one run.
+        # The first runs of a cluster come at the same time, after that of one run.
         if self._since is None or (runner.is_elsewhere and not self.state.generation):
             return 0.0
         began, before = self._since

@@ -83,8 +83,8 @@ class ProcessLostError(Exception, Generic[TaskT]):
     """Error for a task without a result, because the process that ran it died or hung.
 
     ``end`` describes in a few words how the process ended; it is given as these words or as its exit code. ``is_hang``
-    is True if the process hung and was killed. A ``pid`` of 0 stands for an executor's worker, whose process id is
-    unknown.
+    is True if the process hung and was killed. A ``pid`` of 0 stands for a worker on another machine, whose process id
+    is unknown.
     """
 
     def __init__(self, task: TaskT, *, pid: int, how: str | int | None, is_hang: bool = False) -> None:
@@ -431,7 +431,7 @@ class _Worker(Generic[TaskT]):
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave)
-        # A daemon, so that an executor's worker that ends kills it and does not wait for it.
+        # A daemon, so that a worker of a cluster that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
             # Python warns about any thread. This module has none, and those of numerical libraries are documented.

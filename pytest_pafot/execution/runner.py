@@ -9,13 +9,11 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self, TypeVar, cast
 
-from pytest_pafot.door import EXECUTOR_POOL, opened
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
@@ -23,9 +21,10 @@ from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
     BlockTask,
+    Cluster,
+    ClusterPool,
     Digest,
     ExecutionError,
-    ExecutorPool,
     InGym,
     Job,
     LostRun,
@@ -60,7 +59,7 @@ def runner_for(
     *,
     workers: int = 1,
     isolate: bool = False,
-    executor: Executor | None = None,
+    cluster: Cluster | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Runner:
     """Return the runner of a job.
@@ -71,14 +70,14 @@ def runner_for(
         workers: the largest number of other processes; with 1, all runs are made in this process, unless ``isolate`` is
             set.
         isolate: True if the ADS must never run in this process.
-        executor: an executor that makes the announced runs, and with ``isolate`` all runs; None for no executor.
+        cluster: workers that make the announced runs, and with ``isolate`` all runs; None for those of this machine.
         clock: a monotonic clock [s].
 
     Raises:
         WorldError: if the world cannot be used.
     """
     kind = Isolated if isolate else Runner
-    return kind(job, record, workers=workers, executor=executor, clock=clock)
+    return kind(job, record, workers=workers, cluster=cluster, clock=clock)
 
 
 DEAR = 0.010
@@ -98,15 +97,15 @@ turn out to be fast, the processes are ended.
 class Runner:
     """A runner, which returns runs that other processes made in advance, and makes all other runs in this process.
 
-    Other processes are started if runs turn out to be slow. With one worker, no process is ever started. If there is an
-    executor, it makes all announced runs.
+    Other processes are started if runs turn out to be slow. With one worker, no process is ever started. If there is a
+    cluster, its workers make all announced runs.
 
     The end of a ``with`` statement ends the processes that the runner has started, at once after an exception, and
     drops the announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
     """
 
     def __init__(
-        self, job: Job, record: CrashRecord, *, workers: int, executor: Executor | None, clock: Callable[[], float]
+        self, job: Job, record: CrashRecord, *, workers: int, cluster: Cluster | None, clock: Callable[[], float]
     ) -> None:
         self.job = job
         self.decisions = 0
@@ -119,10 +118,10 @@ class Runner:
         """The deaths of processes of earlier pools, and in blocks, in scenarios that ran to their end later."""
         self._record = record
         self._workers = workers
-        self._executor = executor
+        self._cluster = cluster
         self._clock = clock
         self._held = ExitStack()
-        self._pool: ScenarioPool | ExecutorPool | None = None
+        self._pool: ScenarioPool | ClusterPool | None = None
         self._failure = ""
         self._is_measured = self._drives = False
         self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
@@ -181,16 +180,16 @@ class Runner:
 
     @property
     def is_elsewhere(self) -> bool:
-        """True if an executor makes the announced runs."""
-        return self._executor is not None
+        """True if workers on other machines make the announced runs."""
+        return self._cluster is not None
 
     @property
     def notes(self) -> list[str]:
         """Notes on the use of processes if the user requested them; complete after the processes have ended."""
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
-        if self._executor is not None and self._pool is not None:
-            return cast("ExecutorPool", self._pool).notes
+        if self.is_elsewhere and self._pool is not None:
+            return cast("ClusterPool", self._pool).notes
         option = flag("workers", self._workers)
         if self._runs_before:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self.job.remark}"
@@ -204,8 +203,8 @@ class Runner:
 
     @property
     def in_use(self) -> int:
-        """The number of processes in use; 0 if none are, or if it is the executor that knows."""
-        return 0 if self._executor is not None or self._pool is None or self._pool.failure else self._workers
+        """The number of processes in use; 0 if none are, or if they are on other machines."""
+        return 0 if self.is_elsewhere or self._pool is None or self._pool.failure else self._workers
 
     @property
     def run_seconds(self) -> float:
@@ -221,7 +220,7 @@ class Runner:
         if not more:
             self.announced = {}
         if self._pool is None:
-            if self._executor is not None or self._workers > 1:
+            if self.is_elsewhere or self._workers > 1:
                 self.announced.update(dict.fromkeys(scenarios))
         elif not more:
             self._pool.expect(self._noted(scenarios))
@@ -257,9 +256,9 @@ class Runner:
     def read_here(self) -> None:
         """Let this process read the traces of all runs that are announced from now on; other processes judge none.
 
-        The workers of an executor, which may be elsewhere, judge no runs anyway.
+        Workers on other machines judge no runs anyway.
         """
-        if self._executor is None:
+        if not self.is_elsewhere:
             self.job = replace(self.job, read=read_nothing, drive=None)
             self.end()
 
@@ -290,14 +289,14 @@ class Runner:
             return made_from(self.ready.pop(scenario))
         if not announced or scenario not in self.announced:
             return None
-        if self._executor is not None and self._pool is None:
+        if self.is_elsewhere and self._pool is None:
             self._begin()
         del self.announced[scenario]
         self._is_measured = self._pool is None
         if self._pool is None:
             return None
         answer = self._pool.fetch(scenario)
-        if isinstance(answer, tuple) and self._executor is None:
+        if isinstance(answer, tuple) and not self.is_elsewhere:
             self._learn(answer[2])
         return made_from(answer)
 
@@ -322,10 +321,9 @@ class Runner:
         except ExecutionError as error:
             self._failure = str(error)
 
-    def _begin(self) -> ScenarioPool | ExecutorPool:
-        job, executor = self.job, self._executor
-        pool: ScenarioPool | ExecutorPool
-        pool = pool_for(job, self._workers) if executor is None else opened(EXECUTOR_POOL)(job, executor)
+    def _begin(self) -> ScenarioPool | ClusterPool:
+        pool: ScenarioPool | ClusterPool
+        pool = pool_for(self.job, self._workers) if self._cluster is None else self._cluster(self.job)
         self._pool = pool
         pool.expect(self.announced)
         return pool
@@ -336,17 +334,14 @@ class Isolated(Runner):
 
     @property
     def notes(self) -> list[str]:
-        """Notes on processes that died in runs that later succeeded, and on an executor that made all runs."""
-        if self._executor is not None and self._pool is not None:
-            pool = cast("ExecutorPool", self._pool)
-            return [] if pool.failure or pool.unable else pool.notes
-        return self._retried
+        """Notes on processes that died in runs that later succeeded, and on a cluster that made all runs."""
+        return super().notes if self.is_elsewhere else self._retried
 
     def _collect(self, scenario: Scenario, *, announced: bool) -> Trace | Facts:
         """Return the run of a scenario from a different process, and raise the exceptions of that process.
 
-        No run is repeated in this process. So if a worker of an executor raises, for example because it lacks a
-        package, the result is an ``ExecutionError``.
+        No run is repeated in this process. So if a worker on another machine raises, for example because it
+        lacks a package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
         if announced and scenario in self.ready:
@@ -360,13 +355,10 @@ class Isolated(Runner):
         """Return the run of a scenario with ``env.step`` of highway-env's own environment, from a different process.
 
         It is one of the processes that make the other runs, so that no more policies drive at once than there are
-        workers. An executor's worker need not have the environment, so for an executor it is one of this machine.
+        workers.
         """
         __tracebackhide__ = True
-        if self._executor is None:
-            return trace_of(made_apart(self._fetched(InGym(scenario))))
-        with Isolated(self.job, self._record, workers=1, executor=None, clock=self._clock) as here:
-            return here.in_gym(scenario)
+        return trace_of(made_apart(self._fetched(InGym(scenario))))
 
     def _fetched(self, task: Any) -> Answer:
         __tracebackhide__ = True
@@ -374,16 +366,15 @@ class Isolated(Runner):
         answer = pool.fetch(task)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-        if self._executor is not None and (unable := cast("ExecutorPool", pool).unable):
-            first = unable[0]
+        if self.is_elsewhere and isinstance(answer, Exception) and not isinstance(answer, ProcessLostError):
             raise ExecutionError(
                 f"{flag('isolate')}: expected workers that can make every run, received from one of them "
-                f"{type(first).__name__}: {first}; install what the run needs on the workers, or search without "
+                f"{type(answer).__name__}: {answer}; install what the run needs on the workers, or search without "
                 f"{flag('isolate')}, so that this process makes such runs"
             )
         return answer
 
-    def _begun(self) -> ScenarioPool | ExecutorPool:
+    def _begun(self) -> ScenarioPool | ClusterPool:
         try:
             return self._pool or self._begin()
         except ExecutionError as error:

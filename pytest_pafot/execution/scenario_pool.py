@@ -184,8 +184,8 @@ ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 several :data:`Timed`."""
 
 
-class ExecutorPool(Protocol):
-    """A pool that makes runs by the user's executor, with the same tasks and answers (:mod:`pytest_pafot.door`)."""
+class ClusterPool(Protocol):
+    """A pool that makes runs on other machines, with the same tasks and answers (:mod:`pytest_pafot.door`)."""
 
     recovered: list[LostRun]
     failure: str
@@ -194,22 +194,26 @@ class ExecutorPool(Protocol):
 
     @property
     def notes(self) -> list[str]:
-        """Notes for the user on the executor, and on runs that it could not make."""
+        """Notes for the user on the workers, and on runs that they could not make."""
 
-    def expect(self, scenarios: Iterable[Scenario]) -> None:
+    def expect(self, tasks: Iterable[Any]) -> None:
         """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
 
-    def add_all(self, scenarios: Iterable[Scenario]) -> None:
+    def add_all(self, tasks: Iterable[Any]) -> None:
         """Start to run some more scenarios."""
 
-    def fetch(self, scenario: Scenario) -> Answer:
+    def fetch(self, task: Any) -> Answer:
         """Wait for the answer to a scenario and return it; each answer can be fetched once."""
 
-    def arrived(self, scenario: Scenario) -> Answer | None:
+    def arrived(self, task: Any) -> Answer | None:
         """Return the answer to a scenario, which can still be fetched; None if there is none yet."""
 
     def close(self, *, at_once: bool = False) -> None:
         """Cancel the current tasks."""
+
+
+Cluster: TypeAlias = "Callable[[Job], ClusterPool]"
+"""A function that makes pools of the workers on other machines."""
 
 
 def read_nothing(said: object) -> None:

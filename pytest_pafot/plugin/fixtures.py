@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Generator, Iterator
-from contextlib import ExitStack
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
@@ -16,8 +15,6 @@ from pytest_pafot.plugin.option_sources import option_value
 from pytest_pafot.support.isolation import isolating
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from pytest_pafot.model.scenario import Scenario
     from pytest_pafot.oracle.run import Run
     from pytest_pafot.world.base_world import WorldLike
@@ -44,27 +41,6 @@ def pafot_world() -> WorldLike:
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
     return Highway()
-
-
-@pytest.fixture(scope="session")
-def pafot_executor(pytestconfig: pytest.Config) -> Iterator[Executor | None]:
-    """Yield the executor of scenarios: the workers of --pafot-dask, or None. Override this fixture in a conftest.py."""
-    address = pytestconfig.getoption(BY_NAME["dask"].key)
-    if address is None:
-        yield None
-        return
-    from pytest_pafot.door import DASK_EXECUTOR, opened  # noqa: PLC0415
-    from pytest_pafot.execution.scenario_pool import ExecutionError  # noqa: PLC0415
-    from pytest_pafot.plugin.terminal_reporter import LiveTerminal  # noqa: PLC0415
-
-    live = LiveTerminal(pytestconfig)
-    with ExitStack() as stack:
-        try:
-            connected = opened(DASK_EXECUTOR)(address, lambda text: live.write(["", f"pafot: {text}"]))
-            executor = stack.enter_context(connected)
-        except ExecutionError as error:
-            pytest.fail(str(error), pytrace=False)
-        yield executor
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,6 @@ SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
-EXECUTOR_FIXTURE = "pafot_executor"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
 POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
@@ -70,7 +69,7 @@ def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[s
     _check_name(target)
     given = [arguments.get("ads", DEFAULT_ADS), arguments.get("against")]
     names = [each for each in given if isinstance(each, str) and each and ":" not in each]
-    fixtures = [WORLD_FIXTURE, EXECUTOR_FIXTURE, *names]
+    fixtures = [WORLD_FIXTURE, *names]
     # usefixtures, not getfixturevalue at run time: a parametrised fixture must be known at collection.
     target = pytest.mark.usefixtures(*fixtures)(target)
     target = getattr(pytest.mark, SEARCH_MARK).with_args(*positional, **arguments)(target)

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import partial
@@ -40,7 +40,9 @@ from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.door import DASK, opened
 from pytest_pafot.execution.crash_records import records_of
+from pytest_pafot.execution.scenario_pool import Cluster, ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.labels import Label
@@ -50,9 +52,10 @@ from pytest_pafot.plugin import messages, node_ids
 from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, explained
 from pytest_pafot.plugin.finding_message import send_sighting
-from pytest_pafot.plugin.marks import EXECUTOR_FIXTURE, WORLD_FIXTURE
+from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.session import SHARED, is_worker
+from pytest_pafot.plugin.terminal_reporter import LiveTerminal
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.support.errors import RequestError, flag, rerun
@@ -63,6 +66,9 @@ from pytest_pafot.world.driving.policy import Policy
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
+
+CLUSTER: pytest.StashKey[Cluster | ExecutionError] = pytest.StashKey()
+"""The workers of ``--pafot-dask``, or the error of the connection to them."""
 
 IN_WORKER = f"{flag('workers')} is 1 under pytest-xdist, which runs tests in several processes already"
 
@@ -126,19 +132,29 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         root=item.config.rootpath,
         versions=installed_versions(world.packages),
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name), policy),
-        executor=_checked_executor(item.funcargs[EXECUTOR_FIXTURE]),
+        cluster=_cluster_of(item.config),
         needs_only_run=_needs_only_run(item, request.arg),
         states=None if resume is None else here / resume,
     )
 
 
-def _checked_executor(given: object) -> Executor | None:
-    if given is None or isinstance(given, Executor):
-        return given
-    raise RequestError(
-        f"expected the fixture {EXECUTOR_FIXTURE!r} to give a concurrent.futures.Executor or None, received "
-        f"{given!r:.100}; for a Dask client, return `client.get_executor()`"
-    )
+def _cluster_of(config: pytest.Config) -> Cluster | None:
+    """Return the workers of ``--pafot-dask``, to which the first search of a session connects; None without it."""
+    address = config.getoption(BY_NAME["dask"].key)
+    if address is None:
+        return None
+    if CLUSTER not in config.stash:
+        live = LiveTerminal(config)
+        connected = opened(DASK)(address, lambda text: live.write(["", f"pafot: {text}"]))
+        stack = ExitStack()
+        config.add_cleanup(stack.close)
+        try:
+            config.stash[CLUSTER] = stack.enter_context(connected)
+        except ExecutionError as error:
+            config.stash[CLUSTER] = error
+    if isinstance(found := config.stash[CLUSTER], ExecutionError):
+        pytest.fail(str(found), pytrace=False)
+    return found
 
 
 def bound_test(item: pytest.Function, arg: str) -> Test:

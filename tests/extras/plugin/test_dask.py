@@ -1,4 +1,4 @@
-"""The fixture `pafot_executor` and the option `dask`: runs on other machines, the same search."""
+"""The option `dask`: runs on other machines, the same search."""
 
 import math
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job
-from pytest_pafot.extras.executors import ExecutorPool, dask_executor
+from pytest_pafot.extras.dask_cluster import connected
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
@@ -18,7 +18,7 @@ from tests.plugin.test_workers import summary
 
 pytestmark = pytest.mark.processes
 
-NOTE = "*note: pafot_executor: {} made the runs of the generations"
+NOTE = "*note: --pafot-dask: workers made the runs of the generations"
 
 CONFTEST = """
 import os
@@ -28,16 +28,6 @@ from my_planner import Planner
 @pytest.fixture
 def ads():
     return Planner
-"""
-
-PROCESSES = """
-@pytest.fixture(scope="session")
-def pafot_executor():
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
-        yield executor
 """
 
 PLANNER = """
@@ -77,24 +67,7 @@ def session(project, run, *args):
 
 
 def told(result):
-    return [line for line in summary(result) if "pafot_executor" not in line]
-
-
-def test_executor_gives_same_results_as_one_process(elsewhere):
-    project, alone, contents = elsewhere
-    project.pytester.makeconftest(CONFTEST + PROCESSES)
-    several, same = session(project, project.run)
-    several.stdout.fnmatch_lines([NOTE.format("ProcessPoolExecutor")])
-    assert same == contents
-    assert told(several) == told(alone)
-
-
-def test_a_fixture_that_gives_something_else_is_refused(project):
-    project.pytester.makeconftest("import pytest\n\n@pytest.fixture\ndef pafot_executor():\n    return 4\n")
-    project.write("@pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))\ndef test_it(run):\n    pass\n")
-    project.run().stdout.fnmatch_lines(
-        ["*'pafot_executor' to give a concurrent.futures.Executor or None, received 4;*"]
-    )
+    return [line for line in summary(result) if "--pafot-dask" not in line]
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +81,7 @@ def cluster():
 def test_dask_workers_give_same_results_as_one_process(elsewhere, cluster):
     project, alone, contents = elsewhere
     several, same = session(project, project.run, f"--pafot-dask={cluster.scheduler_address}")
-    several.stdout.fnmatch_lines([NOTE.format("ClientExecutor")])
+    several.stdout.fnmatch_lines([NOTE])
     assert same == contents
     assert told(several) == told(alone)
 
@@ -127,8 +100,8 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
         owner="test_it.py::test_it",
         root=Path(__file__).parents[2],
     )
-    with dask_executor(cluster.scheduler_address, print) as executor:
-        pool = ExecutorPool(job, executor)
+    with connected(cluster.scheduler_address, print) as pool_of:
+        pool = pool_of(job)
         pool.expect(scenarios)
         answers = [pool.fetch(each) for each in scenarios[:10]]
         os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
@@ -141,13 +114,13 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
 def test_a_scheduler_that_does_not_answer_is_named():
     pytest.importorskip("distributed")
     with pytest.raises(ExecutionError, match=r"--pafot-dask=tcp://127\.0\.0\.1:9: expected a scheduler"):  # noqa: SIM117
-        with dask_executor("tcp://127.0.0.1:9", print, timeout=0.2):
+        with connected("tcp://127.0.0.1:9", print, timeout=0.2):
             pass
 
 
 def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("pytest_pafot.extras.executors.SOON", 0.1)
+    monkeypatch.setattr("pytest_pafot.extras.dask_cluster.SOON", 0.1)
     here = {"processes": False, "protocol": "tcp"}  # a worker in a process of its own takes seconds to start
     with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=":0", **here) as empty:
         told = []
@@ -156,8 +129,8 @@ def test_a_session_says_that_it_waits_for_the_first_worker(monkeypatch):
             told.append(text)
             empty.scale(1)
 
-        with dask_executor(empty.scheduler_address, tell) as executor:
-            assert executor.submit(int, "7").result() == 7
+        with connected(empty.scheduler_address, tell):
+            pass
     [text] = told
     assert text.startswith(f"--pafot-dask={empty.scheduler_address}: the scheduler has no worker, so no scenario runs")
     assert f"`dask worker {empty.scheduler_address}`" in text

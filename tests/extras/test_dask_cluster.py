@@ -1,4 +1,4 @@
-"""Runs by any executor: what is sent, how much at a time, and what happens to lost tasks."""
+"""Runs on the workers of a cluster: what is sent, and what happens to lost tasks."""
 
 import multiprocessing
 import os
@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from concurrent.futures import (
-    BrokenExecutor,
     CancelledError,
     Executor,
     Future,
@@ -22,9 +21,9 @@ import pytest
 
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import CapturedOutput, ExecutionError, Job
-from pytest_pafot.extras import executors
-from pytest_pafot.extras.executors import ExecutorPool, packed, versions_here
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.extras import dask_cluster
+from pytest_pafot.extras.dask_cluster import DaskPool, packed, versions_here
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
@@ -44,14 +43,12 @@ class KilledWorker(Exception):  # noqa: N818
 
 
 class Inline(Executor):
-    """An executor with one worker that runs tasks at once and loses some of them, by number."""
-
-    num_workers = 1
+    """An executor of Dask with one worker that runs tasks at once and loses some of them, by number."""
 
     def __init__(self, lost=(), error=KilledWorker):
         self.sizes, self.lost, self.error = [], lost, error
 
-    def submit(self, run, task):
+    def submit(self, run, task, **named):
         future, number = Future(), len(self.sizes)
         self.sizes.append(len(task))
         if number in self.lost:
@@ -72,22 +69,20 @@ class InThisProcess:
     def __init__(self, work, size, **options):
         self.work, self.recovered = work, []
 
-    def expect(self, scenarios):
-        ran.append(len(scenarios))
-
     def fetch(self, scenario):
+        ran.append(scenario.seed)
         return self.work(scenario, None)
 
 
 @pytest.fixture
 def pool_of(tmp_path, monkeypatch):
-    """Return a function that makes pools of an executor, whose workers need no own process."""
+    """Return a function that makes pools, whose workers need no own process."""
 
     def make(executor, ads=idle, worker=InThisProcess):
-        monkeypatch.setattr(executors, "WorkerPool", worker)
-        return ExecutorPool(job_of(tmp_path, ads), executor)
+        monkeypatch.setattr(dask_cluster, "WorkerPool", worker)
+        return DaskPool(executor, job_of(tmp_path, ads))
 
-    executors._bench.cache_clear()
+    dask_cluster._kept.cache_clear()
     ran.clear()
     return make
 
@@ -107,65 +102,17 @@ def numbers(answers):
     return [trace.scenario.seed for trace, *_ in answers]
 
 
-def test_executor_runs_equal_local_runs_in_their_order(pool_of):
+def test_runs_equal_local_runs_in_their_order(pool_of):
     answers = fetched(pool_of(Inline()))
     assert all(np.array_equal(trace.states, trace_of(trace.scenario).states) for trace, *_ in answers)
     assert numbers(answers) == list(range(48))
 
 
-@pytest.fixture
-def cheap(monkeypatch):
-    """Let runs take a millisecond."""
-    monkeypatch.setattr(Job, "run", lambda made, scenario: (trace_of(scenario), CapturedOutput(), 0.001))
-
-
-def test_cheap_runs_are_sent_in_two_tasks_a_worker(pool_of, cheap):
-    pool = pool_of(Inline())
-    fetched(pool, SCENARIOS[:4])
-    fetched(pool)
-    assert ran == [1, 1, 1, 1, 24, 24]
-
-
-def test_runs_of_half_a_second_are_sent_four_to_a_task(pool_of, monkeypatch):
-    monkeypatch.setattr(Job, "run", lambda made, scenario: (trace_of(scenario), CapturedOutput(), 0.5))
-    pool = pool_of(Inline())
-    fetched(pool, SCENARIOS[:1])
-    fetched(pool, SCENARIOS[:10])
-    assert ran == [1, 4, 4, 2]
-
-
-def test_all_get_a_task_if_nobody_says_how_many_workers_there_are(pool_of, cheap):
-    executor = Inline()
-    executor.num_workers = None
-    pool = pool_of(executor)
-    fetched(pool, SCENARIOS[:1])
-    fetched(pool)
-    assert ran == [1] * 49
-
-
-def test_announced_runs_wait_for_more_until_one_is_requested(pool_of, cheap):
-    pool = pool_of(Inline())
-    fetched(pool, SCENARIOS[:1])
-    pool.add_all(SCENARIOS[:12])
-    assert ran == [1, 6, 6]
-    pool.add_all(SCENARIOS[8:15])  # four of them are announced already
-    assert ran == [1, 6, 6]
-    assert numbers(map(pool.fetch, SCENARIOS[:15])) == list(range(15))
-    assert ran == [1, 6, 6, 3]
-
-
-def test_an_answer_that_has_arrived_can_still_be_fetched(pool_of, cheap):
+def test_an_answer_that_has_arrived_can_still_be_fetched(pool_of):
     pool = pool_of(Inline(lost=(2,)))
     pool.expect(SCENARIOS[:3])
     assert numbers(filter(None, map(pool.arrived, SCENARIOS[:4]))) == [0, 1]
     assert numbers(map(pool.fetch, SCENARIOS[:4])) == [0, 1, 2, 3]
-
-
-def test_dear_runs_have_a_task_each(pool_of):
-    pool = pool_of(Inline(), ads=lambda: lambda number: time.sleep(0.03))
-    for _ in range(2):
-        fetched(pool, SCENARIOS[:3])
-    assert ran == [1] * 6
 
 
 def test_world_and_ads_are_sent_once_per_worker(pool_of):
@@ -173,23 +120,13 @@ def test_world_and_ads_are_sent_once_per_worker(pool_of):
     pool = pool_of(executor, ads=lambda: lambda number: large)
     fetched(pool, SCENARIOS[:1])
     fetched(pool, SCENARIOS[1:2])
-    executors._bench.cache_clear()  # the next task goes to a different worker
+    dask_cluster._kept.cache_clear()  # the next task goes to a different worker
     assert numbers(fetched(pool, SCENARIOS[2:3])) == [2]
     fetched(pool, SCENARIOS[3:4])
     assert [size > 100_000 for size in executor.sizes] == [True, False, False, True, False]
 
 
-def test_lost_task_is_retried_scenario_by_scenario(pool_of):
-    executor = Inline(lost=(2,))
-    pool = pool_of(executor)
-    fetched(pool, SCENARIOS[:2])
-    assert numbers(fetched(pool, SCENARIOS[:6])) == [0, 1, 2, 3, 4, 5]
-    assert ran == [1, 1, 3, 1, 1, 1]
-    assert [lost.task.seed for lost in pool.recovered] == [0, 1, 2]
-    assert pool.recovered[0].recovery.startswith("a worker was lost (KilledWorker) while it ran <Scenario ")
-
-
-def test_an_executor_may_fail_once_without_a_known_reason(pool_of):
+def test_a_task_may_fail_once_without_a_known_reason(pool_of):
     pool = pool_of(Inline(lost=(1,), error=ValueError))
     assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
     assert [lost.end for lost in pool.recovered] == ["was lost (ValueError)"]
@@ -203,60 +140,46 @@ def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
     assert str(lost).startswith("the worker that ran <Scenario ")
 
 
-def test_broken_executor_is_not_used_again(pool_of):
-    class Broken(Inline):
-        def submit(self, run, task):
-            if self.sizes:
-                raise BrokenExecutor("a process ended")
-            return super().submit(run, task)
-
-    pool = pool_of(Broken(lost=(0,), error=BrokenExecutor))
-    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
-    assert pool.notes == [
-        "pafot_executor: this process ran the scenarios; the executor failed: BrokenExecutor: a process ended"
-    ]
-
-
 def test_a_connection_that_fails_is_tried_once_more(pool_of):
     pool = pool_of(Inline(lost=(1,), error=ConnectionResetError))
     assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
     assert [lost.end for lost in pool.recovered] == ["was lost (ConnectionResetError)"]
 
 
-def test_executor_with_failing_connections_is_not_used_again(pool_of):
+def test_cluster_with_failing_connections_is_not_used_again(pool_of):
     executor = Inline(lost=range(1, 99), error=OSError)
     pool = pool_of(executor)
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
     fetched(pool, SCENARIOS[3:6])
     assert len(executor.sizes) == 4
-    assert pool.notes == ["pafot_executor: this process ran the scenarios; the executor failed: OSError: pafot-1"]
+    assert pool.notes == ["--pafot-dask: this process ran the scenarios; the cluster failed: OSError: pafot-1"]
 
 
-def test_executor_that_drops_a_task_twice_is_not_used_again(pool_of):
+def test_cluster_that_drops_a_task_twice_is_not_used_again(pool_of):
     pool = pool_of(Inline(lost=range(1, 99), error=CancelledError))
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
-    assert pool.notes[0].endswith("the executor failed: CancelledError: pafot-1")
+    assert pool.notes[0].endswith("the cluster failed: CancelledError: pafot-1")
 
 
-def test_executor_that_refuses_tasks_is_not_used_again(pool_of):
+def test_cluster_that_refuses_tasks_is_not_used_again(pool_of):
     class ClosedClientError(Exception):
         """Dask's, which is neither a RuntimeError nor an OSError."""
 
     class Closed(Inline):
-        def submit(self, run, task):
+        def submit(self, run, task, **named):
             if self.sizes:
                 raise ClosedClientError("the client is closed")
-            return super().submit(run, task)
+            return super().submit(run, task, **named)
 
     pool = pool_of(Closed())
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [RuntimeError] * 3
-    assert pool.notes[0].endswith("the executor failed: ClosedClientError: the client is closed")
+    assert pool.notes[0].endswith("the cluster failed: ClosedClientError: the client is closed")
 
 
 def test_worker_with_different_package_versions_is_refused(pool_of, monkeypatch):
     pool = pool_of(Inline())
     here = versions_here()
-    monkeypatch.setattr(executors, "versions_here", lambda: here | {"numpy": "1.0", "python": "3.9.1"})
+    monkeypatch.setattr(dask_cluster, "versions_here", lambda: here | {"numpy": "1.0", "python": "3.9.1"})
     received = rf"at .*: python {here['python']} in this session, 3\.9\.1 there; numpy .* in this session, 1\.0 there"
     with pytest.raises(ExecutionError, match=received):
         fetched(pool)
@@ -293,24 +216,14 @@ def test_runs_impossible_on_workers_happen_in_the_session(pool_of):
     )
 
 
-def test_isolated_runs_by_an_executor_say_so_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
-    executors._bench.cache_clear()
-    job = job_of(tmp_path)
-    isolated = runner_for(job, job.crash_record(), isolate=True, executor=Inline())
-    assert isolated.run(SCENARIOS[0]) is not None
-    assert isolated.notes == ["pafot_executor: Inline made the runs of the generations"]
-
-
 def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(executors, "WorkerPool", Unable)
-    executors._bench.cache_clear()
+    monkeypatch.setattr(dask_cluster, "WorkerPool", Unable)
+    dask_cluster._kept.cache_clear()
     job = job_of(tmp_path)
-    isolated = runner_for(job, job.crash_record(), isolate=True, executor=Inline())
+    isolated = runner_for(job, job.crash_record(), isolate=True, cluster=partial(DaskPool, Inline()))
     assert isolated.run(SCENARIOS[0]) is not None
     with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; install"):
         isolated.run(SCENARIOS[1])
-    assert isolated.notes == []
 
 
 def test_what_cannot_travel_is_refused(tmp_path):
@@ -323,6 +236,16 @@ def test_missing_cloudpickle_error_says_how_to_install_it(tmp_path, monkeypatch)
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
     with pytest.raises(ExecutionError, match=r"expected the package cloudpickle, .*'pytest-pafot\[dask\]'"):
         packed(job_of(tmp_path))
+
+
+class Submitting:
+    """An executor of Python as one of Dask, whose tasks have a key."""
+
+    def __init__(self, executor):
+        self.executor = executor
+
+    def submit(self, run, task, **named):
+        return self.executor.submit(run, task)
 
 
 class Marking(Simulator):
@@ -349,9 +272,9 @@ class Marking(Simulator):
 def test_simulator_of_a_worker_is_closed_when_the_worker_ends(tmp_path, how):
     world = SimulatorWorld(partial(Marking, tmp_path), duration=1.0)
     with how(1) as executor:
-        fetched(ExecutorPool(job_of(tmp_path, lambda: lambda seen: (0.0, 0.0), world), executor), SCENARIOS[:2])
+        fetched(DaskPool(Submitting(executor), job_of(tmp_path, lambda: lambda seen: (0.0, 0.0), world)), SCENARIOS[:2])
         assert [*tmp_path.iterdir()] == []
-    executors._bench.cache_clear()  # as the end of this process would
+    dask_cluster._kept.cache_clear()  # as the end of this process would
     for process in multiprocessing.active_children():
         process.join(60.0)
     assert len([*tmp_path.iterdir()]) == 1
@@ -369,11 +292,11 @@ def test_hanging_or_dying_run_leaves_its_worker_alive(tmp_path):
     world = Highway(duration=1.0, hang_limit=2.0)
     runs = [Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells]) for cells in ((2,), (2, 3), (1, 2, 3))]
     with ThreadPoolExecutor(1) as executor:
-        first, hangs, dies = fetched(ExecutorPool(job_of(tmp_path, lambda: drive, world), executor), runs)
+        first, hangs, dies = fetched(DaskPool(Submitting(executor), job_of(tmp_path, lambda: drive, world)), runs)
     assert (first[0].outcome, hangs[0].outcome) == (Outcome.SAFE, Outcome.HANG)
     assert isinstance(dies, ProcessLostError)
     assert dies.end == "ended with exit code 9"
-    executors._bench.cache_clear()  # and with it the only end of a pipe for which the process waits
+    dask_cluster._kept.cache_clear()  # and with it the only end of a pipe for which the process waits
     for process in multiprocessing.active_children():
         process.join(60.0)
     assert multiprocessing.active_children() == []
