@@ -217,6 +217,7 @@ def pids(project):
     return {path.name for path in project.path.glob("pid-*")}
 
 
+@pytest.mark.usefixtures("examined")
 def test_isolated_search_explains_the_same_as_the_session_does(isolated):
     project = isolated("drive", TURNS)
     here, contents = session(project, "--pafot-seed=0")

@@ -10,7 +10,7 @@ def test_checks(run):
     pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)
 
 @pytest.mark.parametrize("limit", [1, 2])
-@pafot.search(SHORT)  # stop_after=1
+@pafot.search(SHORT)
 def test_ends(run, limit):
     assert run.duration < limit
 """
