@@ -49,7 +49,6 @@ class Ending(StrEnum):
     GENERATIONS = "all generations done"
     RUNS = "all runs done"
     MAX_TIME = flag("max_time")
-    TOTAL_TIME = flag("total_time")
     FINDINGS = "enough findings"
     REPLAYS = "replay only"
     INTERRUPTED = "interrupted"

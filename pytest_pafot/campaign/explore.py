@@ -30,7 +30,6 @@ from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import source_file
-from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
@@ -154,7 +153,8 @@ def explore(
         replays = replays_of(request, holds, name, Path(scratch), needs_only_run=on_event is None)
         now = time.monotonic()
         with prepared(replays.harness, has_table=True) as parts:
-            limit = time_limit(request.settings, now=now, began=now, left=1)
+            max_time = request.settings.max_time
+            limit = math.inf if max_time is None else now + max_time
             session = SearchSession(watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays)
             happens = Events(session.run())
             while not happens.is_over:

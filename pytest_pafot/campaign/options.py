@@ -164,14 +164,6 @@ class Settings:
         "its next decision. A search that is cut is not reproducible.",
         is_argument=False,
     )
-    total_time: float | None = option(
-        "seconds",
-        "Limit of wall-clock time of all searches together [s].",
-        "From the start of the session on. Each search gets an equal share of what is left, and in any case up to 2 s "
-        "for its first run. With `-n N` each of the N workers shares out the same time, and expects to run one Nth of "
-        "the searches.",
-        is_argument=False,
-    )
     resume: str | None = option(
         "text",
         "Folder of the states of searches, in which each search continues where it stopped.",

@@ -38,7 +38,7 @@ from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import BlockDriver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
-from pytest_pafot.campaign.watch import LEAST, TimedWatch, TimeLimit, Watch
+from pytest_pafot.campaign.watch import LEAST, TimedWatch, Watch
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
@@ -167,17 +167,15 @@ class Prepared:
         plan = plan_of(algorithm, generations=generations, seed=seed)
         return search(Blocks(plan=plan, bench=self.bench), self.state, self.store, Watch(stop))
 
-    def watch(
-        self, node_id: str, limit: TimeLimit, *, progress_seconds: float, stops_at_first: bool = False
-    ) -> TimedWatch:
-        """Return the watch of the search that is ready; with ``stops_at_first`` it ends at its first new finding."""
+    def watch(self, node_id: str, limit: float, *, progress_seconds: float) -> TimedWatch:
+        """Return the watch of the search that is ready, which has to end at the time ``limit`` [s]."""
         return TimedWatch(
             node_id=node_id,
             state=self.state,
             bench=self.bench,
             store=self.store,
             limit=limit,
-            most=1 if stops_at_first else self.bench.harness.request.settings.stop_after,
+            most=self.bench.harness.request.settings.stop_after,
             progress_seconds=progress_seconds,
         )
 
@@ -294,7 +292,7 @@ class SearchSession:
         return self.watch.store
 
     @property
-    def limit(self) -> TimeLimit:
+    def limit(self) -> float:
         """The limit of the search's time."""
         return self.watch.limit
 
@@ -306,7 +304,7 @@ class SearchSession:
     @property
     def _ends_with_warnings(self) -> tuple[Ending, ...]:
         """The reasons for an end that leave enough runs to warn of their health."""
-        return Ending.GENERATIONS, Ending.RUNS, self.limit.flag
+        return Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
 
     def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
         """Yield the events among what happens.
@@ -341,7 +339,7 @@ class SearchSession:
         harness, state, bench, store = self.harness, self.state, self.bench, self.store
         yield SearchStarted(node_id=self.watch.node_id, seed=store.seed)
         began = state.clock()
-        bench.refining_end = max(self.limit.end, began + LEAST)
+        bench.refining_end = max(self.limit, began + LEAST)
         # A process of an earlier session may have died: its scenario is tried again before anything else.
         left = harness.left_behind()
         retried = list[Retried]()
@@ -365,7 +363,7 @@ class SearchSession:
                     bench=bench,
                     store=store,
                     most=harness.request.settings.pairs,
-                    end=now + (self.limit.end - now) / 2,
+                    end=now + (self.limit - now) / 2,
                 )
                 yield from self._events(self._worse.compare(state.space))
             yield from self._refine(reason)
@@ -406,7 +404,7 @@ class SearchSession:
 
     def _settle(self, reason: Ending) -> None:
         """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
-        is_cut = reason.is_broken_off or reason is self.limit.flag
+        is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
         for signature, find_id in self.store.settle(self.state.runs + 1, keeps=is_cut):
             self.state.add(signature, find_id)
             self.state.verdicts["failed"] += 1
@@ -418,7 +416,7 @@ class SearchSession:
         way_on = "" if state.file is None else f"; {flag('resume')} goes on"
         try:
             with GENERATORS.held():
-                yield from self._events(refine(state, self.bench, self.store, until=self.limit.end, way_on=way_on))
+                yield from self._events(refine(state, self.bench, self.store, until=self.limit, way_on=way_on))
         finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
             state.write(self.store)
 
@@ -481,14 +479,14 @@ class SearchSession:
         others = [each for each in saved if not self._is_own(each)]
         self.store.replayed = frozenset(each.path for each in others)
         state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
-        until = began + (self.limit.end - began) * (1 - FOR_SIMPLIFYING)
+        until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
         try:
             with runs_end_in(self.bench.refining_end - clock()):
                 state.shown = self.replays.shown_by(others)  # Their failures are not new.
                 self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
                 yield from self._events(self._find_again(saved, until))
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
-            return self.limit.flag
+            return Ending.MAX_TIME
         watch.begin(until)
         runs_before = state.runs
         try:
@@ -514,7 +512,7 @@ class SearchSession:
         is_cut = state.finished is not None and state.finished.reason == "time"
         if is_cut and lost > max(1.0, SLOW_RUNS * (watch.last - watch.began) / (runs + 1)):
             self.driver_notes.append(
-                f"{self.limit.flag} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
+                f"{Ending.MAX_TIME} cut a run after {lost:.1f} s, with {plural(runs, 'run')} before it: if a decision "
                 "hangs, a longer limit or a shorter hang_limit of the world shows it"
             )
         return Ending.INTERRUPTED if state.finished is None else self._ending_of(state.finished.reason)
@@ -526,7 +524,7 @@ class SearchSession:
             case "runs":
                 return Ending.RUNS
             case "time":
-                return self.limit.flag
+                return Ending.MAX_TIME
             case "stopped":
                 return Ending.FINDINGS
 
@@ -623,7 +621,7 @@ class SearchSession:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         budget, generations = state.budget(settings)
         # With a file of its state the search goes on where it was cut, so the result does not depend on the machine.
-        is_cut = reason is self.limit.flag and self.state.file is None
+        is_cut = reason is Ending.MAX_TIME and self.state.file is None
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         notes = (
             state.doubt,
@@ -771,7 +769,7 @@ class SearchSession:
             if not is_broken_off:
                 how = f"{again} and more time, or with {resume}"
                 how = f"{resume} goes on" if self.state.file is not None else how
-                yield f"{self.limit.flag} ended before {what} shrunk: {how}"
+                yield f"{Ending.MAX_TIME} ended before {what} shrunk: {how}"
             elif self.state.file is None:
                 yield f"ended before {what} shrunk: {again}"
         is_short = settings.runs == RUNS

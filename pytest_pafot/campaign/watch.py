@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
-from pytest_pafot.campaign.events import Ending, Progress, SearchEvent
-from pytest_pafot.campaign.options import Settings
+from pytest_pafot.campaign.events import Progress, SearchEvent
 from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
@@ -27,30 +26,7 @@ RUNS_FOR_MOMENT = 40
 
 LEAST = 2.0
 """The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
-is over by then [s]. So a search of a fast policy tests something although others have used up the session's time."""
-
-
-class TimeLimit(NamedTuple):
-    """The time limit of a search, including shrinking: the option's flag, and the time of the end [s] or infinity."""
-
-    flag: Ending
-    end: float
-
-
-def time_limit(settings: Settings, *, now: float, began: float, left: int) -> TimeLimit:
-    """Return the time limit of a search: its own limit or its share of the session's limit, whichever ends first.
-
-    Args:
-        settings: the options of the search.
-        now: the time at which the search begins [s].
-        began: the time at which the session began [s].
-        left: the number of searches, including this search, that share the remaining time of the session equally.
-    """
-    own = TimeLimit(Ending.MAX_TIME, now + (math.inf if settings.max_time is None else settings.max_time))
-    if settings.total_time is None:
-        return own
-    share = max(0.0, began + settings.total_time - now) / left
-    return min(own, TimeLimit(Ending.TOTAL_TIME, now + share), key=lambda limit: limit.end)
+is over by then [s]. So a search of a fast policy tests something even with a very short limit."""
 
 
 @dataclass(slots=True)
@@ -82,7 +58,7 @@ class TimedWatch(Watch):
 
     Attributes:
         node_id: the node id of the search in reports.
-        limit: the limit of the time of the search.
+        limit: the time at which the search has to end, with shrinking, or infinity [s].
         most: the number of findings after which it ends, or None.
         progress_seconds: the interval between reports of progress [s].
         began: the time at which the loop began [s].
@@ -94,7 +70,7 @@ class TimedWatch(Watch):
     state: State
     bench: Bench
     store: Store
-    limit: TimeLimit
+    limit: float
     most: int | None
     progress_seconds: float
     began: float = 0.0
@@ -123,7 +99,7 @@ class TimedWatch(Watch):
 
     def seconds_left(self) -> float:
         """Return the time after which a run may be cut [s]. The first run gets its time in any case."""
-        ends = self._ends() if self.store.firm else self.limit.end
+        ends = self._ends() if self.store.firm else self.limit
         ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
         return ends - self.state.clock()
 
@@ -135,13 +111,13 @@ class TimedWatch(Watch):
         """
         harness, state = self.bench.harness, self.state
         settings, firm = harness.request.settings, self.store.firm
-        if self.limit.end == math.inf:
+        if self.limit == math.inf:
             return self.earliest_end
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT
         to_compare = 0 if harness.against is None else 2 * settings.pairs
         run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
         seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
-        return max(self.earliest_end, self.limit.end - seconds)
+        return max(self.earliest_end, self.limit - seconds)
 
     def after_event(self) -> Iterator[SearchEvent]:
         """Yield a report of the progress if one is due after an event of the plan."""
@@ -192,7 +168,7 @@ class TimedWatch(Watch):
             seconds=state.seconds_so_far,
             left=runs_left * run_seconds / max(runner.in_use, 1),
             decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
-            is_limited=self.limit.end < math.inf,
+            is_limited=self.limit < math.inf,
             phase=phase,
             of=of,
         )

@@ -176,15 +176,10 @@ class Execution:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Note that a search begins, or set the properties of a saved scenario, before the item can fail or be skipped.
-
-        A search that has begun no longer needs a share of the session's time, even if it is skipped.
-        """
+        """Set the properties of a saved scenario before its item can fail or be skipped."""
         saved = saved_of(item)
         if saved is not None:
             set_of_saved(item, saved)
-        if is_search(item):
-            item.config.stash[SHARED].begun.add(item.nodeid)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_makereport(

@@ -37,7 +37,6 @@ from pytest_pafot.campaign.search_session import (
 )
 from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
-from pytest_pafot.campaign.watch import time_limit
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.door import DASK, opened
@@ -49,7 +48,7 @@ from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import messages, node_ids
-from pytest_pafot.plugin.collection import COLLECTED, is_search, policy_of
+from pytest_pafot.plugin.collection import COLLECTED, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, explained
 from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.marks import WORLD_FIXTURE
@@ -224,20 +223,15 @@ def run_search(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     today = date.fromisoformat(shared.today)
-    now = time.monotonic()
-    limit = time_limit(settings, now=now, began=shared.began, left=searches_left(item))
+    limit = math.inf if settings.max_time is None else time.monotonic() + settings.max_time
     harness = harness_of(item, request)
     replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
     messages_of_search = SearchMessages(item, settings)
-    # With these options pytest stops at the first failed item. The loop inside of this item must do the same.
-    is_first_enough = bool(item.config.getoption("usepdb", False)) or item.config.getoption("maxfail", 0) == 1
     with prepared(chosen) as parts:
         session = SearchSession(
-            watch=parts.watch(
-                item.nodeid, limit, progress_seconds=shared.progress_seconds, stops_at_first=is_first_enough
-            ),
+            watch=parts.watch(item.nodeid, limit, progress_seconds=shared.progress_seconds),
             replays=replace(replays, harness=chosen),
             process_notes=[] if chosen is harness else [AFTER_A_DEATH],
         )
@@ -271,18 +265,6 @@ def run_search(item: pytest.Function, request: Request) -> None:
         _fail(item, "the search tested nothing", summary.warnings)
     if summary.warnings and settings.strict_health:
         _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
-
-
-def searches_left(item: pytest.Item) -> int:
-    """Return how many searches this process still has to run, including the search of this item.
-
-    A worker of pytest-xdist does not know which searches the other workers will run. It assumes an equal share for each
-    worker.
-    """
-    searches = sum(map(is_search, item.session.items))
-    workers: int = getattr(item.config, "workerinput", {}).get("workercount", 1)
-    begun = item.config.stash[SHARED].begun - {item.nodeid}
-    return max(1, math.ceil(searches / workers) - len(begun))
 
 
 def shown(exception: BaseException) -> BaseException:

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
@@ -43,13 +42,11 @@ class Shared:
 
     progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # interval between reports of progress [s]
     width: int = field(default_factory=terminal_width)  # of the terminal, which a worker cannot query [columns]
-    began: float = field(default_factory=time.monotonic)  # start of the session, by the clock of this process [s]
     # the day with which the last days of accepted failures are compared, as a text that can be sent to workers
     today: str = field(default_factory=lambda: date.today().isoformat())
     # node ids of the saved scenarios that the first workers collected, or None before. A worker that replaces a crashed
     # one collects only these, and no file written since: pytest-xdist needs the same items in all workers
     frozen: frozenset[str] | None = None
-    begun: set[str] = field(default_factory=set)  # node ids of the searches that this process has begun
 
 
 class SummaryLines:
@@ -162,9 +159,7 @@ def is_worker(config: pytest.Config) -> bool:
 
 def shared_by_controller(config: pytest.Config) -> Shared:
     """Return the shared values in a worker, as its controller chose them."""
-    # Both processes share only the wall clock. If it was set back since, the session begins now.
-    values = config.workerinput[KEY]  # type: ignore[attr-defined]
-    return Shared(**values | {"began": time.monotonic() - max(0.0, time.time() - values["began"])})
+    return Shared(**config.workerinput[KEY])  # type: ignore[attr-defined]
 
 
 class _KeptEvents(Queue[Any]):
@@ -201,8 +196,7 @@ class Controller:
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: Any) -> None:
         """Pass the shared values to a new worker, as plain data."""
-        shared = node.config.stash[SHARED]
-        node.workerinput[KEY] = asdict(shared) | {"began": time.time() - (time.monotonic() - shared.began)}
+        node.workerinput[KEY] = asdict(node.config.stash[SHARED])
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:

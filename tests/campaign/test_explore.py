@@ -18,10 +18,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore
-from pytest_pafot.campaign.events import Ending, Judged, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
 from pytest_pafot.campaign.refine import simplest
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
-from pytest_pafot.campaign.watch import TimeLimit
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, write
 from pytest_pafot.findings.finding import of_failure
@@ -179,7 +178,7 @@ def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
     given = {"ads": constant_speed.make, "world": None, "seed": 5, "corpus": str(tmp_path), **SHORT}
     replays = explore.replays_of(explore.request_of(given), never_collides, "test_it.py::test_it", tmp_path)
     with prepared(replays.harness) as parts:
-        watch = parts.watch("test_it.py::test_it", TimeLimit(Ending.MAX_TIME, math.inf), progress_seconds=math.inf)
+        watch = parts.watch("test_it.py::test_it", math.inf, progress_seconds=math.inf)
         happens = SearchSession(watch=watch, replays=replays).run()
         before = signal.getsignal(signal.SIGINT)
         found = next(event for event in happens if isinstance(event, Sighting))

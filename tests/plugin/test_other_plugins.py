@@ -85,21 +85,6 @@ def test_junit_has_a_case_for_search_and_finding(failing, family):
     assert text.count("<testcase ") == text.count("<failure ") == 1 + len(failing.files) == 2
 
 
-@pytest.mark.parametrize("option", ["-x", "--maxfail=1"])
-def test_search_stops_at_first_finding_with_exitfirst(project, option):
-    project.write(TWO.replace("# stop_after=1", ""))
-    result = project.run(option, generations=5)
-    assert len(project.files) == 1
-    result.assert_outcomes(failed=2)
-    assert "test_second" not in result.stdout.str()
-
-
-def test_search_continues_when_maxfail_exceeds_one(project):
-    project.write(MANY)
-    project.run("--maxfail=9")
-    assert len(project.files) > 1
-
-
 def test_pdb_stops_in_function_at_first_finding(project):
     project.write(MANY)
     project.pytester.makepyfile(
@@ -118,7 +103,7 @@ class Quiet(pdb.Pdb):
         print("STANDS IN", frames[-1].f_code.co_name)
 """
     )
-    result = project.run("--pdb", "--pdbcls=quiet:Quiet")
+    result = project.run("--pdb", "--pdbcls=quiet:Quiet", "--pafot-stop-after=1")
     result.stdout.fnmatch_lines(["*STANDS IN test_many"])
     assert len(project.files) == 1
 
@@ -131,7 +116,7 @@ def test_under_pdb_a_note_says_what_was_found(failing, monkeypatch):
 
 def test_collect_only_lists_the_items_and_simulates_nothing(project):
     project.write(COUNTED)
-    project.run_once("-x")
+    project.run_once("--pafot-stop-after=1")
     before = runs(project)
     result = project.run("--collect-only", "-q")
     result.stdout.fnmatch_lines(

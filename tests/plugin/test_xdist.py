@@ -53,7 +53,7 @@ def test_xdist_workers_give_same_results_as_one_process(project):
 
 def test_workers_replay_and_label(project):
     project.write(TWO)
-    project.run_once("-x")
+    project.run_once("--pafot-stop-after=1")
     result = project.run("-n1", generations=0)
     result.assert_outcomes(failed=1, skipped=2)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -74,7 +74,7 @@ def test_workers_name_the_base_seed_once(project):
 
 def test_workers_report_orphans_once(project):
     project.write(TWO)
-    project.run_once("-x")
+    project.run_once("--pafot-stop-after=1")
     project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
     result = project.run("-n2", generations=0)
     assert result.stdout.str().count("without a test in pafot_corpus/test_it/test_first") == 1
@@ -140,7 +140,7 @@ def test_two_simultaneous_sessions_write_one_file_per_finding(project):
 
 def test_workers_run_a_corpus_file_alone(project):
     project.write(TWO)
-    project.run_once("-x")
+    project.run_once("--pafot-stop-after=1")
     project.run("-n1", project.files[0]).assert_outcomes(failed=1)
 
 
