@@ -194,7 +194,7 @@ def test_given_and_search_on_one_function_are_refused(project):
 
 
 WRONG = [
-    ("colour='red'", "*(colour=...): expected one of acts, ads, *"),
+    ("colour='red'", "*(colour=...): expected one of ads, *"),
     ("5", "*expected keyword arguments only, received (5,)*"),
     ("commit='a'", "*this applies to the whole session; give --pafot-commit on the command line*"),
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, avoidable, received 'npc'*"),

@@ -71,7 +71,7 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert (record.exit, record.problems) == (pytest.ExitCode.TESTS_FAILED, [])
     assert (search.node_id, search.result, search.finds) == ("test_it.py::test_fails[search]", "failed", [saved.id])
     assert (search.base_seed, search.seed) == (1, saved.found.seed)
-    assert search.message == f"1 new finding: {saved.id}"
+    assert search.message == f"Failed: 1 new finding in {search.runs} run, reported below"
     assert (find.node_id, find.status, find.result) == (f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed")
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.text, saved.expect.responsibility)
@@ -107,10 +107,6 @@ def test_replay_is_recorded_with_label_and_result(saved):
     (find,) = recorded(saved, generations=0).findings
     assert (find.status, find.result, find.file) == ("still failing", "failed", saved.files[0])
     assert find.headline
-    saved.only_file.write_text(saved.only_file.read_text().replace("# xfail", "xfail"))
-    record = recorded(saved, generations=0)
-    assert (record.exit, record.findings[0].result, record.searches) == (0, "xfailed", [])
-    assert record.findings[0].xfail == {"reason": "reason", "until": None, "flaky": False}
 
 
 def test_expired_xfail_is_recorded_with_a_warning(saved):
@@ -120,8 +116,8 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
     saved.only_file.write_text(text)
     records = [recorded(saved, f"--pafot-today={day}", generations=0) for day in ("2027-01-31", "2027-02-01")]
     assert [record.findings[0].result for record in records] == ["xfailed", "failed"]
-    assert [record.findings[0].xfail["until"] for record in records] == ["2027-01-31"] * 2
-    assert records[0].warnings == []
+    assert [record.findings[0].xfail for record in records] == [{"reason": "issue 12", "until": "2027-01-31"}] * 2
+    assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
     assert warning.startswith(f"{saved.files[0]}: accepted (issue 12, until 2027-01-31), but that day is over: ")
 
