@@ -56,9 +56,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 TESTS = Path(__file__).parent / "tests"
-EXTRAS = TESTS / "extras"
+OPTIONAL = TESTS / "optional"
 LONG = set((TESTS / "long.txt").read_text(encoding="utf-8").split())
-STAGES = ("processes", "long", "stories", "oracle", "extras")
+STAGES = ("processes", "long", "stories", "oracle", "optional")
 NAMED = re.compile(rf"\bmark\.({'|'.join(STAGES)})\b|\bhelpers\.stages\b")
 WHOLE = re.compile(rf"^pytestmark = (?:\[\s*)?pytest\.mark\.({'|'.join(STAGES)})\b", re.MULTILINE)
 TEST = re.compile(r"^ *def (test_\w+)\(", re.MULTILINE)
@@ -70,7 +70,7 @@ def has_stages(path: Path) -> bool:
     """Return whether a test file names a stage, or a list or its folder puts tests of it into one."""
     file = f"{path.relative_to(TESTS.parent).as_posix()}::"
     is_listed = any(each.startswith(file) for each in LONG)
-    return is_listed or path.is_relative_to(EXTRAS) or bool(NAMED.search(path.read_text(encoding="utf-8")))
+    return is_listed or path.is_relative_to(OPTIONAL) or bool(NAMED.search(path.read_text(encoding="utf-8")))
 
 
 def left_out(config: pytest.Config) -> set[str]:
@@ -91,15 +91,15 @@ def is_left_out(path: Path, stages: set[str]) -> bool:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Leave out what a whole session would import only to deselect, unless a path names it.
 
-    The main stage leaves out the tests of extras, which import pandas, matplotlib and others, and the files that are
+    The main stage leaves out tests/optional, which imports pandas, matplotlib and others, and the files that are
     wholly of other stages; the other stages leave out the files without tests of theirs, which are a third.
     """
     is_test = collection_path.suffix == ".py" and collection_path.name.startswith("test_")
     if config.option.markexpr.startswith("not "):
-        is_named = any("extras" in argument for argument in config.args)
+        is_named = any("optional" in argument for argument in config.args)
         stages = left_out(config)
         is_of_others = bool(stages) and is_test and is_left_out(collection_path, stages)
-        return True if is_of_others or (collection_path == EXTRAS and not is_named) else None
+        return True if is_of_others or (collection_path == OPTIONAL and not is_named) else None
     words = set(re.findall(r"\w+", config.option.markexpr))
     is_of_stages = bool(words) and words <= {*STAGES, "or"} and config.args == config.getini("testpaths")
     return True if is_of_stages and is_test and not has_stages(collection_path) else None

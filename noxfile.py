@@ -16,7 +16,7 @@ PYTHONS = nox.project.python_versions(PROJECT)
 """The Python versions that the project supports, oldest first."""
 README = Path("README.md").read_text(encoding="utf-8")
 QUICK = "@tests/quick.txt"
-STAGES = "oracle or stories or processes or extras or long"
+STAGES = "oracle or stories or processes or optional or long"
 
 nox.options.sessions = ["lint", "types", f"quick-{PYTHONS[-1]}"]
 nox.options.reuse_venv = "yes"

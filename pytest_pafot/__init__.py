@@ -55,13 +55,13 @@ _NAMES = {
     "oracle.checks": "CheckFailed check reject target",
     "oracle.run": "Run",
     "plugin.marks": "search",
+    "world.sumo": "sumo",
     "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState "
     "World WorldError WorldLike",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
-_OF_EXTRAS = ("policies", "sumo")  # see door.NAMES
-_MODULES = ("properties", "strategies")
+_MODULES = ("policies", "properties", "strategies")
 
 __all__ = [
     "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
@@ -76,9 +76,6 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"pytest_pafot.{name}")
-    if name in _OF_EXTRAS:
-        door = import_module("pytest_pafot.door")
-        return door.opened(door.NAMES[name])
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)

@@ -19,13 +19,25 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
-from pytest_pafot.door import COMMANDS, Command, opened
 from pytest_pafot.support.receipts import ended_with, leave_receipt, taken_receipt, unfinished
 
-OWN_COMMANDS = MappingProxyType({
+
+class Command(NamedTuple):
+    """A command of ``python -m pytest_pafot``: its module has ``add_arguments`` and ``run``."""
+
+    module: str
+    help: str
+    about: str
+    is_gate: bool = False
+    """Whether its exit code is a verdict on a policy, so that it has to leave a receipt."""
+
+
+COMMANDS = MappingProxyType({
     "search": Command(
         "pytest_pafot.commands.search_command",
         "search for traffic in which a policy crashes, without a test",
@@ -38,10 +50,28 @@ OWN_COMMANDS = MappingProxyType({
         "list saved scenarios, or accept their failures",
         "List the saved scenarios of folders, or accept their failures up to a day, without running them.",
     ),
-})  # fmt: skip
-"""The commands of the core."""
+    "compare": Command(
+        "pytest_pafot.comparison.command",
+        "compare search algorithms on a policy",
+        "Run several search algorithms on a policy, several times each, and write results, statistics, figures and a "
+        "report. It can be interrupted at any time; the same command continues where it stopped.",
+        is_gate=True,
+    ),
+    "rate": Command(
+        "pytest_pafot.commands.rate_command",
+        "count how often a policy crashes by itself",
+        "Drive seeded episodes in the environment's own traffic, without a search, and count the crashes of one "
+        "policy, or of several on the same seeds.",
+        is_gate=True,
+    ),
+    "export": Command(
+        "pytest_pafot.export.export_command",
+        "write the run of a finding as files for other tools",
+        "Run the scenario of a saved finding once more, and write the paths of all vehicles and the road.",
+    ),})  # fmt: skip
+"""The commands by name. The module of a command is imported only if the command is run."""
 
-GATES = tuple(name for name, command in {**OWN_COMMANDS, **COMMANDS}.items() if command.is_gate)
+GATES = tuple(name for name, command in COMMANDS.items() if command.is_gate)
 """The commands whose exit code is a verdict on a policy."""
 
 ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -173,18 +203,15 @@ def _run(given: list[str]) -> int:
         prog="python -m pytest_pafot", description="Commands of pytest-pafot in addition to pytest."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
-    known = {**OWN_COMMANDS, **COMMANDS}
     asked = next((each for each in given if not each.startswith("-")), "")
     parsers = {
-        name: commands.add_parser(name, help=command.help, description=command.about) for name, command in known.items()
+        name: commands.add_parser(name, help=command.help, description=command.about)
+        for name, command in COMMANDS.items()
     }
-    if asked in known:  # the others are listed, but not imported
-        try:
-            module = opened(known[asked].module)
-            module.add_arguments(parsers[asked])
-            parsers[asked].set_defaults(run=module.run)
-        except RequestError as error:
-            parser.exit(2, f"{asked}: {error}\n")
+    if asked in COMMANDS:  # the others are listed, but not imported
+        module = import_module(COMMANDS[asked].module)
+        module.add_arguments(parsers[asked])
+        parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
     own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
     arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))

@@ -4,11 +4,7 @@ import ast
 import re
 from functools import cache
 
-import pytest
-
 from tests.test_layers import HOMES, MODULES, PACKAGE, ROOMS, room_of
-
-pytest.importorskip("pytest_pafot.extras", reason="the page is also about the extras")
 
 ROOT = PACKAGE.parent
 PAGE = (ROOT / "docs" / "maintain" / "architecture.md").read_text(encoding="utf-8")

@@ -52,8 +52,6 @@ from pytest_pafot.world import Highway, from_dict
 from tests.helpers.sessions import command_in_a_copy, copied_workers, in_process, quick_sessions
 from tests.helpers.tables import table
 
-pytest.importorskip("pytest_pafot.extras", reason="the pages are also about the extras")
-
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
 COMPARISONS = ROOT / "docs" / "comparisons"

@@ -1,4 +1,4 @@
-"""The installed package: its content, what works in a folder that is no clone, and what works without extras."""
+"""The installed package: its content, and what works in a folder that is no clone."""
 
 import os
 import re
@@ -73,62 +73,3 @@ def test_documented_policies_are_installed_and_importable_anywhere(installed, tm
     done = run(installed, tmp_path, "-c", code, *names)
     assert done.stderr == ""
     assert done.stdout.split() == [str(len(names)), str(installed / "pytest_pafot" / "__init__.py")]
-
-
-WITHOUT_FINDERS = (
-    "import sys\nsys.meta_path = [each for each in sys.meta_path if 'editable' not in str(each).lower()]\n"
-)
-"""An editable installation finds what a copy of the package lacks."""
-POLICY = """\
-def make():
-    return lambda seen: (0.0, 0.0)
-"""
-MARKED = """\
-import pytest_pafot as pafot
-from policy import make
-
-@pafot.search(ads=make, runs=8, seed=1, shrink_rollouts=20)
-def test_safe(run):
-    assert not run.collision
-"""
-MISSING = "expected a whole installation of pytest-pafot, received one without pytest_pafot.extras; install it again"
-
-
-@pytest.fixture
-def core(tmp_path, monkeypatch):
-    """Return a folder with a policy, and a function that runs Python there with a copy without extras."""
-    copy, here = tmp_path / "core", tmp_path / "here"
-    # With what Python has compiled, which takes seconds, but not with a file that it is just writing.
-    shutil.copytree(ROOT / "pytest_pafot", copy / "pytest_pafot", ignore=shutil.ignore_patterns("extras", "*.pyc.*"))
-    (copy / "sitecustomize.py").write_text(WITHOUT_FINDERS)
-    here.mkdir()
-    (here / "policy.py").write_text(POLICY)
-    for name, value in (("DISABLE_PLUGIN_AUTOLOAD", "1"), ("PLUGINS", "pytest_pafot.plugin"), ("ADDOPTS", "")):
-        monkeypatch.setenv(f"PYTEST_{name}", value)
-    monkeypatch.delenv("CI", raising=False)
-    return here, lambda *arguments: run(copy, here, "-m", *arguments)
-
-
-def test_core_without_extras_searches_and_replays(core):
-    here, do = core
-    (here / "test_it.py").write_text(MARKED)
-    done = do("pytest")
-    assert (done.returncode, done.stderr) == (1, ""), done.stdout
-    count = len([*here.rglob("*.pafot.yaml")])
-    assert count > 0
-    assert f"{count} still failing" in do("pytest", "--pafot-generations=0").stdout
-    quick = ("--", "--pafot-shrink-rollouts=0")
-    done = do("pytest_pafot", "search", "policy:make", "--runs", "8", "--seed", "1", *quick)
-    assert done.returncode == 1, done.stderr
-    assert "new finding" in done.stdout
-    assert do("pytest_pafot", "corpus", "list").returncode == 0
-
-
-def test_core_without_extras_says_what_is_missing(core):
-    _, do = core
-    for code, command in (
-        (2, "rate --ads policy:make"),
-        (1, "search policy:make -- --pafot-algorithm=av-fuzzer"),  # an error of its item
-    ):
-        done = do("pytest_pafot", *command.split())
-        assert (done.returncode, MISSING in " ".join((done.stdout + done.stderr).split())) == (code, True), done

@@ -13,28 +13,21 @@ from pathlib import Path
 import pytest
 
 import pytest_pafot
-from pytest_pafot import extending
 from tests.helpers.walks import ROUTES
 
 PACKAGE = Path(pytest_pafot.__file__).parent
 
-CORE = (
-    "support", "door", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
-    "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "extending", "__main__",
+ROOMS = (
+    "support", "model", "criticality", "attribution", "oracle", "properties", "findings", "searching", "corpus",
+    "world", "execution", "strategies", "campaign", "commands", "report", "plugin", "policies", "testing", "comparison",
+    "export", "__main__",
 )  # fmt: skip
-EXTRAS = (
-    "resumable", "algorithms", "dask_cluster", "policies", "testing", "comparison", "episodes",
-    "export", "sumo",
-)  # fmt: skip
-ROOMS = (*CORE, *EXTRAS)
-"""The rooms in order: each may import the rooms before it, and itself. So the core imports no extra."""
-PUBLIC_NAMES = ("testing", "policies")
-"""Modules that are only the public names of extras."""
+"""The rooms in order: each may import the rooms before it, and itself."""
 
 HOMES = {
     "yaml": {"corpus"},
-    "cloudpickle": {"dask_cluster"},
-    "distributed": {"dask_cluster"},
+    "cloudpickle": {"execution"},
+    "distributed": {"execution"},
     "highway_env": {"world"},
     "gymnasium": {"world"},
     "hypothesis": {"strategies"},
@@ -50,10 +43,16 @@ HOMES = {
     "scenariogeneration": {"export"},
     "foxglove": {"export"},
     "commonroad": {"export"},
-    "libsumo": {"sumo"},
-    "sumolib": {"sumo"},
+    "libsumo": {"world"},
+    "sumolib": {"world"},
 }
 """Libraries that only some rooms may import."""
+
+OPTIONAL = {
+    "pandas", "scipy", "matplotlib", "stable_baselines3", "sb3_contrib", "torch", "scenariogeneration", "foxglove",
+    "commonroad", "libsumo", "sumolib", "cloudpickle", "distributed",
+}  # fmt: skip
+"""Libraries that cost time to import, or that need not be installed."""
 
 CLIMBS = {"collision": 19, "check": 10, "environment": 15, "workers": 14, "replay": 8}
 """For each route the number of pairs of files of which the lower one calls the higher one. Numbers here only fall.
@@ -72,8 +71,8 @@ QUESTIONS = {
     "attribution/manoeuvres.py": 1,  # only in a bend a lane itself leads into another
     "campaign/request.py": 1,  # whether NPCs can cross at all
     "criticality/zones.py": 1,  # places on two ways are of use only together
-    "extras/testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
-    "extras/testing/traces.py": 10,  # the same
+    "testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
+    "testing/traces.py": 10,  # the same
     "model/trace.py": 1,  # the one place that chooses the kind
     "report/views.py": 1,  # two kinds of pictures, and the page has both
     "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
@@ -93,13 +92,12 @@ QUESTIONS = {
 HOOKS = ("pytest_",)
 """How the names of functions begin that pytest calls for whoever implements them: they may be in any file."""
 
-OUTSIDE = {PACKAGE / "__init__.py", PACKAGE / "extras" / "__init__.py", *(PACKAGE / f"{n}.py" for n in PUBLIC_NAMES)}
+OUTSIDE = {PACKAGE / "__init__.py"}
 MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if path not in OUTSIDE]
 
 
 def room_of(path: Path) -> str:
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
-    return parts[parts[0] == "extras"]
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
 def statements(node: ast.AST) -> Iterator[ast.AST]:
@@ -210,15 +208,20 @@ def test_a_room_imports_only_rooms_below_it():
     for path in MODULES:
         own = ROOMS.index(room_of(path))
         for name in imported_names(path):
-            room = name.removeprefix("pytest_pafot.").removeprefix("extras.").split(".")[0]
+            room = name.removeprefix("pytest_pafot.").split(".")[0]
             if name.startswith("pytest_pafot.") and room in ROOMS and ROOMS.index(room) > own:
                 above.append(f"{path.relative_to(PACKAGE)} imports {name}")
     assert above == []
 
 
-def test_the_core_names_extras_only_in_the_door():
-    names = {path for path in MODULES if room_of(path) in CORE and "pytest_pafot.extras" in path.read_text("utf-8")}
-    assert names == {PACKAGE / "door.py"}
+def test_an_optional_library_is_imported_at_import_time_only_by_two_rooms():
+    at_import = set()
+    for path in MODULES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            at_import |= {room_of(path) for name in names if name.split(".")[0] in OPTIONAL}
+    assert at_import == {"comparison", "export"}
 
 
 def test_a_library_is_known_only_to_its_rooms():
@@ -240,13 +243,6 @@ def test_pure_rooms_use_no_clock_or_global_randomness():
     for path in MODULES:
         if room_of(path) in ("model", "oracle", "criticality", "attribution", "searching"):
             assert not {name.split(".")[0] for name in imported_names(path)} & forbidden, path
-
-
-def test_the_page_has_the_names_for_those_who_extend_the_core():
-    page = (PACKAGE.parent / "docs" / "reference" / "extending.md").read_text(encoding="utf-8")
-    names = page.partition("## The names")[2]
-    assert sorted(re.findall(r"`(\w+)`", names)) == sorted(extending.__all__)
-    assert len(extending.__all__) <= 80
 
 
 def test_a_call_climbs_if_it_enters_a_module_above_unless_as_a_hook():
@@ -291,5 +287,4 @@ def test_questions_about_the_kind_of_a_road_only_become_fewer():
         )
         for path in PACKAGE.rglob("*.py")
     }
-    there = {path: count for path, count in QUESTIONS.items() if (PACKAGE / path).exists()}  # without extras, too
-    assert {path: count for path, count in sorted(found.items()) if count} == there
+    assert {path: count for path, count in sorted(found.items()) if count} == QUESTIONS

@@ -23,7 +23,6 @@ OF_ONE_NAME = {
     "crossing": "what an NPC that crosses is told, and how it drives",
     "events": "what a campaign of generations yields, and what a whole search tells",
     "plan": "the scenarios of one search in their order, and the searches of a comparison",
-    "recorded": "what an NPC that drives as recorded is told, and how it drives",
     "run": "a finished run as checks read it, and a run of the world that proceeds",
 }
 """The reasons why modules of different rooms have the same name."""
@@ -107,7 +106,7 @@ def repeated(names):
 def test_modules_with_equal_names_are_listed_exceptions():
     found = repeated(path.stem for path in MODULES if path.name != "__init__.py")
     assert found <= set(OF_ONE_NAME)
-    assert found == set(OF_ONE_NAME) or not (ROOT / "pytest_pafot/extras").exists()
+    assert found == set(OF_ONE_NAME)
 
 
 def test_listed_long_tests_exist():
@@ -118,7 +117,7 @@ def test_listed_long_tests_exist():
 
 def test_folders_of_tests_are_named_after_rooms():
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
-    assert folders <= {*ROOMS, "extras", "example_ads"}
+    assert folders <= {*ROOMS, "optional", "example_ads"}
 
 
 def test_table_runs_every_row_and_names_failures():

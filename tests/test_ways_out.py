@@ -18,11 +18,9 @@ import pytest
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
+from pytest_pafot.export import exporter
 from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, page, rerun
 from tests.helpers.sessions import command_in_a_copy
-
-pytest.importorskip("pytest_pafot.extras", reason="messages of extras count as well")
-from pytest_pafot.extras.export import exporter
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pytest_pafot"
@@ -89,14 +87,14 @@ def test_every_option_that_messages_name_exists_also_in_search():
 
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
-    "rate": ["extras/episodes/rate_command.py"],
+    "rate": ["commands/rate_command.py"],
     "compare": [
-        "extras/comparison/command.py",
-        "extras/comparison/plan.py",
-        "extras/comparison/algorithm_run.py",
-        "extras/resumable.py",
+        "comparison/command.py",
+        "comparison/plan.py",
+        "comparison/algorithm_run.py",
+        "comparison/resumable.py",
     ],
-    "export": ["extras/export/export_command.py", "extras/export/exporter.py"],
+    "export": ["export/export_command.py", "export/exporter.py"],
     "corpus": ["commands/corpus_command.py"],
 }
 SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "accept")]}

@@ -17,20 +17,19 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import criticality, properties, strategies
+from pytest_pafot import criticality, policies, properties, strategies
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
+from pytest_pafot.commands.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
+from pytest_pafot.comparison import algorithm_run
+from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange
-from pytest_pafot.extras import policies
-from pytest_pafot.extras.comparison import algorithm_run
-from pytest_pafot.extras.comparison.command import add_arguments
-from pytest_pafot.extras.episodes.rate_command import add_arguments as add_rate_arguments
-from pytest_pafot.extras.export.export_command import add_arguments as add_export_arguments
+from pytest_pafot.export.export_command import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.crossings import Zone

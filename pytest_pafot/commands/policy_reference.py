@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import os
 import pkgutil
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.references import PLANNER, factory_named
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import meant
+from pytest_pafot.support.versions import cores
 
 BAD_USE = 2
 """The exit code for wrong arguments, which argparse uses as well."""
@@ -175,3 +179,28 @@ def config_of(text: str | None) -> dict[str, Any] | None:
 def _refuse(constant: str) -> None:
     """Refuse NaN and Infinity, which Python reads and JSON does not have."""
     raise ValueError(f"received {constant}")
+
+
+@contextmanager
+def printing_elsewhere() -> Iterator[None]:
+    """Let what this process and its children print go to the standard error, for a command that prints JSON."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+def worker_count(given: int | None) -> int:
+    """Return the number of processes that ``--workers`` requests, by default one for each core.
+
+    Raises:
+        RequestError: if the requested number is less than one.
+    """
+    if given is not None and given < 1:
+        raise RequestError(f"--workers: expected a whole number, at least 1, received {given}")
+    return given or cores()

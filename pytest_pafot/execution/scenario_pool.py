@@ -185,7 +185,7 @@ several :data:`Timed`."""
 
 
 class ClusterPool(Protocol):
-    """A pool that makes runs on other machines, with the same tasks and answers (:mod:`pytest_pafot.door`)."""
+    """A pool that makes runs on other machines, with the same tasks and answers."""
 
     recovered: list[LostRun]
     failure: str

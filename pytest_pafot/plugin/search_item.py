@@ -39,7 +39,6 @@ from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.door import DASK, opened
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.scenario_pool import Cluster, ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
@@ -143,8 +142,10 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
     if address is None:
         return None
     if CLUSTER not in config.stash:
+        from pytest_pafot.execution import dask_cluster  # noqa: PLC0415  (few sessions need it)
+
         live = LiveTerminal(config)
-        connected = opened(DASK)(address, lambda text: live.write(["", f"pafot: {text}"]))
+        connected = dask_cluster.connected(address, lambda text: live.write(["", f"pafot: {text}"]))
         stack = ExitStack()
         config.add_cleanup(stack.close)
         try:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.door import EXTRAS, opened
 from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
@@ -25,13 +24,11 @@ from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
+from pytest_pafot.world.sumo import Sumo
 from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 SUMO = "sumo"
 """The ``kind`` in files of a world of ``pafot.sumo``."""
-
-SUMO_CLASS = f"{EXTRAS}.sumo:Sumo"
-"""The simulator of such a world."""
 
 OWN = "own"
 """The ``kind`` in files of a world that is code."""
@@ -106,7 +103,7 @@ def _of_sumo(values: dict[str, Any]) -> SimulatorWorld:
         received = ", ".join(values) or "none"
         raise WorldError(field=f"world (kind {SUMO})", expected="the field data", received=received)
     try:
-        return SimulatorWorld.of(opened(SUMO_CLASS), values["data"])
+        return SimulatorWorld.of(Sumo, values["data"])
     except WorldError:
         raise
     except Exception as error:
@@ -125,8 +122,7 @@ def described(world: Any) -> dict[str, Any]:
         data: dict[str, Any] = world.to_dict()
         return data
     maker = world.maker if isinstance(world, SimulatorWorld) else type(world)
-    is_sumo = f"{maker.__module__}:{maker.__name__}" == SUMO_CLASS
-    own = {"kind": SUMO} if is_sumo else {"kind": OWN, "class": maker.__name__}
+    own = {"kind": SUMO} if maker is Sumo else {"kind": OWN, "class": maker.__name__}
     try:
         given = plain_data("world", world.to_dict())
         check_plain("world", given)

@@ -38,7 +38,7 @@ import pytest_pafot as pafot
 from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.campaign.verdict import judge
-from pytest_pafot.extras.comparison.figures import SETTINGS, STYLES
+from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch, RandomSearch
 from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING, Planted

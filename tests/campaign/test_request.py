@@ -1,12 +1,10 @@
 """The search space that follows from the world, the algorithm and the user's arguments."""
 
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, Simulator, World, door
+from pytest_pafot import Highway, Simulator, World
 from pytest_pafot.campaign.explore import request_of
 from pytest_pafot.campaign.request import build_space, drawn_space, named_world
 from pytest_pafot.model.trace import Outcome
@@ -18,7 +16,6 @@ from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
-HAS_EXTRAS = find_spec("pytest_pafot.extras") is not None
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
 
 
@@ -117,7 +114,7 @@ def test_default_search_draws_vehicles_that_fit_the_road():
     assert space_of(Highway(), vehicles=["car"]).vehicles == space_of(Highway(), vehicles="car").vehicles == (CAR,)
 
 
-@table("algorithm", [name for name in ALGORITHMS if name != "distinct" and (HAS_EXTRAS or name not in door.ALGORITHMS)])
+@table("algorithm", [name for name in ALGORITHMS if name != "distinct"])
 def test_all_other_algorithms_draw_cars(algorithm):
     assert space_of(Highway(), algorithm=algorithm).vehicles == (CAR,)
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from pytest_pafot.searching import resolve_algorithm
-from pytest_pafot.searching.algorithms.catalogue import OF_CORE
+from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from tests.helpers.sessions import section
 
 TEST = "@pafot.search(SHORT, algorithm={!r})  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n"
@@ -34,13 +34,8 @@ KINDS = {
 
 
 def test_every_algorithm_searches_with_every_kind_it_supports(project):
-    check_kinds(project, OF_CORE, refused=2)
-
-
-def check_kinds(project, algorithms, refused):
-    """Search with every kind of instructions. Those that an algorithm does not support are refused, with its kinds."""
     lines, supported = [], []
-    for algorithm in algorithms:
+    for algorithm in ALGORITHMS:
         for kind, check in KINDS.items():
             supported.append(kind in resolve_algorithm(algorithm).instructions)
             lines += [
@@ -56,7 +51,7 @@ def check_kinds(project, algorithms, refused):
         if not is_supported:
             text = section(result, f"test_{number}")
             assert re.search(r"instructions=\.\.\.\): expected '(cells|lanes)' for the algorithm \S+, received '", text)
-    assert supported.count(False) == refused, "av-fuzzer and random-manoeuvre have lanes only"
+    assert supported.count(False) == 4, "av-fuzzer and random-manoeuvre have lanes only"
 
 
 def test_a_find_without_cells_is_on_the_page(project):
@@ -71,7 +66,7 @@ def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
     told = {
         "SHORT, algorithm='random-manoeuvre', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
         "random-manoeuvre, received 'both'*",
-        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, manoeuvres, both, received 'cell'*",
+        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, both, received 'cell'*",
         "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or random-manoeuvre, received 'genetic'; or give "
         "your own class*",
         "SHORT, algorithm='randm'": "*or random-manoeuvre, received 'randm'; did you mean 'random'[?]",
@@ -130,3 +125,16 @@ def test_missing_algorithm_class_fails_only_its_item(project, given, message):
     result = project.run(f"--pafot-algorithm={given}")
     result.assert_outcomes(passed=1, errors=1)
     result.stdout.fnmatch_lines([f"*{message.replace('[', '[[]')}*"])
+
+
+def test_av_fuzzer_uses_its_own_fitness_by_default(project):
+    project.write(
+        "from pytest_pafot.plugin.option_sources import request_of_mark\n"
+        "def test_it(pytestconfig):\n"
+        "    def fitness(**arguments):\n"
+        "        return request_of_mark(pytestconfig, arguments).fitness\n"
+        "    assert fitness(algorithm='av-fuzzer') == 'av-fuzzer'\n"
+        "    assert fitness(algorithm='av-fuzzer', fitness='default') == 'default'\n"
+        "    assert fitness(algorithm='random') == fitness() == 'default'\n"
+    )
+    project.run().assert_outcomes(passed=1)

@@ -18,7 +18,7 @@ from pytest_pafot.searching import (
     resolve_algorithm,
     sample,
 )
-from pytest_pafot.searching.algorithms.catalogue import OF_CORE
+from pytest_pafot.searching.algorithms.catalogue import CLASSES
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import FitnessError, resolve
 from tests.helpers.campaigns import run_campaign
@@ -85,8 +85,8 @@ def test_everything_in_the_catalogue_is_there():
 def test_algorithms_are_found_by_name():
     assert resolve_algorithm("pafot").make(SPACE, population=6) == PafotSearch(SPACE, population=6)
     assert resolve_algorithm("random").make(SPACE) == RandomSearch(SPACE)
-    assert [resolve_algorithm(name).make(SPACE).name for name in OF_CORE] == list(OF_CORE)
-    assert [resolve_algorithm(name).name for name in OF_CORE] == list(OF_CORE)
+    assert [resolve_algorithm(name).make(SPACE).name for name in CLASSES] == list(CLASSES)
+    assert [resolve_algorithm(name).name for name in CLASSES] == list(CLASSES)
 
 
 def test_custom_algorithm_is_a_class_or_its_name():

@@ -21,7 +21,7 @@ from pytest_pafot.searching import (
     from_plain,
     plain,
 )
-from pytest_pafot.searching.algorithms.catalogue import OF_CORE
+from pytest_pafot.searching.algorithms.catalogue import CLASSES
 from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
 from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, GenerationFinished
 from pytest_pafot.searching.operators import mutate
@@ -147,7 +147,7 @@ def test_a_checkpoint_of_another_campaign_is_refused(cheap_world):
 
 
 def test_which_algorithms_can_go_on():
-    able = {name for name, made_by in OF_CORE.items() if issubclass(made_by, ResumableSearch)}
+    able = {name for name, made_by in CLASSES.items() if issubclass(made_by, ResumableSearch)}
     assert able == {"distinct", "random", "random-manoeuvre"}
     assert not isinstance(PafotSearch(), ResumableSearch)
     assert isinstance(RandomManoeuvreSearch(), ResumableSearch)

@@ -16,7 +16,7 @@ from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruc
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.searching import Health, SearchSpace, resolve_algorithm
-from pytest_pafot.searching.algorithms.catalogue import OF_CORE
+from pytest_pafot.searching.algorithms.catalogue import CLASSES
 from pytest_pafot.searching.algorithms.distinct import niche
 from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot
 from pytest_pafot.searching.evaluation import EvaluationCache
@@ -228,7 +228,7 @@ def drawn_digest(name, space, make_evaluation):
     return digest.hexdigest()[:12]
 
 
-@pytest.mark.parametrize("name", [name for name in OF_CORE if not resolve_algorithm(name).is_papers])
+@pytest.mark.parametrize("name", [name for name in CLASSES if not resolve_algorithm(name).is_papers])
 def test_every_search_except_the_papers_handles_junctions(name, make_evaluation):
     events = list(run_campaign(resolve_algorithm(name).make(SPACE), Judged(make_evaluation), generations=12, seed=1))
     scenarios = [event.evaluation.scenario for event in events if isinstance(event, Evaluated)]
@@ -239,12 +239,8 @@ def test_every_search_except_the_papers_handles_junctions(name, make_evaluation)
     assert "zone" in Health.of(events).goals
 
 
-@table("name", [name for name in OF_CORE if resolve_algorithm(name).is_papers])
+@table("name", [name for name in CLASSES if resolve_algorithm(name).is_papers])
 def test_the_papers_searches_keep_to_the_grid(name, make_evaluation):
-    check_grid(name, make_evaluation)
-
-
-def check_grid(name, make_evaluation):
     search = resolve_algorithm(name).make(SearchSpace())
     events = run_campaign(search, Judged(make_evaluation), generations=3, seed=1)
     assert not any(event.evaluation.scenario.crossings for event in events if isinstance(event, Evaluated))

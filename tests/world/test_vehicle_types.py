@@ -86,7 +86,7 @@ def test_own_limits_hold_on_every_road(env_id):
 
 
 def test_own_limits_hold_on_ways_that_cross():
-    limits = pytest.importorskip("pytest_pafot.extras.testing.traces").limits
+    limits = pytest.importorskip("pytest_pafot.testing.traces").limits
     world, rng = world_of("intersection-v0"), np.random.default_rng(8)
     space, crossing = replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings), set()
     for _ in range(12):
@@ -211,7 +211,7 @@ def test_an_ego_does_no_more_than_its_vehicle_can(kind, ads):
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "intersection-v0"))
 def test_an_ego_of_any_size_drives_on_every_road(env_id):
-    limits = pytest.importorskip("pytest_pafot.extras.testing.traces").limits
+    limits = pytest.importorskip("pytest_pafot.testing.traces").limits
     plain = world_of(env_id, duration=6.0)
     for kind in filter(plain.can_drive, (VAN, MOTORCYCLE)):
         world, rng = replace(plain, ego=kind), np.random.default_rng(6)

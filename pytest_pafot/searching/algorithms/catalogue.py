@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot import door
+from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
@@ -18,12 +18,13 @@ from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.text import meant
 
-OF_CORE: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
-    each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch, RandomManoeuvreSearch)
+CLASSES: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
+    each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch, RandomManoeuvreSearch, AvFuzzerSearch)
 })  # fmt: skip
+"""The algorithms by name."""
 
-ALGORITHMS = (*OF_CORE, *door.ALGORITHMS)
-"""The names that :func:`resolve_algorithm` accepts; a new algorithm must be listed above, or in the door."""
+ALGORITHMS = tuple(CLASSES)
+"""The names that :func:`resolve_algorithm` accepts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +71,7 @@ def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
 
 def _named(given: str) -> Any:
     if given in ALGORITHMS:
-        return OF_CORE[given] if given in OF_CORE else door.opened(door.ALGORITHMS[given])
+        return CLASSES[given]
     if ":" in given:
         try:
             return referred_to(given)

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
-from pytest_pafot.door import EXTRAS
 from pytest_pafot.model.trace import WORLD_HANG, AdsError
 from pytest_pafot.support.errors import BadAction, OutOfTime
 from pytest_pafot.support.text import one_line
@@ -23,7 +22,7 @@ UNFIT = BaseException
 """The class to catch around the user's code. Call :func:`let_through` afterwards: it raises again every exception that
 the code did not cause."""
 
-OWN = ("pytest_pafot.world.", f"{EXTRAS}.", "contextlib")
+OWN = ("pytest_pafot.world.", "pytest_pafot.policies.", "pytest_pafot.testing.", "contextlib")
 """The prefixes of modules between the ADS and a run, whose frames are left out of tracebacks."""
 
 TIMEOUT_PLUGINS = ("pytest_timeout",)

@@ -641,7 +641,7 @@ def test_an_end_need_not_be_a_method_of_the_class(register, entry_point):
 
 
 def test_the_checks_of_worlds_know_ends(register):
-    testing = pytest.importorskip("pytest_pafot.extras.testing")
+    testing = pytest.importorskip("pytest_pafot.testing")
     register("ending-v0", entry_point=Goal)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # nothing collides before the goal

@@ -1,0 +1,172 @@
+"""OpenSCENARIO XML 1.2 or 1.0 with OpenDRIVE: the road, and every vehicle on the trajectory that it drove."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from xml.etree import ElementTree
+
+import numpy as np
+from scenariogeneration import xodr, xosc
+
+from pytest_pafot import Trace
+from pytest_pafot.export.exporter import centre_line, name_of, states_of, tangents
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Lane, X, Y
+
+# OpenDRIVE: the lanes of a trace become roads. The file has the position of each lane, but no junctions between lanes.
+
+NO_DATE = "2000-01-01T00:00:00"
+"""The date in every file instead of today's, so that equal runs give equal files."""
+
+
+def road_file(name: str, trace: Trace) -> bytes:
+    """Return an OpenDRIVE file: one road if all lanes are straight and adjacent, else a separate road for each lane."""
+    drive = xodr.OpenDrive(name)
+    for number, group in enumerate([trace.lanes] if _are_one(trace.lanes) else [(lane,) for lane in trace.lanes]):
+        # The reference line is the centre of the leftmost lane, which is to the right of it like all other lanes.
+        plan, section, parts = xodr.PlanView(), xodr.LaneSection(0, xodr.standard_lane()), xodr.Lanes()
+        for geometry, start, heading in _geometries(group[0]):
+            plan.add_fixed_geometry(geometry, *start.tolist(), heading)
+        for lane in group:
+            section.add_right_lane(xodr.Lane(lane_type=xodr.LaneType.driving, a=lane.width))
+        parts.add_laneoffset(xodr.LaneOffset(0, group[0].width / 2))
+        parts.add_lanesection(section)
+        road = xodr.Road(number, plan, parts)
+        road.add_type(xodr.RoadType.motorway, 0, speed=max(lane.speed_limit for lane in group), speed_unit="m/s")
+        road.add_elevation(0, 0, 0, 0, 0)
+        drive.add_road(road)
+    element = drive.get_element()
+    element.find("header").set("date", NO_DATE)
+    return text_of(element)
+
+
+def _are_one(lanes: Sequence[Lane]) -> bool:
+    """Return whether lanes are straight, start and end on one line, and each touches the previous one's right edge."""
+    first = lanes[0]
+    widths = np.array([lane.width for lane in lanes])
+    right = np.cumsum(widths) - widths / 2 - widths[0] / 2
+    x, y = first.x - right * math.sin(first.heading), first.y + right * math.cos(first.heading)
+    there = np.stack([x, y, np.full(len(lanes), first.heading), np.full(len(lanes), first.length)], axis=-1)
+    given = [(lane.x, lane.y, lane.heading, lane.length) for lane in lanes]
+    return not any(lane.points for lane in lanes) and np.allclose(given, there, atol=1e-6)
+
+
+def text_of(element: ElementTree.Element) -> bytes:
+    """Return an XML tree as the content of a file."""
+    ElementTree.indent(element)
+    content: bytes = ElementTree.tostring(element, encoding="utf-8", xml_declaration=True)
+    return content + b"\n"
+
+
+def _geometries(lane: Lane) -> Iterator[tuple[xodr.Line | xodr.ParamPoly3, FloatArray, float]]:
+    """Yield the centre line of a lane as pieces, each with its start [m] and its heading there [rad].
+
+    Between two points of a bend, the piece is a cubic curve that has the line's direction at both points (Hermite).
+    """
+    line = centre_line(lane)
+    if not lane.points:
+        yield xodr.Line(lane.length), line[0], -lane.heading
+        return
+    directions = tangents(line)
+    for start, end, first, last in zip(line, line[1:], directions, directions[1:], strict=False):
+        chord = end - start
+        length = math.hypot(*chord)
+        # The coordinates of the piece have its start at the origin and its first direction ahead.
+        turned = np.array([first, (-first[1], first[0])])
+        u, v = turned @ chord, turned @ last * length
+        to, leaving, entering = u, np.array([length, 0.0]), v
+        c, d = 3 * to - 2 * leaving - entering, leaving + entering - 2 * to
+        cubic = xodr.ParamPoly3(0, length, c[0], d[0], 0, 0, c[1], d[1])
+        yield cubic, start, math.atan2(first[1], first[0])
+
+
+REAR_AXLE = 0.3
+"""Distance of the rear axle behind the centre, as a share of the length. OpenSCENARIO uses the axle's position."""
+CATEGORIES = {
+    "van": xosc.VehicleCategory.van,
+    "truck": xosc.VehicleCategory.truck,
+    "motorcycle": xosc.VehicleCategory.motorbike,
+}
+"""The categories of vehicles by the last words of their names; any other vehicle is a car, too, with its own size."""
+ANY_SPEED, ANY_ACCELERATION = 100.0, 20.0
+"""A vehicle's limits of speed [m/s] and acceleration [m/s^2]: so high that every trajectory can be followed."""
+
+
+def export(finding: Finding, trace: Trace, minor: int = 2) -> Mapping[str, bytes]:
+    """Return a file in OpenSCENARIO 1.2 or another minor version, and the OpenDRIVE file to which it refers."""
+    road = f"{finding.id}.xodr"
+    entities, init = xosc.Entities(), xosc.Init()
+    act = xosc.Act("replay", _at("begin", 0, minor))
+    at_once = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
+    for vehicle, size in enumerate(trace.sizes.tolist()):
+        name = name_of(vehicle)
+        states = states_of(trace)[:, vehicle]
+        positions = _rear_axles(states, size[0])
+        kind = trace.vehicle_type(vehicle).kind
+        box = _vehicle(name, size[0], size[1], CATEGORIES.get(kind, xosc.VehicleCategory.car))
+        if minor == 0:  # CARLA's scenario_runner, the reader of this version, looks there for the ego
+            box.add_property("type", "simulation" if vehicle else "ego_vehicle")
+        entities.add_scenario_object(name, box)
+        init.add_init_action(name, xosc.TeleportAction(positions[0]))
+        init.add_init_action(name, xosc.AbsoluteSpeedAction(states[0, SPEED], at_once))
+        if trace.ticks:  # A run that ends at its first decision has no trajectories.
+            act.add_maneuver_group(_replay(name, trace.times.tolist(), positions, minor))
+    board = xosc.StoryBoard(init, _at("end", trace.duration, minor, "stop"))
+    if trace.ticks:
+        story = xosc.Story("replay")
+        story.add_act(act)
+        board.add_story(story)
+    scenario = xosc.Scenario(
+        finding.id,
+        "pytest-pafot",
+        xosc.ParameterDeclarations(),
+        entities,
+        board,
+        xosc.RoadNetwork(road),
+        xosc.Catalog(),
+        osc_minor_version=minor,
+        creation_date=datetime.fromisoformat(NO_DATE),
+    )
+    return {f"{finding.id}.xosc": text_of(scenario.get_element()), road: road_file(finding.id, trace)}
+
+
+def export_1_0(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
+    """Return the files of :func:`export` in OpenSCENARIO 1.0, which CARLA's scenario_runner requires."""
+    return export(finding, trace, 0)
+
+
+def _rear_axles(states: FloatArray, length: float) -> list[xosc.WorldPosition]:
+    """Return the position of the middle of a vehicle's rear axle at each tick."""
+    heading = states[:, HEADING]
+    back = REAR_AXLE * length * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    places = states[:, [X, Y]] - back
+    return [xosc.WorldPosition(x, y, 0, h) for (x, y), h in zip(places.tolist(), heading.tolist(), strict=True)]
+
+
+def _vehicle(name: str, length: float, width: float, category: xosc.VehicleCategory) -> xosc.Vehicle:
+    box = xosc.BoundingBox(width, length, 1.5, REAR_AXLE * length, 0, 0.75)
+    front, rear = (xosc.Axle(0.5, 0.6, 0.8 * width, place, 0.3) for place in (2 * REAR_AXLE * length, 0))
+    return xosc.Vehicle(name, category, box, front, rear, ANY_SPEED, ANY_ACCELERATION, ANY_ACCELERATION)
+
+
+def _replay(name: str, times: list[float], positions: list[xosc.WorldPosition], minor: int) -> xosc.ManeuverGroup:
+    trajectory = xosc.Trajectory(f"{name} drove", False)
+    trajectory.add_shape(xosc.Polyline(times, positions))
+    follow = xosc.FollowTrajectoryAction(trajectory, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1, 0)
+    event = xosc.Event(f"{name} drives", xosc.Priority.override if minor >= 2 else xosc.Priority.overwrite)
+    event.add_trigger(_at(f"{name} begins", 0, minor))
+    event.add_action(f"{name} follows", follow)
+    manoeuvre = xosc.Maneuver(f"{name} replays")
+    manoeuvre.add_event(event)
+    group = xosc.ManeuverGroup(f"{name} acts")
+    group.add_actor(name)
+    group.add_maneuver(manoeuvre)
+    return group
+
+
+def _at(name: str, seconds: float, minor: int, triggers: str = "start") -> xosc.ValueTrigger:
+    rule = xosc.Rule.greaterOrEqual if minor else xosc.Rule.greaterThan  # 1.0 has no other that holds from then on
+    condition = xosc.SimulationTimeCondition(seconds, rule)
+    return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=triggers)

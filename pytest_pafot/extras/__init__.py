@@ -1,1 +1,0 @@
-"""What is not needed by everybody; the core opens it by :mod:`pytest_pafot.door`, when it is asked for."""

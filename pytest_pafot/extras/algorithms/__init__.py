@@ -1,1 +1,0 @@
-"""The search algorithm that only comparisons need."""

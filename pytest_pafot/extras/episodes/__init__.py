@@ -1,1 +1,0 @@
-"""Driving without a search: crash rates in an environment's own traffic, and comparisons of two policies."""

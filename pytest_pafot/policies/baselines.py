@@ -1,0 +1,323 @@
+"""Models of Stable-Baselines3 and sb3-contrib, with the wrappers that they were trained in."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import pickle
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pytest_pafot.support.errors import AdsFactoryError, install, plain_whole
+from pytest_pafot.support.errors import refused_policy as refused
+
+Array = npt.NDArray[Any]
+
+TOLD_BY = {
+    "_last_lstm_states": "RecurrentPPO",
+    "maskable": "MaskablePPO",
+    "cg_max_steps": "TRPO",
+    "delta_std_schedule": "ARS",
+    "top_quantiles_to_drop_per_net": "TQC",
+    "n_quantiles": "QRDQN",
+    "crossq": "CrossQ",
+    "exploration_fraction": "DQN",
+    "target_policy_noise": "TD3",
+    "clip_range": "PPO",
+    "target_entropy": "SAC",
+    "gae_lambda": "A2C",
+}
+"""The algorithms by a mark in the zip: the name of a parameter, or a part of the name of the policy class's module.
+
+A zip does not name its algorithm, so the first mark that it has decides. DDPG is loaded as TD3, from which it derives.
+"""
+
+OF_TRAINING = {
+    "learning_rate": 0.0,
+    "lr_schedule": 0.0,
+    "clip_range": 0.0,
+    "exploration_schedule": 0.0,
+    "buffer_size": 1,
+}
+"""Replacements of parameters that only training needs: functions from a different Python version, or large memory."""
+
+
+KEPT = 8
+"""The largest number of models that stay loaded in a process, so that each run gets its ADS without a delay."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sb3Policy:
+    """The factory that :func:`pytest_pafot.policies.sb3` makes.
+
+    Its model is loaded once in a process; forked processes inherit the loaded model.
+    """
+
+    file: Path
+    vecnormalize: Path | None = None
+    frame_stack: int = 1
+    algorithm: str | type[Any] | None = None
+    deterministic: bool = True
+
+    def __post_init__(self) -> None:
+        if (stacked := plain_whole(self.frame_stack)) is None or stacked < 1:
+            raise refused("frame_stack of 1 or more", repr(self.frame_stack), "give the number that VecFrameStack had")
+
+    @functools.cached_property
+    def loading_hint(self) -> str:
+        """A sentence on why statistics of VecNormalize seem to be missing; empty if they are given or not needed."""
+        try:
+            return "" if self.vecnormalize is not None else _missing_statistics(self.file)
+        except (OSError, AdsFactoryError):  # a missing hint must not prevent the run
+            return ""
+
+    def preload(self) -> None:
+        """Load the model now, so that processes forked later inherit it and its libraries, which take seconds."""
+        _ = self.loaded
+
+    @functools.cached_property
+    def loaded(self) -> BaselineModel:
+        """The result of :meth:`load`, which equal factories share."""
+        files = [path for path in (self.file, self.vecnormalize) if path is not None]
+        return _loaded(self, tuple(map(_changed_at, files)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "loaded"}
+
+    def load(self) -> BaselineModel:
+        """Load the model on the CPU."""
+        _library("torch").set_num_threads(1)
+        zipped = _parameters(self.file)
+        given = {name: value for name, value in OF_TRAINING.items() if name in zipped}
+        model = self._class(zipped).load(self.file, device="cpu", custom_objects=given)
+        statistics = None
+        if self.vecnormalize is not None:
+            with self.vecnormalize.open("rb") as file:
+                statistics = pickle.load(file)  # noqa: S301  (the user's own file, named in the user's own test)
+        return BaselineModel(model, statistics, self.frame_stack, self.deterministic)
+
+    def _class(self, zipped: dict[str, Any]) -> Any:
+        name = self.algorithm
+        if not name:
+            module = str(dict(zipped.get("policy_class", {})).get("__module__", ""))
+            marks = {*zipped, *module.split(".")}
+            name = next((name for mark, name in TOLD_BY.items() if mark in marks), None)
+        if name is None:
+            raise refused("a zip whose algorithm can be recognised", str(self.file), 'give algorithm="PPO", or a class')
+        if not isinstance(name, str):
+            return name
+        own = getattr(_library("stable_baselines3"), name, None)
+        found = own or getattr(_library("sb3_contrib"), name, None)
+        if found is None:
+            raise refused("an algorithm of stable_baselines3 or sb3_contrib", repr(name), "give its class")
+        return found
+
+    def __call__(self) -> BaselineAds:
+        """Return a new ADS, which has not seen any observation."""
+        return BaselineAds(self.loaded)
+
+    def check_world(self, world: Any) -> None:
+        """Compare the actions, and the shape and type of the stacked observations, with those of the model."""
+        model = self.loaded
+        if not model.fits(world.observation_space, world.action_space):
+            of_model = f"observations {model.observation_space} and actions {model.action_space}"
+            stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
+            raise refused(
+                f"a pafot.World with {of_model}{stacked}, as {self.file.name} was trained with",
+                _named(world),
+                "give it the env_id, config= and wrappers= of the training, and frame_stack= if frames were stacked",
+            )
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _loaded(policy: Sb3Policy, changed_at: tuple[int, ...]) -> BaselineModel:
+    """Load a model, or return the loaded one; if its files have changed, as happens in a notebook, load it again."""
+    return policy.load()
+
+
+def _changed_at(file: Path) -> int:
+    """Return when a file was changed [ns].
+
+    Raises:
+        AdsFactoryError: if the file cannot be read.
+    """
+    try:
+        with file.open("rb") as opened:
+            return os.fstat(opened.fileno()).st_mtime_ns
+    except OSError as error:
+        raise refused("a file that can be read", f"{file} ({error.strerror})", "correct the path") from None
+
+
+class BaselineModel:
+    """A loaded model with the changes that the wrappers of its training made to observations.
+
+    Args:
+        model: an object with ``predict``, ``observation_space`` and ``action_space``.
+        statistics: a ``VecNormalize`` without its environments, or None.
+        frame_stack: number of observations that the model sees at once.
+        deterministic: the argument ``deterministic`` of ``model.predict``.
+    """
+
+    def __init__(self, model: Any, statistics: Any, frame_stack: int, deterministic: bool) -> None:
+        self.observation_space, self.action_space = model.observation_space, model.action_space
+        self._model, self._statistics = model, statistics
+        self._frame_stack, self._deterministic = frame_stack, deterministic
+        shape = None if statistics is None else statistics.observation_space.shape
+        self._is_of_stack = frame_stack > 1 and shape == self.observation_space.shape
+
+    def fits(self, observation_space: Any, action_space: Any) -> bool:
+        """Return whether the model can drive with the observations and actions of an environment."""
+        own, other = self.observation_space, observation_space
+        if type(own) is not type(other) or self.action_space != action_space:
+            return False
+        if own.shape is None or other.shape is None:  # a space with several parts
+            return bool(own == other)
+        is_stacked = stacking_axis(other.shape, own.shape, self._frame_stack) is not None
+        return is_stacked and (own.dtype == other.dtype or self._statistics is not None)
+
+    def seen(self, frames: Array | None, observation: Any) -> tuple[Array | None, Any]:
+        """Return the stacked observations including a new one, and the model's input.
+
+        Args:
+            frames: the previous stack of observations; None at the first observation.
+            observation: the environment's observation.
+        """
+        if isinstance(observation, dict):
+            return None, self._normalised(observation)
+        own = np.asarray(observation, dtype=self.observation_space.dtype)
+        own = own if self._is_of_stack else self._normalised(own)
+        if self._frame_stack == 1:
+            return None, own
+        frames = pushed(frames, own, self._frame_stack, self.observation_space.shape)
+        return frames, self._normalised(frames) if self._is_of_stack else frames
+
+    def _normalised(self, observation: Any) -> Any:
+        return observation if self._statistics is None else self._statistics.normalize_obs(observation)
+
+    def predict(self, seen: Any, state: Any = None, *, is_first: bool = False) -> tuple[Any, Any]:
+        """Return the action for an input, and the state of a recurrent model."""
+        start = np.array([is_first])
+        action, state = self._model.predict(seen, state=state, episode_start=start, deterministic=self._deterministic)
+        return action, state
+
+
+class BaselineAds:
+    """An ADS that drives one run with a model."""
+
+    def __init__(self, model: BaselineModel) -> None:
+        self._model = model
+        self._frames: Array | None = None
+        self._state: Any = None
+        self._is_first = True
+
+    def __call__(self, observation: Any) -> Any:
+        """Return the environment's action."""
+        self._frames, seen = self._model.seen(self._frames, observation)
+        action, self._state = self._model.predict(seen, self._state, is_first=self._is_first)
+        self._is_first = False
+        return action
+
+
+def stacking_axis(one: Sequence[int], stacked: Sequence[int], count: int) -> int | None:
+    """Return the axis along which ``count`` arrays of the shape ``one`` stack to the shape ``stacked``, or None."""
+    for axis in range(len(one)):
+        if (*one[:axis], one[axis] * count, *one[axis + 1 :]) == tuple(stacked):
+            return axis
+    return None
+
+
+def pushed(frames: Array | None, observation: Array, count: int, shape: Sequence[int]) -> Array:
+    """Return the last ``count`` observations as one array, the newest last; zeros stand for missing observations.
+
+    ``VecFrameStack`` of Stable-Baselines3 stacks in this way.
+
+    Args:
+        frames: the previous array; None at the first observation.
+        observation: the newest observation.
+        count: number of observations in the array.
+        shape: shape of the array.
+
+    Raises:
+        AdsFactoryError: if ``count`` observations do not give an array of this shape.
+    """
+    axis = stacking_axis(observation.shape, shape, count)
+    if axis is None:
+        fix = "give the frame_stack= of the training"
+        raise refused(f"{count} observations that make one of shape {shape}", f"observations {observation.shape}", fix)
+    if frames is None:
+        frames = np.zeros(shape, observation.dtype)
+    _, older = np.split(frames, [observation.shape[axis]], axis)
+    return np.concatenate([older, observation], axis)
+
+
+def _parameters(file: Path) -> dict[str, Any]:
+    """Return the JSON description of the model in a zip; nothing is unpickled."""
+    try:
+        with zipfile.ZipFile(file) as zipped:
+            parameters: dict[str, Any] = json.loads(zipped.read("data"))
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        received = f"{file} ({type(error).__name__}: {error})"
+        raise refused("a zip that the save() of a Stable-Baselines3 model wrote", received, "save it again") from None
+    return parameters
+
+
+def _missing_statistics(file: Path) -> str:
+    """Say why statistics of VecNormalize are probably missing for a zip; empty if there is no evidence.
+
+    No file names the wrappers of a training. But ``learn`` stores the last observations from before VecNormalize in the
+    zip, or None without VecNormalize. Only for algorithms with a replay buffer this is no evidence, because they store
+    such observations in either case.
+    """
+    beside = [each for folder in (file.parent, file.with_suffix("")) for each in sorted(folder.glob("*.pkl"))]
+    found = next((each for each in beside if _is_statistics(each)), None)
+    zipped = _parameters(file)
+    name = "statistics.pkl" if found is None else found.relative_to(file.parent).as_posix()
+    given = f"vecnormalize={name if found is None else str(found)!r}"
+    if "buffer_size" not in zipped and zipped.get("_last_original_obs") is not None:
+        return (
+            f"{file.name} was trained with VecNormalize, as its content shows, but no statistics are given: unless "
+            "only rewards were normalised, the model now sees different numbers than in training; "
+            f"give sb3(..., {given})"
+        )
+    if found is None:
+        return ""
+    return (
+        f"no statistics of VecNormalize are given for {file.name}, but the file {name} contains some: if the model was "
+        f"trained with them, it now sees different numbers than in training; give sb3(..., {given})"
+    )
+
+
+def _is_statistics(file: Path) -> bool:
+    """Return whether ``VecNormalize.save`` wrote a file: the class name at its start shows it; nothing is unpickled."""
+    with file.open("rb") as opened:
+        return b"vec_normalize" in opened.read(200)
+
+
+def _library(name: str) -> Any:
+    """Import a library that the user may not have installed.
+
+    Raises:
+        AdsFactoryError: if the library is not installed; the message has the command that installs it.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name.partition(".")[0]:
+            raise
+        raise refused(f"{name} for this policy", "a Python without it", install("sb3")) from None
+
+
+def _named(world: Any) -> str:
+    """Describe a world with its observations and actions, for an error message."""
+    name = getattr(world, "env_id", type(world).__name__)
+    if world.observation_space is None:
+        return f"{name}, whose observations are pafot.Observation and whose actions are in SI units"
+    return f"{name} with observations {world.observation_space} and actions {world.action_space}"

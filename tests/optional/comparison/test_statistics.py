@@ -1,0 +1,126 @@
+"""Statistics against examples worked by hand, other implementations and simulated samples."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pytest_pafot.comparison.run_measures import a12, a12_interval, compared, found_in, log_rank, survival
+
+samples = st.lists(st.integers(0, 9).map(float), min_size=1, max_size=12)
+
+
+class TestEffect:
+    def test_a12_counts_pairs_with_ties_by_half(self):
+        assert a12([3, 4], [1, 4]) == (1 + 0 + 1 + 0.5) / 4
+        assert (a12([2, 3], [0, 1]), a12([0, 1], [2, 3]), a12([5], [5])) == (1.0, 0.0, 0.5)
+
+    @given(samples, samples)
+    def test_a12_is_the_u_statistic_over_the_pairs(self, x, y):
+        u = scipy.stats.mannwhitneyu(x, y, method="asymptotic").statistic if len({*x, *y}) > 1 else len(x) * len(y) / 2
+        assert a12(x, y) == pytest.approx(u / (len(x) * len(y)))
+
+    @given(samples, samples)
+    def test_swapping_samples_mirrors_the_effect_with_same_p(self, x, y):
+        there, back = compared(x, y), compared(y, x)
+        assert there.a12 == pytest.approx(1 - back.a12)
+        assert (there.low, there.high) == pytest.approx((1 - back.high, 1 - back.low), abs=1e-6)
+        assert there.p == pytest.approx(back.p)
+
+    @given(samples, samples)
+    def test_interval_contains_the_estimate_and_stays_in_range(self, x, y):
+        effect = compared(x, y)
+        assert 0 <= effect.low <= effect.a12 <= effect.high <= 1
+
+    def test_interval_at_complete_separation_follows_its_equation(self):
+        """At an estimate of 1: (1 - v) m n = z^2 v (1 + N (1 - v) / (2 - v) + N v / (1 + v)), N = (m + n) / 2 - 1."""
+        low, high = a12_interval(1.0, 10, 10)
+        spread = 1 + 9 * (1 - low) / (2 - low) + 9 * low / (1 + low)
+        assert high == 1.0
+        assert (1 - low) * 100 == pytest.approx(1.959964**2 * low * spread, rel=1e-5)
+        assert 0.7 < low < 0.9
+
+    def test_interval_narrows_with_more_runs_or_less_confidence(self):
+        widths = [high - low for low, high in (a12_interval(0.7, size, size) for size in (5, 10, 20, 80))]
+        assert all(a > b for a, b in pairwise(widths))
+        narrow, wide = (a12_interval(0.7, 10, 10, confidence) for confidence in (0.8, 0.99))
+        assert wide[0] < narrow[0] < narrow[1] < wide[1]
+
+    def test_interval_covers_the_truth_as_often_as_stated(self):
+        rng = np.random.default_rng(0)
+        truth = float(scipy.stats.norm.cdf(1 / math.sqrt(2)))
+        intervals = (a12_interval(a12(rng.normal(1, 1, 10), rng.normal(0, 1, 10)), 10, 10) for _ in range(300))
+        covered = sum(low <= truth <= high for low, high in intervals) / 300
+        assert 0.92 < covered < 0.985
+
+    def test_the_test_is_scipys_two_sided_one(self):
+        x, y = [1.0, 4.0, 6.0, 7.0], [2.0, 3.0, 5.0, 0.0]
+        assert compared(x, y).p == scipy.stats.mannwhitneyu(x, y, alternative="two-sided").pvalue
+
+    def test_samples_of_one_value_show_no_difference(self):
+        assert compared([3.0] * 5, [3.0] * 5).p == 1.0
+
+    def test_runs_without_any_collision_rank_last(self):
+        effect = compared([40.0, 50.0, 60.0], [math.inf, math.inf, 70.0])
+        assert effect.a12 == 0.0
+        assert effect.p == pytest.approx(0.0765, abs=0.03)
+
+
+class TestFound:
+    def test_ten_of_ten_against_none_has_exact_p(self):
+        assert found_in((10, 10), (0, 10)) == pytest.approx(2 / math.comb(20, 10))
+
+    def test_equal_counts_show_nothing(self):
+        assert found_in((4, 10), (4, 10)) == 1.0
+
+    def test_it_sums_the_tables_that_are_no_likelier(self):
+        def likelihood(found):
+            return math.comb(8, found) * math.comb(6, 7 - found) / math.comb(14, 7)
+
+        seen = likelihood(6)
+        expected = sum(likelihood(k) for k in range(1, 8) if likelihood(k) <= seen * (1 + 1e-9))
+        assert found_in((6, 8), (1, 6)) == pytest.approx(expected)
+
+
+class TestSurvival:
+    def test_by_hand(self):
+        """Events at 2, 5 and 5, one run censored at 3, one at 9: 4/5, then of three left two fall: 4/5 * 1/3."""
+        estimate = survival([2, 3, 5, 5, 9], [False, True, False, False, True])
+        at = dict(zip(estimate.times.tolist(), estimate.shares.tolist(), strict=True))
+        assert (at[2], at[3], at[5], at[9]) == pytest.approx((0.8, 0.8, 0.8 / 3, 0.8 / 3))
+        assert estimate.median == 5
+
+    def test_survival_without_event_has_no_median(self):
+        estimate = survival([7, 8], [True, True])
+        assert estimate.shares.tolist() == [1.0, 1.0]
+        assert estimate.median == math.inf
+
+    def test_without_censoring_the_median_is_the_middle(self):
+        assert survival([4, 1, 3, 2, 5], [False] * 5).median == 3
+
+    def test_log_rank_test_sums_observed_minus_expected(self):
+        x, y = [1.0, 4.0, 5.0], [2.0, 3.0, 6.0, 7.0]
+        observed = expected = variance = 0.0
+        for time in sorted([*x, *y]):
+            at_risk_x, at_risk_y = sum(t >= time for t in x), sum(t >= time for t in y)
+            at_risk = at_risk_x + at_risk_y
+            observed += time in x
+            expected += at_risk_x / at_risk
+            variance += at_risk_x * at_risk_y / at_risk**2
+        z = (observed - expected) / math.sqrt(variance)
+        assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(2 * scipy.stats.norm.sf(abs(z)))
+
+    @pytest.mark.filterwarnings("error")
+    def test_where_all_failed_at_once_nothing_differs(self):
+        assert log_rank([6, 6], [False, False], [6, 6], [False, False]) == 1.0
+
+    @pytest.mark.filterwarnings("error")
+    def test_samples_never_at_risk_together_do_not_differ(self):
+        assert log_rank([1, 1], [True, True], [2, 3, 4], [False] * 3) == 1.0
+
+    def test_where_nobody_found_anything_nothing_differs(self):
+        assert log_rank([5, 5], [True, True], [6, 6], [True, True]) == 1.0

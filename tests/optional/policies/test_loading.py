@@ -1,0 +1,214 @@
+"""The common behaviour of loaders, and frames, without the libraries that real models need."""
+
+import json
+import pickle
+import subprocess
+import sys
+import types
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Discrete
+
+import pytest_pafot as pafot
+from pytest_pafot.policies.baselines import BaselineAds, BaselineModel, Sb3Policy, pushed, stacking_axis
+from tests.helpers.tables import table
+
+WORLD = pafot.World("highway-fast-v0", duration=5.0)
+CUT_IN = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 10.0)]])
+
+
+class Weighing:
+    """A model with Stable-Baselines3's interface, whose action is a weighted sum of its observation."""
+
+    action_space = Discrete(5)
+
+    def __init__(self, frames):
+        self.observation_space = Box(-np.inf, np.inf, (5, 5 * frames), np.float32)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        weights = np.arange(1, 1 + 25 * (observation.shape[-1] // 5)).reshape(5, -1)
+        return (np.abs(observation * weights).sum(axis=(-1, -2)) * 100).astype(int) % 5, state
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loader(Sb3Policy):
+    file: Path = Path(__file__)
+    frames: int = 1
+    loading_hint: str = ""
+    loads: ClassVar = []
+
+    def load(self):
+        self.loads.append(self)
+        return BaselineModel(Weighing(self.frames), None, self.frames, deterministic=True)
+
+    def __call__(self):
+        return BaselineAds(self.loaded)
+
+    def check_world(self, world):
+        if not self.loaded.fits(world.observation_space, world.action_space):
+            raise TypeError(f"{world.observation_space} {world.action_space}")
+
+
+def test_the_loaders_are_there_at_no_cost():
+    libraries = {"numpy", "torch", "stable_baselines3", "gymnasium", "highway_env"}
+    code = f"import sys, pytest_pafot as p; p.policies.sb3; print({libraries} & {{*sys.modules}})"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
+
+
+def test_policy_is_loaded_once_and_its_factory_pickles():
+    first, second = Loader(frames=2), pickle.loads(pickle.dumps(Loader(frames=2)))
+    Loader.loads.clear()
+    assert first == second
+    assert first.loaded is second.loaded
+    assert pickle.loads(pickle.dumps(first)).loaded is first.loaded
+    assert Loader.loads == [first]
+
+
+@table("shape", [(5, 5), (3,), (4, 6, 2)])
+def test_frames_are_last_observations_padded_with_zeros(shape):
+    rng = np.random.default_rng(0)
+    seen = [rng.normal(size=shape).astype(np.float32) for _ in range(6)]
+    for axis in range(len(shape)):
+        stacked = [size * (3 if index == axis else 1) for index, size in enumerate(shape)]
+        frames = None
+        for newest in range(len(seen)):
+            frames = pushed(frames, seen[newest], 3, stacked)
+            last = [seen[place] if place >= 0 else np.zeros(shape) for place in (newest - 2, newest - 1, newest)]
+            assert np.array_equal(frames, np.concatenate(last, axis))
+            assert frames.dtype == np.float32
+
+
+def test_wrong_number_of_frames_is_a_clear_error():
+    assert stacking_axis((5, 5), (5, 15), 3) == 1
+    assert stacking_axis((5, 5), (5, 15), 2) is None
+    with pytest.raises(TypeError, match=r"2 observations that make one of shape \(5, 15\).*give the frame_stack="):
+        pushed(None, np.zeros((5, 5)), 2, (5, 15))
+
+
+@table(
+    "world",
+    [
+        pafot.Highway(),
+        pafot.World("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}),
+        pafot.World("highway-fast-v0", config={"observation": {"type": "Kinematics", "vehicles_count": 7}}),
+    ],
+)
+def test_policy_is_compared_with_world_before_any_run(world):
+    with pytest.raises(TypeError, match=r"None None|Box.*(Box|7, 5)"):
+        world.rollout(CUT_IN, Loader())
+
+
+class Planner:
+    """An ADS whose methods have the names of a factory's."""
+
+    def __call__(self, observation):
+        return 1
+
+    def check_world(self, world):
+        raise AssertionError
+
+    def preload(self):
+        raise AssertionError
+
+
+def test_planner_class_is_not_asked_for_policy_properties():
+    assert WORLD.rollout(CUT_IN, Planner).error is None
+    assert pafot.explore(Planner, holds=lambda run: None, world=WORLD, runs=1).summary.runs == 1
+
+
+def test_a_policy_of_the_world_drives_in_it():
+    assert WORLD.rollout(CUT_IN, Loader()).error is None
+
+
+def zipped(path, parameters):
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("data", json.dumps(parameters))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (lambda folder: pafot.policies.sb3(folder / "model.zip"), "expected a file that can be read, received .*model"),
+        (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected frame_stack of 1 or more, received 0"),
+    ],
+)
+def test_unloadable_policy_error_says_what_to_do(policy, message, tmp_path):
+    with pytest.raises(TypeError, match=message):
+        pafot.Highway().rollout(CUT_IN, policy(tmp_path))
+
+
+def test_missing_library_error_names_the_install_command(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    file = zipped(tmp_path / "model.zip", {"clip_range": 0.2})
+    with pytest.raises(TypeError, match=r"expected torch for this policy.*pip install 'pytest-pafot\[sb3\]'"):
+        pafot.Highway().rollout(CUT_IN, pafot.policies.sb3(file))
+
+
+def test_policy_is_loaded_before_isolated_runs_fork():
+    Loader.loads.clear()
+    pafot.explore(Loader(frames=4), holds=lambda run: None, world=WORLD, runs=1, isolate=True)
+    assert Loader.loads == [Loader(frames=4)]
+
+
+@pytest.fixture
+def statistics(tmp_path, monkeypatch):
+    """Return a file as ``VecNormalize.save`` writes it: the pickle of an instance."""
+    module = "stable_baselines3.common.vec_env.vec_normalize"
+    fake = types.ModuleType(module)
+    fake.VecNormalize = type("VecNormalize", (), {"__module__": module})
+    for end in range(1, 5):  # pickle imports a class by its name
+        name = ".".join(module.split(".")[:end])
+        monkeypatch.setitem(sys.modules, name, fake if name == module else types.ModuleType(name))
+    path = tmp_path / "vecnormalize.pkl"
+    path.write_bytes(pickle.dumps(fake.VecNormalize()))
+    return path
+
+
+STORED = {":type:": "<class 'numpy.ndarray'>", ":serialized:": "gASVAAAAAA=="}
+
+
+def test_statistics_missing_for_the_zip_are_reported(tmp_path):
+    """The zip is as ``save`` writes it: with a replay buffer, it contains observations in either case."""
+    of_ppo, of_dqn = {"clip_range": 0.2}, {"buffer_size": 9, "exploration_fraction": 0.1}
+    file = zipped(tmp_path / "model.zip", {**of_ppo, "_last_original_obs": STORED})
+    assert pafot.policies.sb3(file).loading_hint == (
+        "model.zip was trained with VecNormalize, as its content shows, but no statistics are given: unless only "
+        "rewards were normalised, the model now sees different numbers than in training; give sb3(..., "
+        "vecnormalize='statistics.pkl')"
+    )
+    assert pafot.policies.sb3(file, vecnormalize=tmp_path / "given.pkl").loading_hint == ""
+    for parameters in (of_ppo, {**of_ppo, "_last_original_obs": None}, {**of_dqn, "_last_original_obs": STORED}):
+        assert pafot.policies.sb3(zipped(tmp_path / "plain.zip", parameters)).loading_hint == ""
+    assert pafot.policies.sb3(tmp_path / "nowhere.zip").loading_hint == ""
+
+
+def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
+    (tmp_path / "buffer.pkl").write_bytes(pickle.dumps({"other": "things"}))
+    file = zipped(tmp_path / "model.zip", {"buffer_size": 9, "_last_original_obs": STORED})
+    assert pafot.policies.sb3(file).loading_hint == (
+        "no statistics of VecNormalize are given for model.zip, but the file vecnormalize.pkl contains some: if the "
+        "model was trained with them, it now sees different numbers than in training; "
+        f"give sb3(..., vecnormalize='{statistics}')"
+    )
+    below = tmp_path / "model"
+    below.mkdir()
+    statistics.rename(below / statistics.name)  # RL Zoo has them here
+    assert f"vecnormalize='{below / statistics.name}')" in pafot.policies.sb3(file).loading_hint
+    (below / statistics.name).unlink()
+    assert pafot.policies.sb3(file).loading_hint == ""
+
+
+def test_search_notes_the_hint_of_its_policy_once():
+    def notes(ads):
+        return pafot.explore(ads, holds=lambda run: None, world=WORLD, population=2, generations=2).summary.notes
+
+    hinting = Loader(loading_hint="mind the statistics")
+    assert notes(hinting) == ("mind the statistics",)
+    assert notes(Loader()) == ()

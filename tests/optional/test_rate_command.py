@@ -1,0 +1,299 @@
+"""The command from its arguments to its output, and rates as values."""
+
+import json
+import re
+
+import gymnasium
+import pytest
+from scipy.stats import binomtest
+
+import pytest_pafot as pafot
+from pytest_pafot.__main__ import main
+from pytest_pafot.commands import rate_command
+from pytest_pafot.commands.rate_command import Pair, Rate
+from pytest_pafot.model.trace import AdsError, Outcome
+from pytest_pafot.world.engines.episode import Episode
+from tests.helpers.sessions import command_in_a_copy
+
+SHORT = ["--world", "highway-fast-v0", "--config", '{"vehicles_count": 8, "duration": 12}', "--workers", "1"]
+
+
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch):
+    """Let lines be long, so that tests can compare them."""
+    monkeypatch.setenv("COLUMNS", "999")
+
+
+def rate(*arguments):
+    return main(["rate", *SHORT, *arguments])
+
+
+def episode(seed, outcome="safe"):
+    error = (
+        AdsError(kind="KeyError", message="'gap'", traceback="", tick=0) if outcome in ("ads_error", "hang") else None
+    )
+    return Episode(seed=seed, outcome=Outcome(outcome), error=error)
+
+
+def rated(name, **outcomes):
+    """Return a rate of ten episodes, with the outcomes of some seeds, `s0="collision"`."""
+    return Rate(ads=name, rows=tuple(episode(seed, outcomes.get(f"s{seed}", "safe")) for seed in range(10)))
+
+
+@pytest.fixture
+def crashing(monkeypatch):
+    """Return a function that replaces episodes by ones that crash up to a seed, by the name of the policy."""
+
+    def replace(crashes, first="safe"):
+        def driven(world, factory, seed, *, is_planner):
+            name = next(name for name, made in known.items() if made is factory)
+            return episode(seed, "collision" if seed < crashes.get(name, 0) else first if seed == 0 else "safe")
+
+        known = {}
+        monkeypatch.setattr(rate_command, "ads_factory", lambda name: known.setdefault(name, lambda: name))
+        monkeypatch.setattr(rate_command, "drive_episode", driven)
+
+    return replace
+
+
+def test_rate_prints_share_interval_crashes_and_seeds(capsys):
+    assert rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10") == 0
+    out, told = capsys.readouterr()
+    found = re.search(
+        r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %: ", out
+    )
+    assert int(found[1]) > 1
+    assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %)\n" in out
+    assert "0 only with idm_mobil, 0 with both" in out
+    assert "rate: 20 of 20 episodes\n" in told
+
+
+class Trained:
+    """A factory that doubts how its policy was loaded, as those of ``pafot.policies`` do."""
+
+    loading_hint = "mind the statistics"
+
+    def __call__(self):
+        return lambda observation: 1
+
+
+trained = Trained()
+
+
+def test_what_a_loader_doubts_stands_beside_the_rate(capsys):
+    assert rate("--ads", f"{__name__}:trained", "--episodes", "1") == 0
+    assert "\n  mind the statistics\n" in capsys.readouterr().out
+
+
+def test_failing_policy_is_counted_and_named(capsys):
+    assert rate("--ads", "constant_speed", "--episodes", "2") == 1
+    out = capsys.readouterr().out
+    assert "no episode of 2 was driven to its end" in out
+    assert (
+        "the ADS failed in 2 episodes, which the rate ignores; seeds 0, 1; the first: BadAction: expected a whole"
+        in out
+    )
+    assert "for a planner in SI units, as for pafot.Highway, use --ads constant_speed@planner" in out
+
+
+def fails():
+    def decide(observation):
+        raise RuntimeError("no weights")
+
+    return decide
+
+
+def test_policy_that_raises_in_the_first_ten_episodes_ends_the_command(capsys):
+    assert rate("--ads", f"{__name__}:fails", "--episodes", "200") == 2
+    told = capsys.readouterr().err
+    assert "in each of the first 10 episodes, from seed 0 on: RuntimeError: no weights\n  File " in told
+    assert ("test_rate_command.py" in told, " of 200 episodes\n" in told) == (True, False)
+
+
+class Told(gymnasium.Wrapper):
+    def reset(self, **options):
+        assert options["seed"] != 3, "no reset with the seed 3"
+        return super().reset(**options)
+
+
+def wrapped(duration):
+    print("a factory that prints")
+    return pafot.World("highway-fast-v0", config={"duration": int(duration)}, wrappers=[Told])
+
+
+def planned():
+    return pafot.World("highway-fast-v0", config={"duration": 4}, planner_hz=5)
+
+
+def rated_in(world, *arguments):
+    return main(["rate", "--ads", "idm_mobil", "--workers", "1", "--episodes", "2", "--world", world, *arguments])
+
+
+def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
+    assert rated_in(f"{__name__}:wrapped:3", "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["world"], data["policies"][0]["episodes"]) == (f"{__name__}:wrapped:3", 2)
+    assert rated_in(f"{__name__}:planned", "--against", "constant_speed") == 0
+    assert "constant_speed in test" in capsys.readouterr().out
+
+
+def test_rate_drives_in_an_environment_that_a_module_registers(tmp_path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    kwargs = 'entry_point="highway_env.envs.highway_env:HighwayEnvFast", kwargs={"config": {"duration": 3}}'
+    (tmp_path / "envs_of_mine.py").write_text(f"import gymnasium\n\ngymnasium.register('mine-v3', {kwargs})\n")
+    assert rated_in("envs_of_mine:mine-v3", "--config", '{"duration": 2}') == 0
+    assert "idm_mobil in envs_of_mine:mine-v3: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["pytest_pafot:Highway"], "--world: expected for rate an environment, which makes ordinary traffic itself, "),
+        ([f"{__name__}:fails"], "fails', which returns <function fails"),
+        ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
+        ([f"{__name__}:wraped"], "; did you mean 'tests.optional.test_rate_command:wrapped'?"),
+        ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),
+        ([f"{__name__}:wrapped:3", "--seed", "3"], "can be reset with the seed 3, received AssertionError: no reset"),
+        (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'); run where it is"),
+    ],
+)
+def test_what_is_no_environment_is_refused_by_its_name(arguments, text, capsys):
+    assert rated_in(*arguments) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_json_has_the_figures_of_the_text(capsys):
+    arguments = ("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10")
+    assert rate(*arguments, "--json", "--fail-above", "5%") == 1
+    told = capsys.readouterr()
+    data = json.loads(told.out)
+    assert (data["world"], data["episodes"], data["fail_above"]) == ("highway-fast-v0", 10, 0.05)
+    first, second = data["policies"]
+    assert first["crashes"] == len(first["crashed"]) == 10 * first["share"]
+    assert first["interval"] == pytest.approx(binomtest(first["crashes"], 10).proportion_ci())
+    assert (second["crashes"], second["interval"][0], second["failed"]) == (0, 0, [])
+    (pair,) = data["pairs"]
+    assert (pair["first_only"], pair["both"], pair["p_holm"]) == (first["crashes"], 0, pair["p"])
+    assert f"rate: {data['objection']}\n" in told.err
+    assert rate(*arguments) == 0
+
+
+def test_several_policies_are_compared_with_the_first_and_the_worst_is_first(capsys, monkeypatch, crashing):
+    crashing({"constant_speed": 9, "constant_speed@planner": 2})
+    names = ("--ads", "idm_mobil", "--against", "constant_speed@planner", "--against", "constant_speed")
+    assert rate(*names, "--episodes", "10") == 0
+    lines = capsys.readouterr().out.splitlines()
+    told = [line for line in lines if line.startswith(("on the same", "the worst"))]
+    # McNemar's exact p is 2 / 2^2 of two seeds, and 2 / 2^9 of nine; Holm doubles the smaller one.
+    assert told[0].endswith("p = 0.5 (McNemar, exact, two-sided); p = 0.5 of 2 (Holm)")
+    assert told[1].endswith("p = 0.0039 (McNemar, exact, two-sided); p = 0.0078 of 2 (Holm)")
+    assert told[2] == "the worst first: constant_speed 90.0 %, constant_speed@planner 20.0 %, idm_mobil 0 %"
+    monkeypatch.setenv("COLUMNS", "60")
+    assert rate(*names, "--episodes", "10") == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 60
+    assert rate(*names, "--against", "constant_speed") == 2
+    assert "expected a different policy than --ads, received 'constant_speed' again" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("crashes", "limit", "code"),
+    [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)],
+)
+def test_fail_above_compares_the_lower_end_of_the_interval(capsys, crashing, crashes, limit, code):
+    crashing({"idm_mobil": crashes})  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %
+    assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", limit) == code
+    assert ("received an interval that begins at" in capsys.readouterr().err) == bool(code)
+
+
+def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, crashing):
+    crashing({}, first="ads_error")
+    assert rate("--ads", "idm_mobil", "--episodes", "10") == 0
+    assert rate("--ads", "idm_mobil", "--episodes", "10", "--fail-above", "2%") == 1
+    assert (
+        "expected an ADS that drives all episodes, received one that failed in 1 episode\n" in capsys.readouterr().err
+    )
+
+
+def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
+    arguments = ("--ads", "constant_speed@planner", "--fail-above", "50%", "--seed", "2")
+    assert rate(*arguments, "--episodes", "5") == 2
+    assert "--episodes: expected 6 or more, received 5: even if all crash" in capsys.readouterr().err
+    assert rate(*arguments, "--episodes", "6") in (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        *[
+            (
+                ["--fail-above", text],
+                "--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received",
+            )
+            for text in ("2", "100%", "nan", "inf", "-0.1", "2%%", "%", "two")
+        ],
+        (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
+        (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
+        (["--against", "idm_mobil"], "--against: expected a different policy than --ads"),
+        (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
+        (["--config", "{count: 3}"], "--config: expected JSON such as"),
+        (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
+        (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
+        (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
+        (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+    ],
+)
+def test_wrong_argument_is_reported_with_the_way_out(arguments, text, capsys):
+    assert rate("--ads", "idm_mobil", "--episodes", "2", *arguments) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_rate_counts_driven_episodes():
+    rate = rated("a", s1="collision", s4="collision", s5="hang")
+    assert (rate.episodes, rate.crashed, rate.share) == (9, (1, 4), 2 / 9)
+    assert rate.sentence == "2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %)"
+    assert rate.notes[0] == "seeds of the crashes: 1, 4"
+
+
+def test_of_many_seeds_the_first_ten_are_told():
+    rate = Rate(ads="a", rows=tuple(episode(seed, "collision") for seed in range(12)))
+    assert rate.notes == ["seeds of the crashes: 0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more"]
+
+
+def test_comparison_uses_seeds_that_crash_only_one_policy():
+    first = rated("a", s0="collision", s1="collision", s2="collision", s9="ads_error")
+    second = rated("b", s2="collision", s9="collision")
+    pair = Pair.of(first, second)
+    assert (pair.first_only, pair.second_only, pair.both, pair.neither) == (2, 0, 1, 6)
+    assert "2 crashed only with a, 0 only with b, 1 with both, 6 with neither: p = 0.5" in pair.told(0.5, 1)
+
+
+ENDS = """\
+import os
+
+
+def ends():
+    return lambda seen: os._exit(0)
+
+
+def talks():
+    return lambda seen: print("hello") or 1
+"""
+
+
+@pytest.mark.processes
+def test_workers_give_the_same_rate_as_one_process(tmp_path, capsys):
+    given = ["rate", *SHORT[:-2], "--ads", "constant_speed@planner", "--episodes", "30", "--json"]
+    assert [main([*given, "--workers", number]) for number in ("1", "2")] == [0, 0]
+    one, two = capsys.readouterr().out.split("}\n{")
+    assert one + "}" == "{" + two.rstrip()
+
+
+@pytest.mark.processes
+def test_policy_that_ends_its_process_fails_a_gate(tmp_path, monkeypatch):
+    (tmp_path / "policies.py").write_text(ENDS)
+    monkeypatch.chdir(tmp_path)
+    given = ["rate", "--world", "highway-fast-v0", "--episodes", "2", "--json"]
+    told = command_in_a_copy("pytest_pafot", *given, "--ads", "policies:ends", "--fail-above", "2%")
+    assert (told.code, "expected the process that drives to finish" in told.err) == (2, True), told
+    told = command_in_a_copy("pytest_pafot", *given, "--ads", "policies:talks")
+    assert (told.code, json.loads(told.out)["episodes"], "hello" in told.err) == (0, 2, True)

@@ -1,0 +1,1019 @@
+"""The kit that checks a world accepts this package's worlds, and names the promise that a world breaks."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import chain
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pytest_pafot import (
+    Cell,
+    Highway,
+    LaneInstruction,
+    NpcLimits,
+    Outcome,
+    PositionInstruction,
+    Scenario,
+    World,
+)
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
+from pytest_pafot.searching.space import sample
+from pytest_pafot.testing import OBSERVED, _Calls, _check_lasting, _check_obedience, _run, check_world
+from pytest_pafot.testing.traces import (
+    ACROSS,
+    ALONG,
+    ANGLE,
+    OFFSET,
+    STRETCH,
+    contacts,
+    end,
+    form,
+    motion,
+    of_runs,
+    places_at_start,
+    touching,
+    ways_of_crossing,
+)
+from pytest_pafot.world.guard.own_worlds import base_world
+from tests.helpers.stopped_clock import StoppedClock
+from tests.helpers.tables import table
+
+pytestmark = pytest.mark.filterwarnings("ignore:check_world. no collision:RuntimeWarning")  # in runs of 4 s
+
+SHORT = {"npcs": 2, "genes": 2, "gene_seconds": 2.0}
+ROAD = Highway(duration=4.0, hang_limit=0.3)
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    """Replace the clock: it advances only when the check has an ADS wait for its end, and then at once."""
+    clock = StoppedClock(monkeypatch)
+    monkeypatch.setattr("pytest_pafot.testing.time", SimpleNamespace(sleep=clock.sleep))
+
+
+class Own:
+    """A user's own world that keeps all promises; broken worlds derive from it."""
+
+    speed_limit, longest_run, hang_limit = 26.8, 4.0, 0.3
+    limits = NpcLimits()
+
+    def __init__(self, number=1):
+        self.number = number
+
+    def rollout(self, scenario, ads_factory):
+        return self.changed(ROAD.rollout(scenario, ads_factory))
+
+    def changed(self, trace):
+        return trace
+
+    def to_dict(self):
+        return {"number": self.number}
+
+    @classmethod
+    def from_dict(cls, data):
+        return cls(**data)
+
+
+class Lasting(Own):
+    """A world in which runs can last longer."""
+
+    duration = None
+
+    def rollout(self, scenario, ads_factory):
+        return self.changed((ROAD.lasting(self.duration) if self.duration else ROAD).rollout(scenario, ads_factory))
+
+    def lasting(self, seconds):
+        longer = type(self)(self.number)
+        longer.duration = seconds
+        return longer
+
+
+def with_states(trace, change):
+    states = trace.states.copy()
+    change(states)
+    return replace(trace, states=states)
+
+
+@pytest.mark.parametrize(
+    ("world", "given"),
+    [
+        (ROAD, {}),
+        (World("highway-v0", duration=4.0, hang_limit=0.3), {"ads": lambda: lambda seen: 1}),
+        (Own(), {}),
+        (Lasting(), {}),
+    ],
+    ids=["Highway", "World", "of one's own", "one that lasts"],
+)
+def test_a_world_that_keeps_its_promises_passes(world, given):
+    check_world(world, runs=3, **SHORT, **given)
+
+
+@pytest.mark.oracle
+def test_environment_with_predefined_ego_start_passes():
+    check_world(World("roundabout-v0", duration=4.0), runs=2, ads=lambda: lambda seen: 1, npcs=2)
+
+
+class Recorded:
+    """An environment whose traces are changed."""
+
+    def __init__(self, world, change):
+        self.world, self.change = world, change
+
+    def __getattr__(self, name):
+        return getattr(self.world, name)
+
+    def rollout(self, scenario, ads_factory):
+        return self.change(self.world.rollout(scenario, ads_factory))
+
+
+@cache
+def environment(env_id):
+    return World(env_id, duration=3.0, hang_limit=0.3)
+
+
+def constant_action():
+    return lambda seen: 1
+
+
+@pytest.mark.oracle
+def test_an_environment_in_which_npcs_cross_passes():
+    check_world(environment("intersection-v0"), runs=2, ads=constant_action, npcs=2)
+
+
+@table(
+    ("env_id", "change", "promise"),
+    [
+        ("intersection-v0", {"zones": ()}, "zones are those of the instructions"),
+        ("intersection-v0", {"on_way": None}, "on_way has the places of crossing NPCs"),
+        ("intersection-v0", {"track": None}, "track is recorded if an NPC crosses"),
+        ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has NaN only for crossing NPCs"),
+    ],
+)
+def test_only_crossing_npcs_must_be_recorded_as_crossing(env_id, change, promise):
+    def changed(trace):
+        return replace(trace, **change) if any(trace.zones) or env_id == "merge-v0" else trace
+
+    with pytest.raises(AssertionError, match=promise):
+        check_world(Recorded(environment(env_id), changed), runs=2, ads=constant_action, npcs=2)
+
+
+class LastsAlike(Lasting):
+    def lasting(self, seconds):
+        return self
+
+
+class LastsSixSeconds(Lasting):
+    def lasting(self, seconds):
+        return super().lasting(6.0)
+
+
+class LastsElsewhere(Lasting):
+    def lasting(self, seconds):
+        return replace(ROAD, lanes=ROAD.lanes + 1).lasting(seconds)
+
+
+class LastsTooLong(Lasting):
+    def lasting(self, seconds):
+        return super().lasting(9.0)
+
+
+class LastsOtherwise(Lasting):
+    def changed(self, trace):
+        return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0)) if self.duration else trace
+
+    def lasting(self, seconds):
+        return super().lasting(4.0)
+
+
+class Random(Own):
+    runs = 0
+
+    def changed(self, trace):
+        self.runs += 1
+        return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1e-9 * self.runs))
+
+
+class Forgets(Own):
+    def changed(self, trace):
+        return replace(trace, executed=replace(trace.executed, ego_speed=trace.executed.ego_speed - 1.0))
+
+
+class Throws(Own):
+    def rollout(self, scenario, ads_factory):
+        trace = super().rollout(scenario, ads_factory)
+        if trace.error is not None:
+            raise ValueError(trace.error.message)
+        return trace
+
+
+class Swallows(Own):
+    def changed(self, trace):
+        return replace(trace, outcome=Outcome.SAFE, error=None) if trace.error else trace
+
+
+class Harmed(Own):
+    is_harmed = False
+
+    def changed(self, trace):
+        if self.is_harmed:
+            trace = with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0))
+        self.is_harmed |= trace.error is not None
+        return trace
+
+
+class Hangs(Own):
+    guards_ads = True  # as it says, but its decisions may take 30 s
+
+    def rollout(self, scenario, ads_factory):
+        return Highway(duration=4.0).rollout(scenario, ads_factory)
+
+
+class NoTrace(Own):
+    def rollout(self, scenario, ads_factory):
+        return super().rollout(scenario, ads_factory).states
+
+
+class Unwritable(Own):
+    def to_dict(self):
+        return {"number": object()}
+
+
+class Changed(Own):
+    @classmethod
+    def from_dict(cls, data):
+        return cls(data["number"] + 1)
+
+
+class Takes(Own):
+    @classmethod
+    def from_dict(cls, data):
+        return cls(data["numbers"])
+
+
+class Different(Own):
+    def changed(self, trace):
+        return trace if self.is_first else with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0))
+
+    is_first = True
+
+    @classmethod
+    def from_dict(cls, data):
+        again = cls(**data)
+        again.is_first = False
+        return again
+
+
+def changing(name, **fields):
+    """Return a class whose traces have other fields."""
+    return type(name, (Own,), {"changed": lambda self, trace: replace(trace, **fields)})
+
+
+def moving(name, change):
+    """Return a class whose traces have other states."""
+    return type(name, (Own,), {"changed": lambda self, trace: with_states(trace, change)})
+
+
+def put(*place, value):
+    def change(states):
+        states[place] = value
+
+    return change
+
+
+Stacked = moving("Stacked", lambda states: np.copyto(states, states[:, :1]))
+
+
+def lost(self, trace):
+    return replace(trace, states=trace.states[:, :-1], sizes=trace.sizes[:-1])
+
+
+BROKEN = [
+    (Random, "the same scenario gives the same trace"),
+    (Forgets, "the scenario as executed gives the same trace"),
+    (Throws, "a run ends in a trace, whatever the ADS does"),
+    (Swallows, "an ADS that raises ends its run as ads_error"),
+    (Harmed, "an ADS that raises does not affect the next run"),
+    (Hangs, "an ADS that hangs ends its run as hang"),
+    (NoTrace, "rollout returns a pafot.Trace"),
+    (Unwritable, "to_dict returns plain data that a file can store"),
+    (Takes, "from_dict accepts the data of to_dict"),
+    (LastsAlike, "a run in the world of lasting lasts as long as asked, received 4 s for 6 s"),
+    (LastsOtherwise, "a run in the world of lasting begins as usual"),
+    (type("LastsNot", (Lasting,), {"lasting": lambda self, seconds: 1 / 0}), "lasting returns a world"),
+    (type("LastsNone", (Lasting,), {"lasting": lambda self, seconds: None}), "lasting returns a world, received None"),
+    (LastsSixSeconds, "a run in the world of lasting lasts as long as asked, received 6 s for 6.2 s"),
+    (LastsElsewhere, "a run in the world of lasting begins as usual, received other states or lanes"),
+    (LastsTooLong, "a run in the world of lasting lasts as long as asked, received 9 s for 6 s"),
+    (Changed, r"from_dict\(to_dict\(\)\) has the same data"),
+    (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
+    (type("Lost", (Own,), {"changed": lost}), "states contain the ego and each NPC"),
+    (type("Longer", (Own,), {"longest_run": 3.0}), "no run is longer than longest_run"),
+    (type("Lazy", (Own,), {"limits": NpcLimits(acceleration=0.1, braking=0.1)}), "the acceleration of NPCs is from"),
+    (type("Gentle", (Own,), {"limits": NpcLimits(jerk=0.1)}), "the jerk of NPCs is from"),
+    (type("Slow", (Own,), {"limits": NpcLimits(overspeed=1.0), "speed_limit": 15.0}), "the speed of NPCs is from"),
+    (type("Straight", (Own,), {"limits": NpcLimits(heading=0.01)}), "the heading of NPCs is from"),
+    (type("Stiff", (Own,), {"limits": NpcLimits(lateral_acceleration=0.1)}), "the lateral acceleration of NPCs is"),
+    (
+        changing("Renamed", scenario=Scenario(npcs=[[PositionInstruction(1, 9.0)]])),
+        "trace.scenario is the requested scenario",
+    ),
+    (changing("Odd", ads_hz=7), "ads_hz divides physics_hz"),
+    (changing("Collides", outcome=Outcome.COLLISION), "there is a collision if the outcome says so"),
+    (changing("Pointlike", sizes=np.zeros((3, 2))), "vehicles have a length and a width"),
+    (changing("Mute", arrivals=5), r"Run\(trace\).explain\(\) describes the run"),
+    (moving("Holey", put(-1, 0, X, value=np.nan)), "states are finite"),
+    (moving("Laneless", put(-1, 0, LANE, value=9)), "the column lane is an index of lanes, or -1"),
+    (moving("Fast", put(0, 0, SPEED, value=9)), "the ego starts as fast as the scenario says"),
+    (moving("Pushed", put(0, 0, ACCELERATION, value=1)), "acceleration and steering of the first row are 0"),
+    (type("Crowded", (Stacked,), {"limits": None}), "no vehicles touch at the start"),
+]
+
+
+@table(("broken", "promise"), BROKEN)
+def test_broken_promise_of_a_world_is_named(broken, promise):
+    with pytest.raises(AssertionError, match=f"^expected that {promise}"):
+        check_world(broken(), runs=2, **SHORT)
+
+
+@table("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
+def test_incomplete_world_is_refused_by_the_check(name):
+    parts = {each: getattr(Own, each) for each in ("rollout", "to_dict", "speed_limit", "longest_run") if each != name}
+    with pytest.raises(
+        AssertionError, match=f"^expected that a world has all that a search needs, received no {name}$"
+    ):
+        check_world(type("Lacking", (), parts)())
+
+
+def test_unsuitable_ads_is_distinguished_from_world_fault():
+    with pytest.raises(
+        AssertionError, match=r"the ADS of the check drives in this world, received .*; give a different ads="
+    ):
+        check_world(World("highway-v0", duration=4.0), runs=1, **SHORT)
+
+
+def test_check_skips_hanging_if_it_takes_long(monkeypatch):
+    monkeypatch.setattr("pytest_pafot.testing.time.sleep", lambda seconds: pytest.fail("tried"))
+    check_world(Highway(duration=4.0), runs=1, **SHORT)
+
+
+# --- what a trace says of the motion, the road and the contacts
+
+LONGER = Highway(duration=20.0)
+
+
+class InLanes(Own):
+    """A world of more lanes in which NPCs can have Lane-Instructions, with runs that are long enough to show them."""
+
+    longest_run, has_lane_instructions = 6.0, True
+
+    def rollout(self, scenario, ads_factory):
+        self.seen = [*getattr(self, "seen", []), scenario]
+        return replace(ROAD, duration=6.0).rollout(self.told(scenario), ads_factory)
+
+    def told(self, scenario):
+        return scenario
+
+
+class KeepsLanes(InLanes):
+    """NPCs keep their lanes, whatever their Lane-Instructions say."""
+
+    def told(self, scenario):
+        return with_lanes(scenario, {"left": "keep", "right": "keep"})
+
+    def rollout(self, scenario, ads_factory):
+        trace = super().rollout(scenario, ads_factory)
+        return replace(trace, scenario=scenario, executed=scenario)
+
+
+class Mirrored(KeepsLanes):
+    """The world's lanes are counted from the other side, and only Lane-Instructions show it."""
+
+    def told(self, scenario):
+        return with_lanes(scenario, {"left": "right", "right": "left"})
+
+
+def with_lanes(scenario, instead):
+    chains = [
+        tuple(replace(gene, lane=instead.get(gene.lane, gene.lane)) for gene in chain)
+        if isinstance(chain[0], LaneInstruction)
+        else chain
+        for chain in scenario.npcs
+    ]
+    return replace(scenario, npcs=tuple(chains))
+
+
+def test_world_is_tried_with_the_instructions_that_it_declares():
+    for declares in (True, False):
+        world = InLanes()
+        world.has_lane_instructions = declares
+        check_world(world, runs=3, npcs=2, genes=3, gene_seconds=2.0)
+        kinds = {type(chain[0]) for scenario in world.seen for chain in scenario.npcs}
+        assert kinds == ({PositionInstruction, LaneInstruction} if declares else {PositionInstruction})
+
+
+@table("wrong", [KeepsLanes, Mirrored])
+def test_world_that_declares_lane_instructions_must_follow_them(wrong):
+    with pytest.raises(AssertionError, match="NPCs change lanes by Lane-Instructions, as has_lane_instructions decl"):
+        check_world(wrong(), runs=3, npcs=2, genes=3, gene_seconds=2.0)
+
+
+class Driven:
+    """A user's own world whose runs are long enough for collisions; broken worlds derive from it."""
+
+    speed_limit, longest_run = 26.8, 20.0
+    reference_drivers, takes_over = ("careful-human",), ("steady-braking",)
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        return self.changed(LONGER.rollout(scenario, ads_factory, decisions=decisions))
+
+    def rollout_reference(self, scenario, name):
+        return self.changed(LONGER.rollout_reference(scenario, name))
+
+    def take_over(self, trace, tick, name):
+        return self.changed(LONGER.take_over(trace, tick, name))
+
+    def changed(self, trace):
+        return trace
+
+    def to_dict(self):
+        return {}
+
+
+def columns(name, column, change):
+    """Return a class whose traces have another column of states."""
+
+    def changed(self, trace):
+        return with_states(trace, lambda states: np.copyto(states[..., column], change(states[..., column])))
+
+    return type(name, (Driven,), {"changed": changed, "take_over": None, "reference_drivers": (), "takes_over": ()})
+
+
+def lanes(name, **change):
+    """Return a class whose traces have other lanes."""
+
+    def changed(self, trace):
+        each = [replace(lane, **{name: new(lane) for name, new in change.items()}) for lane in trace.lanes]
+        return replace(trace, lanes=tuple(each))
+
+    return type(name, (Driven,), {"changed": changed})
+
+
+def hits(name, **change):
+    """Return a class whose traces have other collisions."""
+
+    def changed(self, trace):
+        hit = trace.collision
+        return (
+            trace if hit is None else replace(trace, collision=replace(hit, **{k: f(hit) for k, f in change.items()}))
+        )
+
+    return type(name, (Driven,), {"changed": changed})
+
+
+def traces(name, change):
+    """Return a class whose traces are changed by a function."""
+    return type(name, (Driven,), {"changed": lambda self, trace: change(trace)})
+
+
+def with_bumpers(trace):
+    """Return a trace with the front bumpers of NPCs as their places."""
+    return with_states(trace, lambda states: np.add(states[:, 1:, X], 2.5, out=states[:, 1:, X]))
+
+
+def unreported(trace):
+    """Return a trace that goes on after a collision, through the vehicle that the ego has hit."""
+    if trace.collision is None:
+        return trace
+    states = np.concatenate([trace.states, np.repeat(trace.states[-1:], 300 - trace.ticks, axis=0)])
+    ticks = np.arange(300 - trace.ticks)[:, None] + 1
+    states[trace.ticks + 1 :, :, X] += ticks * trace.states[-1, :, SPEED] / 15
+    states[trace.ticks + 1 :, :, [ACCELERATION, STEERING]] = 0.0
+    return replace(trace, states=states, outcome=Outcome.SAFE, collision=None)
+
+
+OPPOSITE = {"front": "rear", "rear": "front", "left": "right", "right": "left"}
+
+
+class Deaf(Driven):
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        return super().rollout(scenario, ads_factory)
+
+
+class Asks(Driven):
+    """The ADS is asked although its decisions are given."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        if decisions:
+            ads_factory()(None)
+        return super().rollout(scenario, ads_factory, decisions=decisions)
+
+
+class Shared(Driven):
+    ads = None
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        self.ads = self.ads or ads_factory()
+        return super().rollout(scenario, lambda: self.ads, decisions=decisions)
+
+
+class Hoards(Driven):
+    """The world makes one ADS of each factory."""
+
+    made = None, None
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        if self.made[0] is not ads_factory:
+            self.made = ads_factory, ads_factory()
+        return super().rollout(scenario, lambda: self.made[1], decisions=decisions)
+
+
+class Asleep(Driven):
+    """The drivers keep the speed, whatever happens."""
+
+    def rollout_reference(self, scenario, name):
+        return LONGER.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+
+    def take_over(self, trace, tick, name):
+        return LONGER.rollout(trace.scenario, lambda: lambda seen: (0.0, 0.0), decisions=trace.actions[: tick // 3])
+
+
+class Dozes(Asleep):
+    """The drivers drive, but take over in their sleep."""
+
+    rollout_reference = Driven.rollout_reference
+
+
+class Stubborn(Driven):
+    """NPCs do as they like, whatever their instructions say."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        gene = PositionInstruction(scenario.npcs[0][0].cell, 20.0)
+        chains = [[PositionInstruction(chain[0].cell, 20.0)] * scenario.genes for chain in scenario.npcs]
+        assert gene in chains[0]
+        trace = super().rollout(replace(scenario, npcs=chains), ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=scenario)
+
+
+class Hasty(Driven):
+    """The instructions take half of the time that the scenario gives them."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        hasty = replace(scenario, gene_seconds=scenario.gene_seconds / 2)
+        trace = super().rollout(hasty, ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=replace(trace.executed, gene_seconds=scenario.gene_seconds))
+
+
+class Elsewhere(Driven):
+    """The ego starts in another lane than the scenario says."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        trace = super().rollout(replace(scenario, ego_lane=2), ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=replace(trace.executed, ego_lane=scenario.ego_lane))
+
+
+class Parked(Driven):
+    """The ego keeps its speed, whatever its ADS says."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        def ignored():
+            ads = ads_factory()
+            return lambda seen: [ads(seen), (0.0, 0.0)][1]
+
+        return LONGER.rollout(scenario, ignored, decisions=decisions)
+
+
+class Rewinds(Driven):
+    def take_over(self, trace, tick, name):
+        return LONGER.take_over(trace, 0, name)
+
+
+class Idles(Driven):
+    def take_over(self, trace, tick, name):
+        return trace
+
+
+class Refuses(Driven):
+    def take_over(self, trace, tick, name):
+        raise KeyError(name)
+
+
+class Weak(Driven):
+    def take_over(self, trace, tick, name):
+        return LONGER.take_over(trace, tick, "careful-human")
+
+
+class Nobody(Driven):
+    reference_drivers = ("nobody",)
+
+
+class Letters(Driven):
+    reference_drivers = "careful-human"
+
+
+def early(trace):
+    return replace(trace, error=replace(trace.error, tick=1)) if trace.error else trace
+
+
+def seconds(trace):
+    return replace(trace, arrivals=tuple(tuple(t and t / 15 for t in ticks) for ticks in trace.arrivals))
+
+
+def cut(trace):
+    return replace(trace, states=trace.states[:150]) if trace.outcome is Outcome.SAFE else trace
+
+
+WRONG = [
+    (columns("Mirrored", Y, lambda y: -y), r"states\[..., X\] and states\[..., Y\] of the ego are within the lane of"),
+    (columns("Degrees", HEADING, np.degrees), r"states\[..., HEADING\] is the direction of motion in rad"),
+    (columns("Anticlockwise", HEADING, lambda angle: -angle), r"states\[..., HEADING\] is the direction of motion"),
+    (columns("Compass", HEADING, lambda angle: np.pi / 2 - angle), r"states\[..., HEADING\] of the ego is the direct"),
+    (columns("Kilometres", SPEED, lambda v: v * 3.6), r".*states\[0, 0, SPEED\] at scenario.ego_speed"),
+    (columns("Half", X, lambda x: x / 2), r"states\[..., SPEED\] of the ego is its speed along its way"),
+    (columns("Weightless", ACCELERATION, lambda a: a / 9.81), r"states\[..., ACCELERATION\] is the acceleration that"),
+    (columns("Wheels", STEERING, np.degrees), r"states\[..., STEERING\] is in rad"),
+    (columns("Countersteers", STEERING, lambda angle: -angle), r"states\[..., STEERING\] of NPCs is positive where"),
+    (columns("Off", LANE, lambda lane: 0 * lane - 1), r"states\[..., LANE\] of the ego is -1 only off the road"),
+    (columns("Next", LANE, lambda lane: np.minimum(lane + 1, 3)), r"states\[..., X\] and states\[..., Y\] of"),
+    (
+        columns("Reverses", SPEED, lambda v: np.where(v == v[0], v, -v)),
+        r"states\[..., HEADING\] of .* is the direction",
+    ),
+    (lanes("Left", y=lambda lane: -lane.y), "states.*|lanes are listed from the left"),
+    (lanes("Wide", width=lambda lane: 2 * lane.width), r"lanes\[...\].width is the width of a lane"),
+    (lanes("Narrow", width=lambda lane: lane.width / 2), r"lanes\[...\].width is the width of a lane"),
+    (lanes("Signs", speed_limit=lambda lane: 3.6 * lane.speed_limit), "lanes have a speed_limit in m/s"),
+    (lanes("Across", heading=lambda lane: np.pi / 2), "lanes"),
+    (lanes("Unlimited", length=lambda lane: np.inf), r"lanes\[0\] has a length, a width and a speed_limit"),
+    (hits("Late", time=lambda hit: hit.time + 1.0), "collision.time is the time of collision.tick"),
+    (hits("Ticking", time=lambda hit: float(hit.tick)), "collision.time is the time of collision.tick"),
+    (hits("Early", tick=lambda hit: hit.tick - 1), "collision.tick is the last tick of the run"),
+    (hits("Counting", npc=lambda hit: hit.npc + 1), "collision.npc is"),
+    (hits("Behind", side=lambda hit: OPPOSITE[hit.side]), "collision.side is the side of the ego that was hit"),
+    (hits("Ring", cell=lambda hit: Cell((hit.cell + 3) % 8 + 1)), "collision.cell is the cell of the NPC"),
+    (hits("Nowhere", cell=lambda hit: None), "collision.cell is a cell"),
+    (hits("Fast", ego_speed=lambda hit: 3.6 * hit.ego_speed), "collision.ego_speed is the speed of the ego"),
+    (hits("Rival", npc_speed=lambda hit: hit.npc_speed + 9.0), "collision.npc_speed is the speed of NPC"),
+    (hits("Signed", closing_speed=lambda hit: -hit.closing_speed), "collision.closing_speed is the difference of"),
+    (traces("Bumpers", with_bumpers), ".*states.* are of the centres of boxes with sizes"),
+    (traces("Extents", lambda trace: replace(trace, sizes=trace.sizes / 2)), ".*the boxes of the ego and of collision"),
+    (traces("Turned", lambda trace: replace(trace, sizes=trace.sizes[:, ::-1])), "sizes has the length before"),
+    (traces("Unreported", unreported), "the ego's box touches no NPC's before the end of a run"),
+    (traces("Cut", cut), "states of a run with the outcome safe last 20 s"),
+    (traces("Ticks", early), "error.tick is the tick of the decision of an ADS that raises"),
+    (traces("Seconds", seconds), r"arrivals\[0\]\[0\] is a tick of this gene, or None"),
+    (traces("Fewer", lambda trace: replace(trace, arrivals=trace.arrivals[1:])), "arrivals has one entry for each NPC"),
+    (traces("Mute", lambda trace: replace(trace, actions=())), "actions has one action for each decision"),
+    (
+        traces("Double", lambda trace: replace(trace, actions=tuple((1.0, 0.0) for _ in trace.actions))),
+        "decisions= replaces the first decisions",
+    ),
+    (traces("Rare", lambda trace: replace(trace, ads_hz=3)), "the ADS decides ads_hz times a second"),
+    (traces("Float", lambda trace: replace(trace, physics_hz=15.0)), "physics_hz and ads_hz are whole numbers"),
+    (
+        traces("Alarmed", lambda t: replace(t, outcome=Outcome.OFF_ROAD) if t.outcome is Outcome.SAFE else t),
+        "the outcome is off_road if the ego was in lane -1",
+    ),
+    (traces("Wanders", lambda trace: replace(trace, off_road_tick=5)), "off_road_tick is the first tick with the ego"),
+    (Asks, "decisions= replaces calls of the ADS"),
+    (Deaf, "decisions= replaces the first decisions"),
+    (Shared, "rollout calls ads_factory once, for a fresh ADS"),
+    (Hoards, "rollout calls ads_factory once, for a fresh ADS, received an ADS of an earlier run"),
+    (Asleep, "rollout_reference lets 'careful-human' drive"),
+    (Dozes, "take_over lets 'careful-human' drive after its tick"),
+    (columns("Bumper", X, lambda x: x + 2.5), "an ADS that receives a pafot.Observation.* sees the ego as in states"),
+    (Stubborn, "NPCs follow their instructions|the scenario as executed gives the same trace"),
+    (Hasty, "states depend only on the first instructions until scenario.gene_seconds|states of a run"),
+    (Elsewhere, "the ego starts in scenario.ego_lane"),
+    (Parked, "the ego follows its ADS"),
+    (Rewinds, "take_over repeats the run up to its tick"),
+    (Idles, "take_over lets 'careful-human' drive after its tick"),
+    (Refuses, "take_over runs the declared driver 'careful-human', received KeyError"),
+    (Weak, "steady-braking brakes with 6 m/s"),
+    (Nobody, "rollout_reference runs the declared driver 'nobody'"),
+    (Letters, "reference_drivers is a tuple of names"),
+    (type("Unnamed", (Driven,), {"takes_over": None}), "takes_over is a tuple of names, received None"),
+    (type("Hourly", (Driven,), {"speed_limit": 96.5}), "speed_limit is in m/s, at most 70, received 96.5"),
+    (type("Boundless", (Driven,), {"longest_run": "long"}), "longest_run is a number above 0"),
+]
+
+
+@table(("wrong", "promise"), WRONG)
+def test_wrong_world_is_refused_by_name_of_field(wrong, promise):
+    with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
+        check_world(wrong(), runs=2)
+
+
+def test_world_with_decisions_and_drivers_passes_without_warning(recwarn):
+    check_world(Driven())
+    assert [str(each.message) for each in recwarn] == []
+
+
+def test_check_without_any_collision_says_so():
+    with pytest.warns(RuntimeWarning, match="no collision in 20 runs, so nothing about collisions was checked"):
+        check_world(Own(), runs=3, **SHORT)
+
+
+def test_scaled_actions_pass_where_nothing_replays_them():
+    class Slippery(Driven):
+        def rollout(self, scenario, ads_factory):
+            def slipping():
+                ads = ads_factory()
+                return lambda seen: tuple(0.5 * each for each in ads(seen))
+
+            return LONGER.rollout(scenario, slipping)
+
+    check_world(Slippery())
+
+
+def test_instructions_without_time_to_show_are_not_demanded():
+    class Late(Driven):
+        longest_run = 11.0
+
+        def rollout(self, scenario, ads_factory, *, decisions=()):
+            chains = [[chain[0]] * scenario.genes for chain in scenario.npcs]
+            world = Highway(duration=11.0)
+            trace = world.rollout(replace(scenario, npcs=chains), ads_factory, decisions=decisions)
+            return replace(trace, scenario=scenario, executed=scenario)
+
+    check_world(Late(), gene_seconds=10.0)
+
+
+class InPlace(Stubborn):
+    """It ignores instructions where the ego is in the leftmost lane."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        follows = Stubborn if scenario.ego_lane == 0 else Driven
+        return follows.rollout(self, scenario, ads_factory, decisions=decisions)
+
+
+def test_runs_in_which_no_npc_can_follow_do_not_count_if_one_follows_in_another():
+    npcs = [[PositionInstruction(Cell.REAR, 20.0), PositionInstruction(Cell.REAR, 5.0)]]
+    asked = [Scenario(npcs=npcs, ego_lane=lane, gene_seconds=5.0) for lane in (0, 0, 1)]
+    calls = _Calls(lambda: lambda observation: (0.0, 0.0))
+    done = [_run(InPlace(), scenario, calls) for scenario in asked]
+    _check_obedience(InPlace(), done, [], 2)
+    with pytest.raises(AssertionError, match="NPCs follow their instructions"):
+        _check_obedience(InPlace(), done[:2], [], 2)
+
+
+def broken_motion(*traces):
+    return next(((promise, received) for is_kept, promise, received in motion(traces) if not is_kept), ("", ""))
+
+
+def test_vehicle_that_jumps_is_named_by_its_step_and_wrong_speeds_by_theirs():
+    scenario = Scenario(npcs=[[PositionInstruction(Cell.REAR, 20.0)]])
+    trace = Highway(duration=4.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    jumps = with_states(trace, lambda states: np.add(states[20:, 1, X], -119.0, out=states[20:, 1, X]))
+    slow = with_states(trace, lambda states: np.divide(states[..., SPEED], 3.6, out=states[..., SPEED]))
+    promise, received = broken_motion(jumps)
+    assert promise.startswith("states has a row for each tick, at 15 Hz, none repeated, and no vehicle jumps")
+    assert received.endswith("of NPC 0 to tick 20")
+    assert broken_motion(slow)[0].startswith("states[..., SPEED] of the ego is its speed")
+
+
+def test_collision_in_the_first_tick_shows_no_motion_and_no_error():
+    stops = Scenario(npcs=[[PositionInstruction(Cell.FRONT, 0.0)]])
+    trace = Highway(duration=20.0).rollout(stops, lambda: lambda seen: (0.0, 0.0))
+    assert trace.outcome is Outcome.COLLISION
+    assert broken_motion(replace(trace, states=trace.states[-2:]), trace) == ("", "")
+
+
+def test_cell_beyond_the_road_asks_for_no_place():
+    scenario = Scenario(npcs=[[PositionInstruction(Cell.RIGHT, 20.0)]], ego_lane=1)
+    trace = Highway(duration=1.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    behind = with_states(trace, lambda states: np.add(states[:, 1:, X], -22.0, out=states[:, 1:, X]))
+    for lanes_left, is_kept in ((trace.lanes, False), (trace.lanes[:2], True)):
+        kept = [each for each, *_ in places_at_start(replace(behind, lanes=lanes_left))]
+        assert all(kept) == is_kept
+
+
+def test_npcs_that_touch_end_the_run_as_invalid():
+    scenario = Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in (Cell.FRONT_LEFT, Cell.REAR_LEFT)])
+    trace = Highway(duration=2.0).rollout(scenario, lambda: lambda seen: (0.0, 0.0))
+    touching = with_states(trace, lambda states: np.copyto(states[20:, 2], states[20:, 1]))
+    ended = replace(touching, states=touching.states[:21], outcome=Outcome.INVALID)
+    for each, is_kept in ((trace, True), (touching, False), (ended, True), (replace(trace, outcome="invalid"), False)):
+        assert all(kept for kept, *_ in contacts(replace(each, outcome=Outcome(each.outcome)))) == is_kept
+
+
+def test_run_that_ends_too_early_says_which_box_touches_the_ego_then():
+    """A simulator that stops at a contact of its own, and reports none, is told which one it was."""
+    world, cells = Highway(duration=20.0), (Cell.FRONT_LEFT, Cell.REAR_LEFT)
+    trace = world.rollout(
+        Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells]), lambda: lambda seen: (0.0, 0.0)
+    )
+    cut = replace(trace, states=trace.states[:21], outcome=Outcome.SAFE)
+    on_ego = with_states(cut, lambda states: np.copyto(states[20, 2], states[20, 0]))
+    for each, ending in (
+        (cut, " s"),
+        (on_ego, "; the boxes of the ego and of NPC 1 touch then, so is it a collision?"),
+    ):
+        promise, received = next((what, why) for kept, what, why in end(world, each) if not kept)
+        assert promise.startswith("states of a run with the outcome safe last ")
+        assert received.startswith(f"20 ticks at {trace.physics_hz} Hz, ")
+        assert received.endswith(ending)
+
+
+def test_hang_limit_of_own_world_is_kept_for_it():
+    class Waits(Own):
+        def rollout(self, scenario, ads_factory):
+            return Highway(duration=4.0).rollout(scenario, ads_factory)  # in which a decision may take 30 s
+
+    check_world(Waits(), runs=1, **SHORT)
+
+
+def test_world_that_lasts_longer_needs_a_run_without_event():
+    with pytest.warns(
+        RuntimeWarning, match="no run without an event among 0 runs, so nothing about lasting was checked"
+    ):
+        _check_lasting(Lasting(), [], None)
+
+
+# --- roads that bend
+
+
+@cache
+def bent():
+    """Return a world on a road that bends, and runs in it in which a human drives and NPCs change lanes."""
+    racetrack = World("racetrack-v0", duration=20.0)
+    world = SimpleNamespace(speed_limit=racetrack.speed_limit, longest_run=racetrack.longest_run)  # without limits
+    cells = [(Cell.FRONT, Cell.FRONT_LEFT), (Cell.LEFT, Cell.REAR_LEFT), (Cell.REAR, Cell.REAR_LEFT)]
+    chains = [[PositionInstruction(cell, 10.0) for cell in each] for each in cells]
+    given = {"ego_lane": 1, "ego_speed": 10.0, "gene_seconds": 10.0}
+    return world, [racetrack.rollout_reference(Scenario(npcs=[each], **given), "careful-human") for each in chains]
+
+
+def first_broken(change):
+    """Return the words of the first promise that changed traces on a road that bends do not keep."""
+    world, kept = bent()
+    changed = []
+    for trace in kept:
+        given = {"states": trace.states.copy(), "track": trace.track.copy(), "lanes": trace.lanes, "sizes": trace.sizes}
+        change(given)
+        changed.append(replace(trace, **given))
+    promises = [*chain.from_iterable(form(world, each.scenario, each) for each in changed), *of_runs(world, changed)]
+    return next((promise for is_kept, promise, _ in promises if not is_kept), None)
+
+
+def column(name, index, function):
+    def change(given):
+        given[name][..., index] = function(given[name][..., index])
+
+    return change
+
+
+def mirrored(given):
+    for index in (Y, HEADING, STEERING):
+        given["states"][..., index] *= -1
+
+
+def all_mirrored(given):
+    mirrored(given)
+    given["lanes"] = [
+        replace(lane, y=-lane.y, heading=-lane.heading, points=tuple((x, -y) for x, y in lane.points))
+        for lane in given["lanes"]
+    ]
+
+
+def at_rear_bumper(given):
+    states = given["states"]
+    states[..., X] -= 2.5 * np.cos(states[..., HEADING])
+    states[..., Y] -= 2.5 * np.sin(states[..., HEADING])
+
+
+def without_a_row(given):
+    for name in ("states", "track"):
+        given[name] = np.delete(given[name], 30, axis=0)
+
+
+def with_lanes_of(**new):
+    return lambda given: given.update(
+        lanes=[replace(each, **{k: f(each) for k, f in new.items()}) for each in given["lanes"]]
+    )
+
+
+BENT_AND_WRONG = [
+    (lambda given: None, None),
+    (mirrored, r"states[..., X] and states[..., Y] of the ego are within the lane"),
+    (all_mirrored, "lanes side by side are listed from the left"),
+    (at_rear_bumper, "states[..., X] and states[..., Y] are of the centre of a vehicle, at its place in track"),
+    (without_a_row, "states has a row for each tick"),
+    (column("states", LANE, lambda lane: np.where(lane < 0, lane, 1 - lane)), "states[..., X] and states[..., Y] of"),
+    (column("states", HEADING, lambda angle: 0.0 * angle), "states[..., HEADING] "),
+    (column("states", ACCELERATION, lambda a: np.vstack([a[:1], a[2:], a[-1:]])), "states[..., ACCELERATION] is the"),
+    (column("states", STEERING, np.negative), "states[..., STEERING] of the ego is positive where"),
+    (column("states", STEERING, lambda a: np.clip(8 * a, -1.5, 1.5)), "states[..., STEERING] of the ego is the"),
+    (lambda given: given.update(track=None), "track has the places of all vehicles on the ego's way if the road bends"),
+    (column("track", ALONG, lambda along: along / 0.3048), "track[..., ALONG] is the place along the ego's way"),
+    (column("track", ALONG, lambda along: along - along[0]), "track[..., ALONG] is the place along the ego's way"),
+    (column("track", ACROSS, np.negative), "track[..., ACROSS] is the distance from the ego's way"),
+    (column("track", ANGLE, np.degrees), "track[..., ANGLE] is the heading less that of the ego's way"),
+    (column("track", OFFSET, np.negative), "track[..., OFFSET] is the distance from the centre line of the vehicle's"),
+    (column("track", STRETCH, np.ones_like), "track[..., STRETCH] has the m that a vehicle drives per m of the ego's"),
+    (column("track", STRETCH, np.zeros_like), "track[..., STRETCH] has the m that a vehicle drives per m of the ego's"),
+    (with_lanes_of(width=lambda lane: 2 * lane.width), "lanes[...].width is the width of a lane"),
+    (with_lanes_of(length=lambda lane: 2 * lane.length), "lanes[0].length is that of its points"),
+    (with_lanes_of(heading=lambda lane: lane.heading + 1.0), "lanes[0].heading is the direction of its first points"),
+    (with_lanes_of(points=lambda lane: lane.points[::-1]), "lanes[0].points begins at x and y of the lane"),
+]  # fmt: skip
+
+
+@table(("change", "promise"), BENT_AND_WRONG)
+def test_wrong_trace_on_a_bend_is_refused_by_name_of_field(change, promise):
+    found = first_broken(change)
+    assert found == promise or found.startswith(promise), found
+
+
+# --- what NPCs do with their instructions, what becomes of errors, and what a world has
+
+
+class AtOneSpeed(Driven):
+    """NPCs go to their cells, at one speed."""
+
+    def rollout(self, scenario, ads_factory, *, decisions=()):
+        npcs = [[gene.with_speed(15.0) for gene in one] for one in scenario.npcs]
+        trace = super().rollout(replace(scenario, npcs=npcs), ads_factory, decisions=decisions)
+        return replace(trace, scenario=scenario, executed=scenario)
+
+
+def at_once(trace):
+    """Return a trace whose NPCs reach all cells when their instructions begin."""
+    length = trace.scenario.gene_seconds * trace.physics_hz
+    return replace(trace, arrivals=tuple(tuple(int(n * length) for n, _ in enumerate(one)) for one in trace.arrivals))
+
+
+def anonymous(trace):
+    return replace(trace, error=replace(trace.error, kind="Error", message="failed")) if trace.error else trace
+
+
+def cleared(trace):
+    return with_states(trace, lambda states: np.add.at(states, (1, 0, X), 1.0)) if trace.error else trace
+
+
+@table(
+    ("wrong", "promise"),
+    [
+        (AtOneSpeed, "an NPC in the cell of its instruction takes on its speed"),
+        (traces("AtOnce", at_once), r"arrivals\[.\]\[.\] is the tick at which the NPC reached cell"),
+        (traces("Anonymous", anonymous), "error.kind and error.message are those of the exception of an ADS"),
+        (traces("Cleared", cleared), "states has the run up to the decision of an ADS that raises"),
+    ],
+)
+def test_ignored_instruction_or_lost_error_is_refused(wrong, promise):
+    with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
+        check_world(wrong(), runs=4)
+
+
+def test_check_ends_with_what_the_world_has_and_lacks(capsys):
+    check_world(Driven(), runs=4)
+    first, *lines = capsys.readouterr().out.splitlines()
+    assert first.startswith("check_world: Driven kept its promises in ")
+    assert "  has   who would have prevented a collision (reference_drivers, rollout_reference)" in lines
+    assert "  lacks styles of traffic (has_traffic_styles)" in lines
+    check_world(Own(), runs=3, **SHORT)
+    assert (
+        "  lacks who would have prevented a collision (reference_drivers, rollout_reference)" in capsys.readouterr().out
+    )
+
+
+def collisions():
+    scenarios = [
+        Scenario(npcs=[[PositionInstruction(cell, 0.0)]]) for cell in (Cell.FRONT, Cell.FRONT_LEFT, Cell.FRONT)
+    ]
+    return [LONGER.rollout(each, lambda: lambda seen: (0.5, 0.0)) for each in scenarios]
+
+
+def test_collisions_before_contacts_are_refused():
+    hits = [trace for trace in collisions() if trace.collision] * 3
+    assert all(is_kept for is_kept, *_ in touching(hits))
+    early = [replace(trace, states=trace.states[:-3]) for trace in hits]
+    assert not all(is_kept for is_kept, *_ in touching(early))
+
+
+def test_place_of_a_crossing_npc_grows_by_what_it_drives():
+    world = environment("intersection-v0")
+    space = base_world(world).space({"crossings": world.crossings, "npcs": 2})
+    random = np.random.default_rng(0)
+    runs = [world.rollout(sample(space, random), constant_action) for _ in range(3)]
+    crossed = next(trace for trace in runs if trace.on_way is not None)
+    assert all(is_kept for is_kept, *_ in ways_of_crossing(crossed))
+    in_feet = replace(crossed, on_way=crossed.on_way / 0.3048)
+    assert not all(is_kept for is_kept, *_ in ways_of_crossing(in_feet))
+
+
+def test_ads_on_a_bend_sees_the_ego_as_states_or_track_have_it():
+    class Hourly(Recorded):
+        def rollout(self, scenario, ads_factory):
+            def sees():
+                ads = ads_factory()
+                return lambda seen: ads(SimpleNamespace(**{name: getattr(seen, name) for name in OBSERVED} | ego(seen)))
+
+            return self.world.rollout(scenario, sees)
+
+    def ego(seen):
+        return {"ego": seen.ego._replace(speed=3.6 * seen.ego.speed)}
+
+    with pytest.raises(AssertionError, match=r"an ADS that receives a pafot.Observation.* sees the ego as in states"):
+        check_world(Hourly(World("racetrack-v0", duration=3.0, planner_hz=5), None), runs=2, npcs=1)
