@@ -92,7 +92,11 @@ def picture(env_id: str) -> Image.Image:
 def frame(finding: RunView, index: int) -> Image.Image:
     """Draw a frame of a finding's run from above, with the ego in its middle."""
     ego, road = finding.vehicles[0], finding.road
-    scale, reach = (CROSSED_SCALE, CROSSED_HALF_HEIGHT) if finding.is_crossed else (SCALE, HALF_HEIGHT)
+    scale, reach = (
+        (CROSSED_SCALE, CROSSED_HALF_HEIGHT)
+        if any(vehicle.zone for vehicle in finding.vehicles)
+        else (SCALE, HALF_HEIGHT)
+    )
     x, y = ego.along[index] or 0.0, ego.across[index] or 0.0
     top, bottom = y - reach, y + reach
     if road.lanes:

@@ -41,7 +41,7 @@ def _facts(pairs: Iterable[tuple[str, object]]) -> str:
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
-def _copyable(command: str) -> str:
+def _with_button(command: str) -> str:
     """Return the HTML of a command with a button that copies the command."""
     return (
         f'<div><p class="copyline"><span class="label">Command</span><code>{text(command)}</code>'
@@ -119,7 +119,7 @@ def finding_article(finding: RunView, index: int) -> str:
     if finding.besides:
         parts.append(f'<p class="besides">{text(finding.besides)}{deadline}</p>')
     parts += [
-        _copyable(finding.command) if finding.command else "",
+        _with_button(finding.command) if finding.command else "",
         f'<ul class="tags">{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul></header>',
         '<div class="player"></div>' if finding.times else '<p class="empty">There is no run to draw.</p>',
         _happened(finding.happened) if finding.happened else "",
@@ -211,7 +211,7 @@ def render_page(report: Report) -> str:
         for node_id, failure in report.errors
     )
     count, more = len(report.findings), len(report.further)
-    session = _facts(report.facts) + (_copyable(report.command) if report.command else "")
+    session = _facts(report.facts) + (_with_button(report.command) if report.command else "")
     return Template(_asset("page.html")).substitute(
         title=text(report.title),
         policy=f"{policy}; base-uri 'none'; form-action 'none'",

@@ -246,16 +246,6 @@ class RunView:
         """The name of its test, with its parameters."""
         return self.seen.finding.test.rpartition("::")[2]
 
-    @property
-    def duration(self) -> float:
-        """Time of the last frame [s]; 0 without frames."""
-        return self.times[-1] if self.times else 0.0
-
-    @property
-    def moment(self) -> float:
-        """The time that the page shows first [s]: of the failed check if it is known, otherwise of the event."""
-        return self.event.time if self.check is None or self.check.time is None else self.check.time
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:

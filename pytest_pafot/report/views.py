@@ -47,10 +47,8 @@ from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
 
-# The road of a run for its picture: lanes and, if the road bends, the cells around the ego in world coordinates.
+# The road of a run for its picture.
 
-DENSE = 0.5
-"""Distance between neighbouring points of a lane, when the closest point to a cell is searched for [m]."""
 BEYOND = 150.0
 """Length of road that is drawn beyond the farthest point that the ego reached [m]."""
 

@@ -115,7 +115,7 @@ def instruction_at(finding: RunView, npc: int, time: float) -> tuple[Instruction
     row = next((each for each in rows if time < each.end - 1e-9), rows[-1] if rows else None)
     if row is None:
         return None
-    if not row.zone and time >= row.end - 1e-9 and finding.duration > row.end:
+    if not row.zone and time >= row.end - 1e-9 and finding.times[-1] > row.end:
         return row, "ended"
     return row, "arrived" if row.arrived is not None and time >= row.arrived - 1e-9 else "approach"
 

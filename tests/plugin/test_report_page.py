@@ -92,9 +92,11 @@ def test_page_counts_runs_of_new_and_known_findings(project, page):
 
 def test_accepted_failure_is_shown_with_its_reason(saved, page):
     with saved.only_file.open("a") as file:
-        file.write('xfail: "planner issue 12"\n')
+        file.write('xfail: {reason: "planner issue 12", until: 9999-12-31}\n')
     saved.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
-    assert [finding.label for finding in read_page(page)[1]] == ["still failing, accepted: planner issue 12"]
+    assert [finding.label for finding in read_page(page)[1]] == [
+        "still failing, accepted: planner issue 12, until 9999-12-31"
+    ]
 
 
 def test_a_fixed_scenario_is_counted_and_not_shown(saved, page):

@@ -195,7 +195,6 @@ def test_unseen_finding_has_instructions_but_no_frames():
     finding = finding_of(cut_in_trace())
     view = view_of(None, finding)
     assert view.times == view.vehicles == ()
-    assert view.duration == 0
     assert view.headline
     assert len(view.instructions) == 4
     assert not any(row.started for row in view.instructions)
@@ -226,7 +225,7 @@ DISCRETE = {"kind": "gym", "config": {"action": {"type": "DiscreteMetaAction"}}}
 def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_action(world, actions, shown):
     trace = replace(braking_ahead(), actions=actions)
     view = view_of(trace, finding_of(trace, world=world))
-    assert list(view.decisions) == [(start, min(end, view.duration), words) for start, end, words in shown]
+    assert list(view.decisions) == [(start, min(end, view.times[-1]), words) for start, end, words in shown]
 
 
 def test_view_has_recorded_acceleration():
