@@ -108,7 +108,7 @@ class Record:
         if not report.failed:
             return
         crash = getattr(report.longrepr, "reprcrash", None)
-        text = report.longreprtext if crash is None else str(crash.message)
+        text = report.longreprtext if crash is None else str(crash.message).removeprefix("Failed: ")
         self.reasons.setdefault(node_id, next((line.strip() for line in text.splitlines() if line.strip()), ""))
         if node_id in self.sightings:
             return
