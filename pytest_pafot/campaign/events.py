@@ -130,7 +130,6 @@ class SearchSummary:
             `unpreventable`, `common` with the reference.
         reached: share of instructions that were reached; null if unknown.
         finds: ids of its new findings.
-        unsaved: runs by id of findings beyond `--pafot-max-saved`.
         known: failing runs by id of the saved scenario with their failure.
         unlike: up to three of these by that id, with what differs from the file.
         failures: ids of findings by signature.
@@ -174,7 +173,6 @@ class SearchSummary:
     no_interaction: int = 0
     reached: float | None = None
     finds: tuple[Sighting, ...] = ()
-    unsaved: Mapping[str, int] = field(default_factory=dict)
     known: Mapping[str, int] = field(default_factory=dict)
     unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     failures: Mapping[str, str] = field(default_factory=dict)
@@ -208,7 +206,7 @@ class SearchSummary:
             return ""
         if self.paired.is_worse:
             how = f"worse than {self.against}"
-        elif self.finds or self.unsaved:
+        elif self.finds:
             how = f"random scenarios do not tell {self.against} and the new policy apart"
         else:
             how = f"no worse than {self.against}"

@@ -240,8 +240,6 @@ class AlgorithmRun:
         """
         given = {"ads": self.ads, "world": self.world, "algorithm": self.algorithm.made_by}
         request = request_of({**given, "fitness": self.fitness, "blame": self.blame})
-        # A finding above the largest number of saved ones is only counted.
-        request = replace(request, settings=replace(request.settings, max_saved=0))
         table, seconds = RunTable(seed=self.seed, more=_of_collision), 0.0
 
         def see(event: Any) -> None:

@@ -76,8 +76,6 @@ class MadeWorse:
                     break
         # What no time was left to decide counts.
         if self.paired.is_worse is False:
-            self.store.dismissed.update(dict.fromkeys(self.store.unsaved, ""))
-            self.store.unsaved.clear()
             yield from self._dismiss(self.store.findings.values())
 
     def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:

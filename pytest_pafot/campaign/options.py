@@ -180,13 +180,6 @@ class Settings:
         "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
         "By default 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
     )
-    max_saved: int = option(
-        "integer",
-        "Largest number of saved scenarios of each test.",
-        "More are counted and named, and saved only if they end their process.",
-        default=20,
-        least=1,
-    )
     corpus: str = option(
         "text",
         "Folder of saved scenarios: a name next to each test file, or an absolute path for all.",

@@ -87,7 +87,6 @@ class SearchArguments(TypedDict, total=False):
     pairs: int
     resume: str
     shrink_rollouts: int
-    max_saved: int
     isolate: bool
 
 

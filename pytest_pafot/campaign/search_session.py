@@ -163,7 +163,11 @@ class Prepared:
     def search(
         self, algorithm: Algorithm[Any], *, generations: int, seed: int, stop: Callable[[], bool]
     ) -> Generator[SearchEvent, None, None]:
-        """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios."""
+        """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios.
+
+        Its failures are only counted.
+        """
+        self.store.only_counts = True
         plan = plan_of(algorithm, generations=generations, seed=seed)
         return search(Blocks(plan=plan, bench=self.bench), self.state, self.store, Watch(stop))
 
@@ -594,7 +598,6 @@ class SearchSession:
                 for each in saved
             )
             if find.found is None:
-                state.unsaved_before.add(find.id)
                 continue
             if is_there and not find.is_due:
                 continue
@@ -655,7 +658,6 @@ class SearchSession:
             no_interaction=health.no_interaction,
             failing=state.verdicts["failed"],
             finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
-            unsaved={id_: 1 + state.repeats[id_] for id_ in self.store.unsaved},
             shrink_runs=state.shrink_runs,
             moment_runs=state.moment_runs,
             decisions=self.bench.decisions - state.shrink_decisions - state.moment_decisions,

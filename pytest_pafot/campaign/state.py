@@ -33,7 +33,7 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
 from pytest_pafot.support.text import plural
@@ -174,7 +174,6 @@ class State:
     # ids of findings that still must be shrunk, but not in this session, which has no time left for them
     postponed: set[str] = field(init=False, default_factory=set)
     # ids of findings of earlier sessions beyond the number that a search saves
-    unsaved_before: set[str] = field(init=False, default_factory=set)
 
     @property
     def runs(self) -> int:
@@ -377,21 +376,17 @@ class State:
 
     def found_before(self, store: Store) -> Counter[str]:
         """Return the number of failing runs for each saved finding of an earlier session, by the finding's id."""
-        listed = {*store.findings, *store.unsaved, *self.unsaved_before}
+        listed = {*store.findings}
         return Counter({id_: 1 + self.repeats[id_] for id_ in self.finds.values() if id_ not in listed})
 
     @property
     def notes(self) -> list[str]:
         """Lines for the summary on earlier sessions and their findings."""
         problem, anew = ("", "") if self.file is None else (self.file.problem, self.file.anew)
-        unsaved = self.unsaved_before
-        shown = plural(sum(1 + self.repeats[id_] for id_ in unsaved), "run")
-        left = f"{plural(len(unsaved), 'finding')} of earlier sessions not saved ({MAX_SAVED}), shown by {shown}"
         postponed = f"no time was left to shrink {plural(len(self.postponed), 'finding')} of earlier sessions"
         return [
             *([f"resumed after {plural(self.done_before[0], 'run')} of earlier sessions"] if self.done_before else []),
             *([postponed] if self.postponed else []),
-            *([left] if unsaved else []),
             *filter(None, [problem, anew]),
         ]
 
@@ -412,9 +407,6 @@ def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[S
         yield from store.publish(sighting)
         state.add(signature, sighting.id)
     return "failed"
-
-
-MAX_SAVED = flag("max_saved")
 
 
 def check_states(resume: str, here: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
@@ -13,7 +12,7 @@ from typing import Any
 from pytest_pafot.campaign.blocks import PendingFailure
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
-from pytest_pafot.corpus.layout import SUFFIX, files_in, relative
+from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
 from pytest_pafot.execution.crash_records import Leftover
@@ -54,7 +53,7 @@ class Store:
     # files that existed before the search; their replays do not show the findings that are saved here
     replayed: frozenset[Path] = frozenset()
     findings: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
-    unsaved: list[str] = field(default_factory=list)  # ids of findings above the limit of saved scenarios
+    only_counts: bool = False  # True if new failures are only counted, and no finding is made of them
     first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
@@ -65,8 +64,8 @@ class Store:
 
     @property
     def count(self) -> int:
-        """The number of distinct findings reported so far, including those above the limit, which are not saved."""
-        return len(self.findings) + len(self.unsaved) - len(self.held)
+        """The number of distinct findings reported so far."""
+        return len(self.findings) - len(self.held)
 
     @property
     def firm(self) -> int:
@@ -74,18 +73,15 @@ class Store:
         return sum(each.is_firm for each in self.findings.values())
 
     def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> Sighting | str:
-        """Save a new finding, and hold it back; return its id alone if as many are saved as the search may save.
+        """Save a new finding, and hold it back; return its id alone if failures are only counted.
 
         ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
         """
         if verdict.exception is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
-        harness, finding = self.harness, self._failure(run, verdict, generation)
+        finding = self._failure(run, verdict, generation)
         self._forget_pending(finding)
-        # A finding whose file exists already takes no more room.
-        if self._is_full and not os.path.lexists(free_path(harness.folder, finding, self.replayed)[0]):
-            self.unsaved.append(finding.id)
-            self.first_exception = self.first_exception or verdict.exception
+        if self.only_counts:
             return finding.id
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
             sighting = self._saved(
@@ -104,17 +100,16 @@ class Store:
         if signature in known or signature in self.pending:
             return
         with postponed():  # A file that an interrupt leaves unnoted would be in no report.
-            if self.harness.request.settings.save != "none" and self._room > self._pending_files:
+            if self.harness.request.settings.save != "none":
                 path, finding = free_path(self.harness.folder, finding, self.replayed)
                 with suppress(CorpusWriteError):  # which is reported in its turn
                     saved = path if write(path, finding) else None
             self.pending[signature] = saved, pending
 
     def _forget_pending(self, finding: Finding) -> None:
-        """Remove what was saved before its turn if a failure of its kind has come before it, or if there is no room."""
+        """Remove what was saved before its turn if a failure of its kind has come before it."""
         path, _ = self.pending.pop(finding.signature, (None, None))
-        is_same = path == free_path(self.harness.folder, finding, self.replayed)[0]
-        if path is not None and (self._is_full or not is_same):
+        if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
             _remove_pending(path)
 
     def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str]]:
@@ -134,21 +129,6 @@ class Store:
                 sighting = self.add(*pending.of, pending.generation, number)
                 yield signature, sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
         self.pending.clear()
-
-    @property
-    def _room(self) -> int:
-        """The number of findings that may still be saved, without those that are saved before their turn."""
-        files = files_in(self.harness.folder)  # Empty if the folder cannot be read; writing into it reports why.
-        saved = max(len(files) - self._pending_files, len(self.findings))
-        return self.harness.request.settings.max_saved - saved
-
-    @property
-    def _is_full(self) -> bool:
-        return self._room <= 0
-
-    @property
-    def _pending_files(self) -> int:
-        return sum(path is not None for path, _ in self.pending.values())
 
     def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
         if verdict.failure is None:
@@ -179,7 +159,6 @@ class Store:
         withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
         self.is_holding = False
-        self.unsaved.clear()
         for sighting in withdrawn:
             try:
                 if sighting.file is not None:

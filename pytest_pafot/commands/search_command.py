@@ -243,7 +243,7 @@ def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
         record = json.loads(told.read_bytes()) if told.exists() else {"searches": []}
         output.seek(0)
         words = output.read().decode("utf-8", "replace").splitlines()
-    if code == 0 or any(search["finds"] or search["unsaved"] for search in record["searches"]):
+    if code == 0 or any(search["finds"] for search in record["searches"]):
         return
     errors = [line[1:].strip() for line in words if line.startswith("E ")]
     received = next((search["message"] for search in record["searches"] if search["message"]), " ".join(errors[-1:]))

@@ -294,7 +294,7 @@ def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
         worst_ones = [f"{code(share.parameters)} {share.result}" for share in shares if share.failing]
         yield from _listed(f"Parameters of {code(test)} that fail most", worst_ones, MAX_TOLD)
     failed = [each for each in record.searches if each.result in FAILED]
-    faulty = [each for each in failed if not (each.finds or each.unsaved)]  # their new findings did not make them fail
+    faulty = [each for each in failed if not each.finds]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]
     yield from _listed("Saved scenarios whose test is gone", lost)

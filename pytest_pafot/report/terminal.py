@@ -228,9 +228,9 @@ def failure_message(search: SearchSummary) -> str:
             )
         else:
             firm.append(name)
-    count = plural(len(search.finds) + len(search.unsaved), "new finding")
+    count = plural(len(search.finds), "new finding")
     first = f"{count} in {plural(search.runs, 'run')}, reported below"
-    return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky, *_unsaved_lines(search)])
+    return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky])
 
 
 def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
@@ -308,15 +308,15 @@ def _decisions(search: SearchSummary) -> list[str]:
 
 def _find_lines(search: SearchSummary) -> list[str]:
     """Say how many new findings a search has and in which folder they are saved. Their own reports name them."""
-    if not search.finds and not search.unsaved:
+    if not search.finds:
         return []
     folders = dict.fromkeys(os.path.dirname(sighting.path) for sighting in search.finds if sighting.path)  # noqa: PTH120
     problems = dict.fromkeys(sighting.detail for sighting in search.finds if sighting.detail)
     flaky = sum(sighting.is_flaky for sighting in search.finds)
-    first = plural(len(search.finds) + len(search.unsaved), "new finding")
+    first = plural(len(search.finds), "new finding")
     first += f" ({flaky} flaky)" if flaky else ""
     first += f", saved in {' and '.join(folders)}" if folders else ""
-    return [first, *(f"not saved: {problem}" for problem in problems), *_unsaved_lines(search)]
+    return [first, *(f"not saved: {problem}" for problem in problems)]
 
 
 def _comparison(search: SearchSummary) -> list[str]:
@@ -326,11 +326,6 @@ def _comparison(search: SearchSummary) -> list[str]:
         names = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
         lines.append(f"fails elsewhere: {_listed(names)}; {flag('pairs', 0)} counts and saves it")
     return lines
-
-
-def _unsaved_lines(search: SearchSummary) -> list[str]:
-    names = [f"{id_} ({plural(count, 'run')})" for id_, count in search.unsaved.items()]
-    return [f"  {len(names)} of them not saved ({flag('max_saved')}): {_listed(names)}"] if names else []
 
 
 def replay_lines(replays: Sequence[Sighting], width: int = WIDTH) -> list[str]:
@@ -359,7 +354,7 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
     for name in filter(None, dict.fromkeys(names)):
         labels = Counter(replay.label for replay in session.replays if replay.against == name)
-        found = sum(len(each.finds) + len(each.unsaved) for each in session.searches if each.against == name)
+        found = sum(len(each.finds) for each in session.searches if each.against == name)
         introduced = plural(found + labels[Label.INTRODUCED], "failure")
         text = f"against {name}: introduces {introduced}, fixes {labels[Label.FIXED]}, {labels[Label.COMMON]} as before"
         elsewhere = sum(len(each.no_worse) for each in session.searches if each.against == name)
@@ -532,7 +527,7 @@ def _is_quiet(search: SearchSummary) -> bool:
     """Return whether a search ran as asked, evaluated something, and nothing failed in it."""
     untested = search.invalid + search.rejected + search.skipped
     is_tested = search.runs > untested or search.reason is Ending.REPLAYS
-    is_clean = not (search.failing or search.finds or search.unsaved)
+    is_clean = not (search.failing or search.finds)
     return is_tested and is_clean and not search.reason.is_broken_off
 
 

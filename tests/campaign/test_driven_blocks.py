@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-import pytest_pafot as pafot
 from pytest_pafot.campaign import bench, blocks, explore, search, store, tallies
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
@@ -271,25 +270,6 @@ def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searc
     assert not saved_early
     assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
     assert saved_early
-
-
-def test_failures_of_later_blocks_have_files_while_there_is_room(searched, saved_early, monkeypatch):
-    add_pending, most = Store.add_pending, []
-
-    def add(self, *given):
-        add_pending(self, *given)
-        if saved_early[-1:] != [None]:
-            most.append(len(self.findings) + sum(path is not None for path, _ in self.pending.values()))
-
-    def fails(run):
-        pafot.check(0, name=run.scenario.id, at_least=1)
-
-    monkeypatch.setattr(Store, "add_pending", add)
-    monkeypatch.setattr(bench, "difference", lambda run, bench: "")
-    alone, _ = searched("alone", test=fails, max_saved=20)
-    assert searched("early", drives=True, workers=2, test=fails, max_saved=20)[0] == alone
-    assert most
-    assert max(most) <= 20
 
 
 def test_a_failure_of_a_later_block_whose_file_cannot_be_removed_stays(searched, saved_early, monkeypatch):

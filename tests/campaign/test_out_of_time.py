@@ -246,15 +246,6 @@ def test_session_continues_open_findings_as_time_allows(clock, tmp_path):
     assert not any(unshrunk(third))
 
 
-def test_full_corpus_does_not_prevent_shrinking_later(clock, tmp_path):
-    given = {"resume": "states", "max_saved": 3}
-    assert all(unshrunk(searched(clock, fails_in_three_ways, runs=20, max_time=45, **given)))
-    assert len(files(tmp_path / "corpus")) == 3
-    later = searched(clock, fails_in_three_ways, runs=1, **given)
-    assert not later.summary.unsaved
-    assert all(finding.shrunk is not None for finding in later.findings)
-
-
 def test_answers_to_other_questions_are_not_used(clock, tmp_path):
     given = {"runs": 1, "resume": "states"}
     first = searched(clock, fails_in_three_ways, runs=12, max_time=24, resume="states", shrink_rollouts=300)

@@ -238,16 +238,6 @@ def test_finding_with_deleted_file_is_found_again(search, tmp_path, first):
     assert files(tmp_path / "corpus") == saved != {}
 
 
-def test_finding_beyond_the_limit_is_never_known(search):
-    first = search(runs=20, max_saved=1).summary
-    assert first.unsaved
-    last = search(runs=1, max_saved=1).summary
-    assert set(last.known) == {first.finds[0].id}
-    runs = last.failing - sum(last.known.values()) - sum(last.unsaved.values())
-    assert runs >= sum(first.unsaved.values())
-    assert f"not saved (--pafot-max-saved), shown by {runs} runs" in last.notes[1]
-
-
 def test_a_find_under_another_name_is_there(search, tmp_path, first):
     for path in (tmp_path / "corpus").rglob("*.pafot.yaml"):
         path.rename(path.with_name(f"renamed-{path.name}"))

@@ -344,36 +344,6 @@ def test_a_shrunk_xfail_reason_stays(collides):
     run(collides, generations=0).assert_outcomes(xfailed=1, skipped=1)
 
 
-def test_max_saved_limits_files_and_names_the_rest(project):
-    project.write(
-        """
-@pafot.search(SHORT)
-def test_many(run):
-    raise type(f"Error{run.scenario.id}", (Exception,), {})
-"""
-    )
-    result = run(project, "--pafot-max-saved=2", "--pafot-shrink-rollouts=1", generations=2)
-    assert len(project.files) == 2
-    result.assert_outcomes(failed=3)
-    result.stdout.fnmatch_lines(["* new findings in *", "* of them not saved (--pafot-max-saved): *-?????? (1*"])
-
-
-def test_new_finding_fails_even_beyond_max_saved(project):
-    project.write(
-        """
-@pafot.search(SHORT, max_saved=1)
-def test_one(run):
-    raise type(f"Error{run.scenario.id}", (Exception,), {})
-"""
-    )
-    run(project, "--pafot-stop-after=1", "--pafot-shrink-rollouts=1")
-    first = project.contents
-    result = run(project, seed=3, generations=1)
-    assert project.contents == first
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["* of them not saved (--pafot-max-saved): *"])
-
-
 IMPATIENT = """
 import pytest
 from pytest_pafot.plugin.session import SHARED

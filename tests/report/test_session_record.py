@@ -40,7 +40,6 @@ SUMMARIES = st.builds(
         st.builds(Sighting, finding=st.sampled_from([plain_finding(), plain_finding(id="A_b.c-d")]), node_id=TEXTS),
         max_size=2,
     ).map(tuple),  # of these, a summary has the id
-    unsaved=COUNTS,
     known=COUNTS,
     reached=st.none() | st.floats(0, 1),
     warnings=st.lists(TEXTS, max_size=2).map(tuple),

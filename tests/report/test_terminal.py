@@ -204,7 +204,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
     flaky = named("rear-6-222222", difference="running it again gave a different run", repeats=0)
     lost = named("left-8-333333", path="", detail="read-only file system")
     other = replace(
-        SEARCH, node_id="tests/test_safety.py::test_other[search]", finds=(flaky, lost), unsaved={"front-2-aaaaaa": 3},
+        SEARCH, node_id="tests/test_safety.py::test_other[search]", finds=(flaky, lost),
         shrink_runs=49, known={}, warnings=(), notes=(),
     )  # fmt: skip
     session = SessionSummary(
@@ -272,7 +272,7 @@ def test_few_searches_are_whole():
 
 def test_the_failure_of_a_search_reads_so(snapshot):
     flaky = named("rear-6-222222", difference="running it again gave a different run", is_timed=True)
-    search = replace(SEARCH, finds=(FIND, flaky), unsaved={"front-2-aaaaaa": 3, "rear-6-bbbbbb": 1})
+    search = replace(SEARCH, finds=(FIND, flaky))
     assert terminal.failure_message(search) == snapshot
 
 
