@@ -37,8 +37,6 @@ from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
 
 SLOWING = 2.0
 """The deceleration of an NPC before a bend or a lane's end [m/s^2]; at most a third of its braking limit is used."""
-PACE = 0.5
-"""The time over which a turn along a track is measured [s]."""
 SPEED_LAG = 1 / 1.5
 """The time by which the speed control lags behind a steadily falling target speed: the inverse of its gain [s]."""
 
