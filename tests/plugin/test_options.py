@@ -164,8 +164,6 @@ def test_search_arguments_match_the_table_of_options():
     own = {
         "world",
         "ads",
-        "drivers",
-        "around",
         "arg",
         "fitness",
         "blame",
