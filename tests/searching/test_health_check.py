@@ -209,7 +209,6 @@ def test_the_health_of_the_parts_of_a_campaign_is_together_that_of_the_whole(mak
             "outcome": st.sampled_from(Outcome),
             "duration": st.sampled_from([0.5, 60.0]),
             "fitness": st.sampled_from([1.0, math.nan]),
-            "arrived": st.tuples(st.tuples(st.booleans(), st.booleans())),
             **dict.fromkeys(("failing", "discarded", "interaction", "outran", "barely_moved"), st.booleans()),
         }
     )
