@@ -91,7 +91,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
 def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
     found = finding_entry(
         None, node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
-        flaky=text, xfail={"reason": other, "until": None}, result="xfailed",
+        flaky=text, xfail={"reason": other, "until": "2027-01-31"}, result="xfailed",
     )  # fmt: skip
     faulty = SearchSummary(node_id=text, message=other, result="failed", against=text)
     record = SessionRecord(findings=[found], searches=[faulty], warnings=[text], problems=[text])
