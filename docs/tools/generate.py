@@ -317,12 +317,6 @@ def _attributes(thing: Any, heading: str = "Attributes:") -> Iterator[tuple[str,
         yield names, _plain(text)
 
 
-def _field_comments(cls: type[Any]) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of a dataclass whose fields have comments on their lines."""
-    for name, text in re.findall(r"^    (\w+): [^#\n]+  # (.*)$", inspect.getsource(cls), re.MULTILINE):
-        yield name, f"{_plain(text)}."
-
-
 def _plain(text: str) -> str:
     """Return the text of a docstring as Markdown."""
     return _ROLE.sub(lambda found: f"`{found[1].rpartition('.')[2]}`", text).replace("``", "`").strip()

@@ -61,7 +61,6 @@ class RunTable:
 
     test: str = ""
     seed: int = 0
-    number: int = 0
     rows: list[Row] = field(default_factory=list)
     more: Callable[[Run], Row] = lambda run: {}  # returns the values of a run for columns that only one table has
     # the columns of the runs, by the scenario as driven
@@ -86,9 +85,7 @@ class RunTable:
                     self._add(row)
 
     def _add(self, row: Row) -> None:
-        self.number += 1
-        of_search = {"test": self.test, "seed": self.seed}
-        self.rows.append(row | of_search | {"run": self.number})
+        self.rows.append(row | {"test": self.test, "seed": self.seed, "run": len(self.rows) + 1})
 
 
 def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *, reused: bool = False) -> Row:

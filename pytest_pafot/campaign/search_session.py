@@ -370,7 +370,7 @@ class SearchSession:
                     end=now + (self.limit - now) / 2,
                 )
                 yield from self._events(self._worse.compare(state.space))
-            yield from self._refine(reason)
+            yield from self._refine()
         except SetupFaultError as error:
             reason, fault = Ending.ERROR, error
             yield from self._events(store.withdraw())
@@ -413,7 +413,7 @@ class SearchSession:
             self.state.add(signature, find_id)
             self.state.verdicts["failed"] += 1
 
-    def _refine(self, reason: Ending) -> Iterator[SearchEvent]:
+    def _refine(self) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at the decisions that led to them."""
         __tracebackhide__ = True
         state = self.state

@@ -403,7 +403,7 @@ def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[S
     if state.knows(signature):
         state.repeat(signature)
     else:
-        sighting = store.add_lost(lost, state.generation, state.runs + 1)
+        sighting = store.add_lost(lost, state.generation)
         yield from store.publish(sighting)
         state.add(signature, sighting.id)
     return "failed"

@@ -124,7 +124,7 @@ class Store:
                 if path is not None:
                     _remove_pending(path)
             elif isinstance(pending.of, ProcessLostError):
-                yield signature, self.add_lost(pending.of, pending.generation, number).id
+                yield signature, self.add_lost(pending.of, pending.generation).id
             else:
                 sighting = self.add(*pending.of, pending.generation, number)
                 yield signature, sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
@@ -245,8 +245,8 @@ class Store:
         with postponed():
             return self._held(self._saved(finding, line, PlainFailure(text), is_timed))
 
-    def add_lost(self, lost: LostRun, generation: int, number: int) -> Sighting:
-        """Save a scenario whose process died or hung. The numbers are as in :meth:`add`."""
+    def add_lost(self, lost: LostRun, generation: int) -> Sighting:
+        """Save a scenario whose process died or hung."""
         again = "" if lost.is_hang else ", also when it was tried again"
         text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")

@@ -241,7 +241,7 @@ FAILING = ("failed", "unpreventable", "common")
 def fails_by_ego(verdict: Verdict, responsible: str | None) -> bool:
     """Return whether a run failed by a collision for which the ego is ``responsible``, alone or with the NPC.
 
-    An ADS that raised or was slow has failed by itself, even if a collision followed.
+    An ADS that raised or hung has failed by itself, even if a collision followed.
     """
     return verdict.kind in FAILING and not verdict.is_ads and responsible in ("ego", "both")
 

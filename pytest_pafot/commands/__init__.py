@@ -1,1 +1,1 @@
-"""The commands ``search`` and ``bisect``, and what all commands share: how policies are named, and resumable work."""
+"""The commands ``search``, ``corpus`` and ``rate``, and what all commands share: how policies are named."""

@@ -10,7 +10,6 @@ from typing import Any, TextIO
 from pytest_pafot import WorldLike
 from pytest_pafot.campaign.explore import AlgorithmRun
 from pytest_pafot.campaign.setup_fault import SetupFaultError
-from pytest_pafot.commands.policy_reference import CAUTION
 from pytest_pafot.comparison.plan import DIFFERENT, Plan
 from pytest_pafot.comparison.resumable import ResumableJob, Task, Tick, claim, run_job
 from pytest_pafot.support.errors import RequestError
@@ -41,16 +40,11 @@ def run_all(plan: Plan, folder: Path, *, workers: int, stream: TextIO, clock: Ca
     The arguments and the exceptions are as for :func:`run_job`.
     """
     job = ResumableJob(
-        command="compare",
-        noun="comparison",
-        units="runs",
         tasks=plan.tasks,
         in_order=tuple((name, run) for name in plan.names for run in range(plan.runs)),
         question=plan.question,
-        question_file="comparison.json",
         identities=plan.identities,
         text=partial(_text, plan),
-        caution=CAUTION,
     )
     claim(job, folder)  # report an unusable folder before anything else
     if len(plan.scenarios) > 1:

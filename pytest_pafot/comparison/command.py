@@ -16,10 +16,10 @@ from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.commands.policy_reference import add_world_arguments, chosen_world, worker_count
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, checked
-from pytest_pafot.comparison.resumable import AGAIN, written_into
+from pytest_pafot.comparison.resumable import AGAIN
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.support.errors import RequestError, install
-from pytest_pafot.support.files import write_whole
+from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.world.codec import WorldData
 from pytest_pafot.world.guard.own_worlds import base_world

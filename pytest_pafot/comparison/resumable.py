@@ -1,4 +1,4 @@
-"""The tasks of a long command, which run in one or several processes. After a stop, finished tasks are not repeated."""
+"""The runs of a comparison, in one or several processes. After a stop, finished runs are not repeated."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any, TextIO
 
+from pytest_pafot.commands.policy_reference import CAUTION
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.files import way_out, write_whole
+from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.text import differences, visible
 
 RUNS = "runs"
 """The name of the folder with a file of results for each task."""
 RESULTS = "results.csv"
+QUESTION = "comparison.json"
+"""The name of the file with the question and the identities of a job."""
 TIME = ".seconds"
 """The suffix of a task's second file, with its wall-clock time and a digest of its results.
 
@@ -43,44 +46,23 @@ Tick = Callable[[float], None]  # receives the finished share of a task
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResumableJob:
-    """The work of a command, divided into tasks.
+    """The work of ``compare``, divided into tasks: the runs of its algorithms.
 
     Attributes:
-        command: the name of the command.
-        noun: the word for its results, such as ``comparison``.
-        units: the word for the units that its progress counts, such as ``runs``.
         tasks: the tasks in the order in which they are started.
         in_order: the tasks in the order of their rows in the result.
         question: everything on which the results of all tasks depend, as plain data; only results with equal data are
             combined.
-        question_file: the name of the file with ``question`` and ``identities``.
         identities: what else the results of tasks with a name depend on, such as the code of an algorithm, by name. A
             later job may have other names.
         text: a function that returns the rows of a task as CSV; it must be picklable.
-        sizes: the number of units of each task with more than one unit, whose progress is shown while it runs.
-        caution: a warning that is printed if earlier results are reused; empty if there is nothing to warn of.
     """
 
-    command: str
-    noun: str
-    units: str
     tasks: tuple[Task, ...]
     in_order: tuple[Task, ...]
     question: Mapping[str, Any]
-    question_file: str
     text: Callable[[Task, Tick], str]
     identities: Mapping[str, Any] = field(default_factory=dict)
-    sizes: dict[Task, int] = field(default_factory=dict)
-    caution: str = ""
-
-    def size(self, task: Task) -> int:
-        """Return the number of units of a task, by default 1."""
-        return self.sizes.get(task, 1)
-
-    @property
-    def total(self) -> int:
-        """The number of units of all tasks."""
-        return sum(map(self.size, self.tasks))
 
 
 def file_name(name: str, run: int) -> str:
@@ -109,11 +91,12 @@ def run_job(job: ResumableJob, folder: Path, *, workers: int, stream: TextIO, cl
     left = [task for task in job.tasks if seconds_of(folder / file_name(*task)) is None]
     for task in left:
         if (folder / file_name(*task)).exists():
-            stream.write(f"{job.command}: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
-    done = job.total - sum(map(job.size, left))
-    if done and job.caution:
-        stream.write(f"{job.command}: {done} of {job.total} {job.units} are reused from before; {job.caution}\n")
-    progress = ProgressLine(job=job, done=done, stream=stream, clock=clock)
+            stream.write(f"compare: {folder / file_name(*task)} was changed or damaged, so its task runs again\n")
+    total = len(job.tasks)
+    done = total - len(left)
+    if done:
+        stream.write(f"compare: {done} of {total} runs are reused from before; {CAUTION}\n")
+    progress = ProgressLine(total=total, done=done, stream=stream, clock=clock)
     for task in _done(job, folder, left, progress, workers):
         progress.finished(task)
     progress.close()
@@ -130,7 +113,7 @@ def claim(job: ResumableJob, folder: Path) -> None:
     Raises:
         RequestError: if the folder holds the results of a different job, or cannot be written.
     """
-    path = folder / job.question_file
+    path = folder / QUESTION
     now: dict[str, Any] = json.loads(json.dumps({**job.question, OF_NAMES: job.identities}))  # tuples become lists
     with written_into(folder):
         # Only names with a finished task count. A folder in which no task was finished is free.
@@ -147,8 +130,8 @@ def claim(job: ResumableJob, folder: Path) -> None:
                 differ = visible("; ".join(differences("", compared, now)))  # a folder may come from somebody else
             if differ:
                 raise RequestError(
-                    f"--out: expected an empty folder or the folder of this {job.noun}, received {folder}, whose "
-                    f"{job.question_file} does not agree: {differ}; give another folder, or what it was made with"
+                    f"--out: expected an empty folder or the folder of this comparison, received {folder}, whose "
+                    f"{QUESTION} does not agree: {differ}; give another folder, or what it was made with"
                 )
         write_whole(path, json.dumps(now, indent=1, sort_keys=True) + "\n")
 
@@ -164,32 +147,12 @@ def _question_in(path: Path) -> dict[str, Any] | str:
     return data if isinstance(data, dict) and isinstance(data.get(OF_NAMES), dict) else "it cannot be read"
 
 
-@contextmanager
-def written_into(folder: Path, elsewhere: str = "or give another folder") -> Iterator[None]:
-    """Turn an OSError in this context into an error for ``--out``, since the folder cannot be written.
-
-    The message ends with ``elsewhere``, the advice to use another folder.
-
-    Raises:
-        RequestError: in place of an OSError.
-    """
-    try:
-        yield
-    except OSError as error:
-        # Name an existing file that is in the way, but not a temporary file that was being written.
-        what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
-        raise RequestError(
-            f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
-            f"{way_out(error, elsewhere)}"
-        ) from None
-
-
 @dataclass(slots=True)
 class ProgressLine:
-    """The report of how far a command is and how long it will still take."""
+    """The report of how far ``compare`` is and how long it will still take."""
 
-    job: ResumableJob
-    done: int  # number of finished units
+    total: int  # number of runs
+    done: int  # number of finished runs
     stream: TextIO  # the stream for the report
     clock: Callable[[], float]  # returns the seconds since some fixed moment
     started: float = field(init=False)
@@ -205,7 +168,7 @@ class ProgressLine:
         is_terminal = self.stream.isatty()
         if now - self.told_at < (POLL_SECONDS if is_terminal else TOLD_EVERY):
             return
-        if not is_terminal and self.done + shares >= self.job.total:
+        if not is_terminal and self.done + shares >= self.total:
             return  # the last line follows at once
         self.told_at = now
         line = self.line(shares, now)
@@ -213,23 +176,18 @@ class ProgressLine:
 
     def line(self, shares: float, now: float) -> str:
         """Return a line such as ``compare: 12 of 30 runs, 43 %, 6 min left``."""
-        job, gained = self.job, self.done - self.first_done + shares
-        share = (self.done + shares) / max(job.total, 1)
-        missing = job.total - self.done - shares
+        gained = self.done - self.first_done + shares
+        share = (self.done + shares) / max(self.total, 1)
+        missing = self.total - self.done - shares
         left = "" if gained <= 0.02 else f", {_duration((now - self.started) / gained * missing)} left"
-        done = self.done + (math.floor(shares + 1e-6) if job.sizes else 0)
-        return f"{job.command}: {done} of {job.total} {job.units}, {share:.0%}{left}".replace("%", " %")
+        return f"compare: {self.done} of {self.total} runs, {share:.0%}{left}".replace("%", " %")
 
     def finished(self, task: Task) -> None:
-        """Count a finished task and report it. Tasks of many units are reported by :meth:`tick`, except the last."""
-        job = self.job
-        self.done += job.size(task)
-        if self.stream.isatty():
-            return
-        which = "100 %," if job.sizes else f"{task[0]} {job.units.removesuffix('s')} {task[1]} done"
-        if not job.sizes or self.done == job.total:
+        """Count a finished task and report it."""
+        self.done += 1
+        if not self.stream.isatty():
             spent = _duration(self.clock() - self.started)
-            self._tell(f"{job.command}: {self.done} of {job.total} {job.units}, {which} after {spent}\n")
+            self._tell(f"compare: {self.done} of {self.total} runs, {task[0]} run {task[1]} done after {spent}\n")
 
     def close(self) -> None:
         """Erase the line of progress on a terminal."""
@@ -287,7 +245,7 @@ def _run_task(job: ResumableJob, folder: Path, task: Task, tick: Tick) -> None:
         nonlocal stream
         if share - stream >= 0.01:
             stream = share
-            tick(share * job.size(task))
+            tick(share)
 
     path = folder / file_name(*task)
     text = job.text(task, tick_sparsely)

@@ -12,14 +12,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.instructions import SLOTS, CrossingInstruction
-from pytest_pafot.model.scenario import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
@@ -322,8 +320,3 @@ class Crossings:
                 return True
             order.add(a > b)
         return len(order) > 1
-
-    def clashes(self, scenario: Scenario) -> tuple[tuple[int, int], ...]:
-        """Return the pairs of NPCs that :meth:`clash`."""
-        told = [(npc, each) for npc, each in enumerate(scenario.crossings) if each is not None]
-        return tuple((a, b) for (a, one), (b, other) in combinations(told, 2) if self.clash(one, other))

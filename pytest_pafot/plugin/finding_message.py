@@ -37,7 +37,7 @@ def send_sighting(
 
     Args:
         item: the item that found or replayed it.
-        settings: the item's settings, which name the page, and repeat the search of a finding without a file.
+        settings: the item's settings: whether there is a page, and how to repeat a search whose finding has no file.
         sighting: the finding, and what this session saw of it.
         check: the check that failed; None if no check failed.
         note: what the page adds to the headline.
@@ -52,18 +52,16 @@ def send_sighting(
         command=rerun(["python", "-m", "pytest", shown], os.environ, *options, saved=saved),
     )
     data = {"sighting": messages.packed(sighting), **more}
-    if settings.report is not None:
-        data["target"] = settings.report
-        if sighting.headline:
-            from pytest_pafot.report.views import finding_view  # noqa: PLC0415
+    if settings.report is not None and sighting.headline:
+        from pytest_pafot.report.views import finding_view  # noqa: PLC0415
 
-            shown = sighting.node_id if sighting.path else item.nodeid
-            accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
-            view = replace(
-                finding_view(sighting, note=note, check=check),
-                label=label_of(sighting) if sighting.label is Label.NEW else f"{sighting.label}{accepted}",
-                command=rerun(["pytest", shown], os.environ, *options, saved=saved),
-            )
-            data["view"] = messages.packed(view)
+        shown = sighting.node_id if sighting.path else item.nodeid
+        accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
+        view = replace(
+            finding_view(sighting, note=note, check=check),
+            label=label_of(sighting) if sighting.label is Label.NEW else f"{sighting.label}{accepted}",
+            command=rerun(["pytest", shown], os.environ, *options, saved=saved),
+        )
+        data["view"] = messages.packed(view)
     messages.send(item, "finding", data)
     return sighting

@@ -16,6 +16,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin.marks import SEARCH_MARK
 from pytest_pafot.plugin.messages import Message, received, unpacked
+from pytest_pafot.plugin.option_sources import value_if_right
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support.errors import flag, rerun
@@ -26,13 +27,13 @@ if TYPE_CHECKING:
 
 
 class Pages:
-    """Hooks that collect the content of report pages and write the pages, only on the controller."""
+    """Hooks that collect the content of the report page and write the page, only on the controller."""
 
     def __init__(self, config: pytest.Config, record: Record) -> None:
         self._config = config
         self._record = record
-        self._pages: dict[Path, str] = {}  # the paths of all pages, and how the user has named them
-        self._targets: dict[str, Path] = {}  # the page of each item
+        self._target: str | None = value_if_right(config, "report")  # the page, as the user has named it
+        self._has_content = False
         self._views: dict[str, bytes] = {}  # of findings by node id; compressed, as each takes half a megabyte
         self._failures: dict[tuple[str, str], str] = {}
         self._shown: set[str] = set()
@@ -42,60 +43,48 @@ class Pages:
         """Store what items send for the page."""
         message = received(report)
         if message is not None:
-            if "target" in message.data:  # of a finding or a search whose item asks for a page
+            if message.kind in ("finding", "search"):
                 self._take(report.nodeid, message)
-        elif report.failed and (SEARCH_MARK in report.keywords or report.nodeid in self._targets):
+        elif report.failed and SEARCH_MARK in report.keywords:
             self._failures[report.nodeid, report.when] = report.longreprtext
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Write the report pages, even if the session was interrupted."""
-        lines, is_interrupted = self._config.stash[SUMMARY_LINES], exit_code(session) == pytest.ExitCode.INTERRUPTED
-        for path, target in self._pages.items():
-            with lines.faults(f"{flag('report', target)}: not written"):
-                self._write(path, target, is_interrupted=is_interrupted)
+        """Write the report page, even if the session was interrupted."""
+        lines, target = self._config.stash[SUMMARY_LINES], self._target
         asked, is_listed = self._config.getoption(BY_NAME["report"].key), self._config.getoption("collectonly", False)
-        if asked and not (self._pages or is_listed):
+        if target is not None and self._has_content:
+            with lines.faults(f"{flag('report', target)}: not written"):
+                self._write(target, is_interrupted=exit_code(session) == pytest.ExitCode.INTERRUPTED)
+        elif asked and not is_listed:
             lines.problems.append(f"{flag('report', asked)}: nothing was written, since no search and no replay ran")
 
     def _take(self, node_id: str, message: Message) -> None:
         """Store what a finding or a search sends for the page."""
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
 
-        data, found = message.data, self._record.latest
-        path = Path(os.path.normpath(self._config.invocation_params.dir / data["target"]))
-        self._pages.setdefault(path, data["target"])
-        self._targets[node_id] = path
-        if found is not None and "view" in data:
-            self._views[found.node_id] = zlib.compress(data["view"].encode(), level=1)
-            self._targets[found.node_id] = path
+        self._has_content, found = True, self._record.latest
+        if found is not None and "view" in message.data:
+            self._views[found.node_id] = zlib.compress(message.data["view"].encode(), level=1)
             self._shown |= {found.node_id, node_id}  # the search that found it fails because of it, too
         if message.kind == "search" and self._record.searches[node_id].reason is Ending.ERROR:
             self._shown.discard(node_id)
 
-    def _write(self, path: Path, target: str, *, is_interrupted: bool) -> None:
+    def _write(self, target: str, *, is_interrupted: bool) -> None:
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
         from pytest_pafot.report.page import WHOLE, by_test, numbers, rank, session_facts, write_report  # noqa: PLC0415
         from pytest_pafot.report.page_data import Report  # noqa: PLC0415
 
-        record, targets = self._record, self._targets
+        record, path = self._record, Path(os.path.normpath(self._config.invocation_params.dir / target))
         errors = tuple(
             (node_id, text)
             for (node_id, when), text in sorted(self._failures.items())
-            # Errors of this page's items, and of items that failed before they named a page; not failures that a
-            # finding shows already.
-            if targets.get(node_id, path) == path and not (when == "call" and node_id in self._shown)
+            if not (when == "call" and node_id in self._shown)  # a failure that a finding shows already
         )
-        ids = [node_id for node_id in self._views if targets[node_id] == path]
-        found = sorted((record.new.get(node_id) or record.sightings[node_id] for node_id in ids), key=rank)
-        searches = [
-            each
-            for _, each in sorted(record.searches.items())
-            if targets.get(each.node_id) == path and each.reason is not Ending.REPLAYS
-        ]
-        replays = [each for each in record.replays if targets.get(each.node_id) == path]
+        found = sorted((record.new.get(node_id) or record.sightings[node_id] for node_id in self._views), key=rank)
+        searches = [each for _, each in sorted(record.searches.items()) if each.reason is not Ending.REPLAYS]
         report = Report(
             title=f"{self._config.rootpath.name}: {numbers(len(found), len(errors))}",
-            facts=tuple(session_facts(searches, replays)),
+            facts=tuple(session_facts(searches, record.replays)),
             command=rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ),
             findings=by_test(list(map(self._view, found[:WHOLE]))),
             further=tuple(found[WHOLE:]),

@@ -301,8 +301,7 @@ class SearchMessages:
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
             finds = tuple(self._completed(each) for each in event.finds)
             summary = messages.packed(replace(event, finds=finds))
-            page = {} if self.settings.report is None else {"target": self.settings.report}
-            messages.send(self.item, "search", {"summary": summary, **page})
+            messages.send(self.item, "search", {"summary": summary})
 
     def _completed(self, sighting: Sighting) -> Sighting:
         """Return a finding of the summary with what its messages have added."""

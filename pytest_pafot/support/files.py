@@ -14,10 +14,12 @@ import re
 import secrets
 import stat
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO, TypeVar, cast
+
+from pytest_pafot.support.errors import RequestError
 
 # A lock shows whether the process that wrote a file is still alive: the system releases it however the process ends.
 # Process ids are not enough, because sessions in different containers may have the same id.
@@ -181,6 +183,26 @@ def write_if_free(path: Path, content: bytes) -> bool:
 def way_out(error: OSError, elsewhere: str) -> str:
     """Return advice for a file that cannot be written; ``elsewhere`` says how to name a different folder."""
     return _WAYS_OUT.get(error.errno or 0, "make the folder writable, {}").format(elsewhere)
+
+
+@contextlib.contextmanager
+def written_into(folder: Path, elsewhere: str = "or give another folder") -> Iterator[None]:
+    """Turn an OSError in this context into an error for ``--out``, since the folder cannot be written.
+
+    The message ends with ``elsewhere``, the advice to use another folder.
+
+    Raises:
+        RequestError: in place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        # Name an existing file that is in the way, but not a temporary file that was being written.
+        what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
+        raise RequestError(
+            f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
+            f"{way_out(error, elsewhere)}"
+        ) from None
 
 
 def open_regular(path: Path, mode: str = "rb") -> BinaryIO:

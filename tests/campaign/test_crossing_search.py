@@ -7,6 +7,7 @@ from pytest_pafot.campaign.verdict import PlainFailure
 from pytest_pafot.findings.finding import replay_label
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import MOST_ON_GRID
+from tests.helpers.crossings import clashes
 from tests.helpers.road_cases import world_of
 
 RUNS = {"runs": 16, "seed": 0, "blame": "ego", "shrink_rollouts": 8}
@@ -59,7 +60,7 @@ def test_every_found_scenario_fits_the_world(found):
     for each in found.findings:
         for scenario in filter(None, (each.scenario, each.original)):
             world.check_fits(scenario)
-            assert not world.crossings.clashes(scenario)
+            assert not clashes(world.crossings, scenario)
             assert len(scenario.positions) <= MOST_ON_GRID
 
 

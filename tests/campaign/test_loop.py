@@ -67,8 +67,8 @@ class Store:
         self.finds.append((verdict.failure.kind, generation, number))
         return f"id-{len(self.finds)}"
 
-    def add_lost(self, lost, generation, number):
-        self.finds.append(("hang" if lost.is_hang else "crash", generation, number))
+    def add_lost(self, lost, generation):
+        self.finds.append(("hang" if lost.is_hang else "crash", generation))
         return SimpleNamespace(id=f"id-{len(self.finds)}")
 
     def publish(self, sighting):
@@ -216,7 +216,7 @@ def test_scenario_of_a_dead_process_is_not_run():
 
 def test_dying_processes_are_one_finding_with_count():
     found, finds = searched(lambda number: failed(), run=lost)
-    assert finds == [("crash", 0, 1)]
+    assert finds == [("crash", 0)]
     assert found.repeats == {"id-1": 5}
     assert found.verdicts == {"failed": 6}
     assert len(found.fatal) == 6
@@ -230,7 +230,7 @@ def test_hanging_process_differs_from_a_dying_one():
 
 def test_process_crash_shared_with_reference_is_no_finding():
     found, finds = searched(lambda number: failed(), run=lost, has_reference=True)
-    assert finds == [("crash", 0, 1)]
+    assert finds == [("crash", 0)]
     assert found.repeats == {"id-1": 2}
     assert found.verdicts == {"failed": 3, "common": 3}
     assert found.runs == found.health.simulated == found.health.discarded == 6

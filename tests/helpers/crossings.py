@@ -5,9 +5,17 @@ The ego drives from o0 to o2 at 10 m/s. It starts at 20 m of its way and reaches
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from pytest_pafot.model.crossings import STEP, Crossings, Way, Zone
+
+
+def clashes(crossings, scenario):
+    """Return whether any two NPCs of a scenario clash."""
+    told = [each for each in scenario.crossings if each is not None]
+    return any(crossings.clash(*pair) for pair in combinations(told, 2))
 
 
 def way_of(name, kind, origin, ego, npc, priority="none", *, length=160.0, top=12.0, bend=None, bend_top=6.0):

@@ -6,7 +6,6 @@ import json
 import math
 import pickle
 import re
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -323,15 +322,6 @@ def test_standing_npc_clashes_with_all_later_ones():
     stands = crosses(slot=1.0, act="stop")
     assert JUNCTION.clash(stands, crosses(slot=5.0))
     assert not JUNCTION.clash(stands, crosses(slot=-1.5))
-
-
-@given(st.lists(crossings, min_size=1, max_size=5))
-def test_clashes_of_a_scenario_are_those_of_pairs(instructions):
-    scenario = Scenario(npcs=[[one()], *[[each] for each in instructions]])
-    told = list(enumerate(instructions, 1))
-    assert list(JUNCTION.clashes(scenario)) == [
-        (i, j) for (i, a), (j, b) in combinations(told, 2) if JUNCTION.clash(a, b)
-    ]
 
 
 def test_zones_follow_the_order_of_the_ego_way():

@@ -24,7 +24,7 @@ from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.operators import crossover, first_crossed, mutate, varied
 from pytest_pafot.searching.space import sample
 from tests.helpers.campaigns import run_campaign
-from tests.helpers.crossings import junction, way_of
+from tests.helpers.crossings import clashes, junction, way_of
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at
 
@@ -55,7 +55,7 @@ def told(scenario):
 def check(scenario, space):
     """Check everything that a search with a space promises about a scenario."""
     assert scenario == Scenario.from_canonical(json.loads(scenario.canonical()))  # this checks all scenario rules
-    assert not JUNCTION.clashes(scenario)
+    assert not clashes(JUNCTION, scenario)
     assert len(scenario.npcs) - len(told(scenario)) <= space.most_on_grid
     assert len(scenario.npcs) <= (max(space.most_npcs) if space.most_npcs else space.npcs)
     for each in told(scenario):

@@ -16,7 +16,6 @@ from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
 from pytest_pafot.campaign.refine.runs import check_time
 from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
     PARTS,
@@ -67,7 +66,7 @@ POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering
 """The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
-def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
+def with_moment(sighting: Sighting, state: State, bench: Bench) -> Refining[Sighting]:
     """Return a finding with the last decision that could have avoided the failure, and what would change it.
 
     The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
@@ -95,7 +94,7 @@ def with_moment(sighting: Sighting, state: State, bench: Bench, store: Store) ->
     return replace(sighting, moment=moment)
 
 
-def with_conditions(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[Sighting]:
+def with_conditions(sighting: Sighting, state: State, bench: Bench) -> Refining[Sighting]:
     """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's.
 
     They are compared with those of a decision that sees the vehicle elsewhere: where the moment says that the policy

@@ -66,14 +66,9 @@ def driven(run: Run) -> Scenario:
     return scenario.truncated(max(1, min(scenario.genes, int(run.duration / scenario.gene_seconds - 1e-9) + 1)))
 
 
-def number_ahead(bench: Bench) -> int:
-    """Return the number of runs that are made at the same time: in other processes."""
-    return bench.harness.request.settings.workers
-
-
 def announce(ahead: Ahead, state: State, bench: Bench) -> None:
     """Let scenarios be run in advance, if they can be run at all, and if more than one is run at the same time."""
-    if number_ahead(bench) < 2:
+    if bench.harness.request.settings.workers < 2:
         return
     fitting = list[Scenario]()
     for each in ahead.candidates:

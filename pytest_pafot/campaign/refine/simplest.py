@@ -14,7 +14,6 @@ from pytest_pafot.campaign.refine.runs import (
     announce,
     driven,
     is_same,
-    number_ahead,
     showing,
     signature_of,
 )
@@ -170,7 +169,7 @@ def simplest_of(
             top_speed=top_speed,
             plain=None if space is None else (space.ego_lane, space.ego_speed),  # the default start
             plain_seconds=None if space is None else space.gene_seconds,
-            ahead=number_ahead(bench),
+            ahead=harness.request.settings.workers,
             asks_likely=is_likely is not None,
         )
         try:

@@ -184,7 +184,7 @@ def _examined(sighting: Sighting, state: State, bench: Bench, store: Store) -> R
         try:
             check_time(bench)
             with runs_end_in(bench.refining_end - bench.clock()):
-                sighting = yield from step(sighting, state, bench, store)
+                sighting = yield from step(sighting, state, bench)
                 yield from store.publish(sighting)
         except OutOfTime:
             yield Note(f"no {about} of saved-{sighting.id}: out of time")

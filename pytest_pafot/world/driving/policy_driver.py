@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
@@ -29,7 +28,7 @@ class PolicyDriver(ObjectDriver):
     """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
 
     Args:
-        ads: the ADS; None if the decisions are passed to :meth:`take`.
+        ads: the ADS.
         env: the environment with the road and the ego of the run.
         guard: the guard of the ADS's decisions.
         every: the number of physics ticks between decisions.
@@ -57,10 +56,6 @@ class PolicyDriver(ObjectDriver):
         self._view = view
         self._hidden = hidden
 
-    def decide(self, tick: int) -> AdsError | None:
-        """Observe, call the ADS, and check and apply its action, unless the decisions are passed in."""
-        return None if self._ads is None else super().decide(tick)
-
     def decided(self, tick: int) -> Any:
         """Observe, call the ADS, and check and apply its action."""
         return self._applied(self._ads(self.observe(tick)))
@@ -74,15 +69,6 @@ class PolicyDriver(ObjectDriver):
             if self._view is not None:
                 self._view.show(tick)
             return self._observe()
-
-    def take(self, action: Any, seconds: float) -> None:
-        """Check and apply a decision that took ``seconds``.
-
-        Raises:
-            BadAction: if the action is not valid.
-        """
-        self.actions.append(self._applied(action))
-        self.slowest = max(self.slowest, seconds)
 
     def _applied(self, action: Any) -> Any:
         """Check an action, apply it, and return the checked action."""

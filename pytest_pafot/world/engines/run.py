@@ -179,55 +179,26 @@ class VehiclesOfRun:
 
 
 class SteppedRun:
-    """A run that proceeds from one decision to the next, until it has a trace.
+    """A run that is ready to be driven.
 
     Args:
         vehicles: the vehicles of the run, at their starts.
-        driver: the ego's driver, which decides itself in :meth:`finish`, or by decisions that are passed to
-            :meth:`take`.
+        driver: the ego's driver.
         guard: the guard of the ADS's decisions.
 
     Attributes:
-        trace: the trace; None before the end of the run.
         ends: what of the environment's own may end the run; None if nothing does.
     """
 
     def __init__(self, vehicles: VehiclesOfRun, driver: EgoDriver, guard: HangGuard) -> None:
-        self.trace: Trace | None = None
         self.ends: OwnEnds | None = None
         self.vehicles = vehicles
         self.driver: Any = driver
         self._guard = guard
         self._ticks = vehicles.rules.ticks(vehicles.scenario)
 
-    def observe(self) -> Any:
-        """Return the ADS's current observation."""
-        return self.driver.observe(self.vehicles.loop.tick)
-
-    def take(self, action: Any, seconds: float) -> None:
-        """Apply a decision that took ``seconds``, and drive until the next decision or the end of the run.
-
-        The driver must be one whose decisions are passed in, so that its ``decide`` does nothing.
-        """
-        loop, guard, error = self.vehicles.loop, self._guard, None
-        try:
-            try:
-                guard.decision_starts()  # reading an action may run the ADS's code
-                self.driver.take(action, seconds)
-            finally:
-                guard.decision_ends()
-            guard.raise_swallowed()
-        except UNFIT as unfit:
-            error = error_of(unfit, loop.tick, guard)
-        else:
-            run = loop.run if self.ends is None else self._run_to_ends
-            error = run(self.driver, min(loop.tick + self.driver.every, self._ticks))
-        if error is not None or loop.is_over or loop.tick == self._ticks or self.vehicles.ended:
-            self.trace = self.vehicles.trace(self.driver, error)
-            self.vehicles.close()
-
     def finish(self) -> Trace:
-        """Drive to the end of the run, with decisions of the driver itself, and return the trace."""
+        """Drive to the end of the run, and return the trace."""
         try:
             with self._guard:
                 run = self.vehicles.loop.run if self.ends is None else self._run_to_ends

@@ -163,7 +163,7 @@ class Frame:
     """
 
     def __init__(self, simulator: Any, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        self.stands_for, self.origin = simulator, origin
+        self.origin = origin
         self.side = -1.0 if simulator.y_is_left else 1.0
         zero, sense = HEADINGS[simulator.headings]
         self.zero, self.turn = self.side * zero * math.pi / 2, self.side * sense

@@ -55,7 +55,6 @@ cdef class CrossingNpc(Body):
 
     cpdef double lasts(self, double since, double until) except? -1
 
-@cython.locals(braking=double)
 cpdef double stopping_speed(double room, double speed) except? -1
 
 cpdef bint can_stop(double room, double speed) except -1
@@ -66,7 +65,6 @@ cdef class Crosser:
     cdef double _jerk, _ego_lane, _dt
     cdef int _response, _tick
 
-    @cython.locals(wanted=double)
     cpdef double ceiling(self, Body mine, int index, list conflicts, list leaders) except? -1
 
     @cython.locals(npc=CrossingNpc, wanted=double)

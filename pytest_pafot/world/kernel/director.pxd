@@ -1,5 +1,4 @@
 cimport cython
-from libc cimport math
 from pytest_pafot.world.kernel.bends cimport Bends
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.driver cimport (

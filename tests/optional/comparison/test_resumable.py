@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ import pytest
 from pytest_pafot.comparison import algorithm_run, resumable
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan
-from pytest_pafot.comparison.resumable import ProgressLine, ResumableJob
+from pytest_pafot.comparison.resumable import ProgressLine
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world import Highway
@@ -302,33 +301,21 @@ def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
     assert all(other[name] != whole[name] for name in other)
 
 
-def job_of(tasks, **fields):
-    """Return the job of a progress line: runs of one algorithm."""
-    others = {"noun": "", "question": {}, "question_file": ""}
-    of_runs = {"command": "compare", "units": "runs", "in_order": (), "text": lambda task, tick: ""}
-    return ResumableJob(tasks=tuple(("pafot", run) for run in range(tasks)), **others | of_runs | fields)
-
-
 class TestProgressLine:
     def test_progress_has_runs_share_and_remaining_time(self):
         now = [100.0]
-        progress = ProgressLine(job=job_of(10), done=2, stream=io.StringIO(), clock=lambda: now[0])
+        progress = ProgressLine(total=10, done=2, stream=io.StringIO(), clock=lambda: now[0])
         now[0] = 160.0
         progress.done = 4
         assert progress.line(0.5, 160.0) == "compare: 4 of 10 runs, 45 %, 2 min left"
 
-    def test_progress_counts_units_of_unfinished_tasks(self):
-        job = job_of(4, command="rate", units="episodes", sizes={("pafot", run): 25 for run in range(4)})
-        progress = ProgressLine(job=job, done=25, stream=io.StringIO(), clock=lambda: 0.0)
-        assert progress.line(18 / 25 * 25, 0.0) == "rate: 43 of 100 episodes, 43 %, 0 s left"
-
     def test_it_promises_nothing_before_anything_is_done(self):
-        progress = ProgressLine(job=job_of(10), done=2, stream=io.StringIO(), clock=lambda: 0.0)
+        progress = ProgressLine(total=10, done=2, stream=io.StringIO(), clock=lambda: 0.0)
         assert progress.line(0.0, 50.0) == "compare: 2 of 10 runs, 20 %"
 
     def test_progress_without_terminal_prints_every_ten_seconds(self):
         now, told = [0.0], io.StringIO()
-        progress = ProgressLine(job=job_of(2), done=0, stream=told, clock=lambda: now[0])
+        progress = ProgressLine(total=2, done=0, stream=told, clock=lambda: now[0])
         for second in range(25):
             now[0] = float(second)
             progress.tick(0.1)
@@ -336,23 +323,6 @@ class TestProgressLine:
         lines = told.getvalue().splitlines()
         assert len(lines) == 4
         assert lines[-1] == "compare: 1 of 2 runs, pafot run 0 done after 24 s"
-
-    def test_progress_lines_of_large_tasks_share_one_style(self):
-        now, told = [0.0], io.StringIO()
-        sizes = {("ads-25", 0): 25, ("ads-1", 25): 1}
-        job = replace(job_of(2), command="rate", units="episodes", tasks=tuple(sizes), sizes=sizes)
-        progress = ProgressLine(job=job, done=0, stream=told, clock=lambda: now[0])
-        for second, shares in ((0.0, 0.0), (5.0, 6.0), (10.0, 13.0)):
-            now[0] = second
-            progress.tick(shares)
-        progress.finished(("ads-25", 0))
-        now[0] = 20.0
-        progress.tick(1.0)
-        progress.finished(("ads-1", 25))
-        assert told.getvalue().splitlines() == [
-            "rate: 0 of 26 episodes, 0 %", "rate: 13 of 26 episodes, 50 %, 10 s left",
-            "rate: 26 of 26 episodes, 100 %, after 20 s",
-        ]  # fmt: skip
 
 
 def dying():

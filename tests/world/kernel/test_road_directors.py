@@ -13,6 +13,7 @@ from pytest_pafot import World
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
+from tests.helpers.crossings import clashes
 from tests.helpers.road_cases import world_of, wrapped
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
@@ -195,7 +196,7 @@ def test_npc_with_the_higher_number_waits():
     """They cross each other's way, both equally long after the ego; their windows clash, so no search samples them."""
     first, second = (LEFT, 1.0, 8.0), ("o3>o0", 1.0, 6.0)
     world = world_of("intersection-v0")
-    assert world.crossings.clashes(scenario_of(first, second))
+    assert clashes(world.crossings, scenario_of(first, second))
     for npcs, waits in (((first, second), 1), ((second, first), 0)):
         trace = world.rollout(scenario_of(*npcs), Steady)
         assert trace.outcome is Outcome.SAFE
@@ -219,7 +220,7 @@ def test_npcs_that_start_too_near_in_one_lane_clash_whether_it_is_that_of_their_
 ):
     world = world_of(env_id)
     for npcs in ((slower, faster), (faster, slower)):
-        assert bool(world.crossings.clashes(scenario_of(*npcs, world=world))) is does_clash
+        assert clashes(world.crossings, scenario_of(*npcs, world=world)) is does_clash
         assert (rollout(*npcs, world=world).outcome is Outcome.INVALID) is does_clash
 
 
@@ -246,7 +247,7 @@ def drawn(rng, world, on_grid=0):
             world.check_fits(scenario)
         except ScenarioError:
             continue
-        if not world.crossings.clashes(scenario):
+        if not clashes(world.crossings, scenario):
             return scenario
 
 
