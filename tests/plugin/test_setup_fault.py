@@ -264,7 +264,7 @@ MESSAGES = {
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
     "world=gymnasium.make('CartPole-v1')": ["; write a world of your own around * (docs/guide/own-world.md)"],
-    "worlds=five": ["@pafot.search(worlds=...): did you mean 'world'? Expected one of acts, ads, *, received 'worlds'"],
+    "worlds=five": ["(worlds=...): did you mean 'world'? Expected one of ads, against, *, received 'worlds'"],
 }
 
 
