@@ -3,7 +3,7 @@
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
-from tests.helpers.readings import load, packed, unpacked
+from tests.helpers.readings import load
 from tests.helpers.stages import mostly_oracle
 
 NOT_DEFENDED = {
@@ -51,10 +51,3 @@ def test_readers_accept_all_verdicts_except_the_listed(reads, every):
     read_again = reads[::every]
     disputed = {read.number for read in read_again if not read.accepts(rss_rule(read.trace).responsibility)}
     assert disputed == NOT_DEFENDED & {read.number for read in read_again}
-
-
-def test_what_is_packed_comes_back(reads):
-    trace = reads[0].trace
-    again = unpacked({**packed(trace, trace.ticks), "sizes": trace.sizes.tolist()})
-    assert abs(again.states - trace.states)[..., 1:].max() < 1e-9
-    assert rss_rule(again) == rss_rule(trace)

@@ -49,21 +49,11 @@ class TestInOneLane:
             "The ego should have braked hard by 8.6 s but did not.",
         )
 
-    def test_ego_not_braking_behind_braking_leader_is_responsible(self):
-        found = rss_rule(crash(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
-        assert found.responsibility == "ego"
-        assert 2.0 < found.time < 4.0
-
     def test_reason_says_that_ego_braked_too_little(self):
         ego = driven(0.0, brakes=[(3.0, 3.0, 0.0)])
         found = rss_rule(crash(ego, driven(45.0, brakes=[(2.0, 8.0, 0.0)])))
         assert found.responsibility == "ego"
         assert found.sentences[1] == ("The ego should have braked harder by 4.3 s.")
-
-    def test_ego_too_close_from_start_had_no_time(self):
-        found = rss_rule(crash(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])))
-        assert (found.responsibility, found.tick) == ("npc", 0)
-        assert found.sentences[1] == "The ego had too little time to respond, by the rules."
 
     @pytest.mark.parametrize(("brakes", "responsible"), [(4.5, "ego"), (8.0, "both")])
     def test_ego_with_time_despite_close_start_is_responsible(self, brakes, responsible):
@@ -76,18 +66,6 @@ class TestInOneLane:
         found = rss_rule(crash(driven(0.0), driven(5.0 + gap, brakes=[(5.0, 8.0, 0.0)])))
         assert (found.responsibility, found.fault) == (responsible, "leader-unanswered")
 
-    def test_npc_hitting_ego_from_behind_is_responsible(self):
-        found = rss_rule(crash(driven(0.0), driven(-60.0, speed=26.0), side="rear", cell=Cell.REAR))
-        assert found.responsibility == "npc"
-        assert (
-            "NPC 0 was only 55.0 m behind the ego at 0.0 s (safe: 57.3 m). The ego drove 6.0 m/s slower."
-            in found.reason
-        )
-
-    def test_npc_hitting_gently_braking_ego_is_responsible(self):
-        ego = driven(0.0, brakes=[(2.0, 3.0, 5.0)])
-        assert rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR)).responsibility == "npc"
-
     def test_ego_braking_hard_for_nothing_is_responsible(self):
         ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
         found = rss_rule(crash(ego, driven(-74.0, speed=38.0), side="rear", cell=Cell.REAR))
@@ -95,35 +73,6 @@ class TestInOneLane:
         assert found.sentences == (
             "The ego braked at up to 9.8 m/s^2 from 2.0 s on, with nothing in its way.",
             "NPC 0 had too little time to respond, by the rules.",
-        )
-
-    def test_both_are_responsible_if_npc_could_avoid_it(self):
-        ego = driven(0.0, brakes=[(2.0, 7.0, 5.0)])
-        found = rss_rule(crash(ego, driven(-40.0), side="rear", cell=Cell.REAR))
-        assert (found.responsibility, found.fault) == ("both", "braked-for-nothing")
-        assert found.sentences[1] == "NPC 0 should have braked hard by 4.1 s but did not."
-
-    @pytest.mark.parametrize(
-        "ahead", [driven(130.0, speed=2.0), driven(40.0, OWN + 4.0, speed=30.0, shifts=[(1.0, OWN, 2.0)])]
-    )
-    def test_braking_hard_for_vehicle_ahead_is_not_faulted(self, ahead):
-        ego = driven(0.0, speed=38.0, brakes=[(2.0, 9.8, 0.0)])
-        trace = crash(ego, driven(-74.0, speed=38.0), ahead, side="rear", cell=Cell.REAR)
-        assert rss_rule(trace).responsibility == "npc"
-
-    def test_ego_standing_under_three_seconds_is_not_responsible(self):
-        ego = driven(0.0, brakes=[(1.0, 3.0, 0.0)])
-        found = rss_rule(crash(ego, driven(-118.0), side="rear", cell=Cell.REAR))
-        assert found.responsibility == "npc"
-        assert found.reason.startswith("The ego was standing when NPC 0 touched it at ")
-
-    def test_an_ego_that_stops_for_nothing_is(self):
-        ego = driven(0.0, brakes=[(1.0, 4.5, 0.0)])
-        found = rss_rule(crash(ego, driven(-200.0), side="rear", cell=Cell.REAR))
-        assert (found.responsibility, found.fault, found.time) == ("both", "stopped-for-nothing", 1.0)
-        assert (
-            "The ego began to stop at 1.0 s with nothing in its way. It stood for 7.6 s before the impact."
-            in found.reason
         )
 
     @given(gap=st.floats(2, 25), own=st.floats(15, 30), speeds=st.lists(st.floats(0, 25), min_size=4, max_size=4))
@@ -219,10 +168,6 @@ class TestCutIn:
         assert found.responsibility == responsible
         assert found.sentences[1].startswith(f"The ego should have braked hard by {due} s but did not.")
 
-    def test_ego_must_avoid_slow_vehicle_cutting_in_far(self):
-        npc = driven(70.0, LEFT, speed=8.0, shifts=[(0.5, OWN, 2.0)])
-        assert rss_rule(crash(driven(0.0), npc)).responsibility == "ego"
-
     def test_cut_in_ahead_of_faster_npc_blames_ego(self):
         ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(ego, driven(-35.0, speed=28.0), side="rear", cell=Cell.REAR))
@@ -245,19 +190,11 @@ class TestCutIn:
         assert "30.3 m ahead of NPC 0. NPC 0 drove 4.1 m/s faster." in found.reason
         assert found.sentences[1] == "The ego gave way: it left NPC 0 more than the required 24.3 m."
 
-    def test_simultaneous_lane_change_with_enough_room_blames_npc(self):
-        ego, npc = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-45.0, 8.0, speed=24.0, shifts=[(2.0, OWN, 2.0)])
-        assert rss_rule(crash(ego, npc, side="rear", cell=Cell.REAR)).responsibility == "npc"
-
     def test_reason_reports_speeding_up_after_cut_in(self):
         npc = driven(25.0, LEFT, shifts=[(2.0, OWN, 2.0)])
         found = rss_rule(crash(driven(0.0, brakes=[(2.0, -2.0, 30.0)]), npc))
         assert found.responsibility == "ego"
         assert found.reason.endswith("; from 2.0 s it sped up to 29.1 m/s.")
-
-    def test_ego_changing_lanes_into_slower_vehicle_is_responsible(self):
-        ego = driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)])
-        assert rss_rule(crash(ego, driven(32.0, speed=12.0))).responsibility == "ego"
 
     @pytest.mark.parametrize(("gap", "leader_brakes", "brakes_at", "responsible"), [
         (8.75, [(2.6, 2.0, 10.0)], 3.0, "npc"),
@@ -339,10 +276,6 @@ class TestSideBySide:
         found = rss_rule(crash(driven(0.0, shifts=[(1.0, LEFT, 3.0)]), driven(1.0, LEFT), side="left", cell=Cell.LEFT))
         assert found.responsibility == "ego"
         assert re.fullmatch(r"The ego crossed into lane 0 at \d\.\d s, next to NPC 0\.", found.reason)
-
-    def test_npc_moving_into_ego_alongside_is_responsible(self):
-        found = rss_rule(crash(driven(0.0), driven(1.0, LEFT, shifts=[(1.0, OWN, 3.0)]), side="left", cell=Cell.LEFT))
-        assert found.responsibility == "npc"
 
     def test_when_both_move_into_each_other_both_are(self):
         ego, npc = driven(0.0, shifts=[(1.0, 2.0, 2.0)]), driven(1.0, LEFT, shifts=[(1.0, 2.0, 2.0)])

@@ -85,8 +85,6 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
         (braked(outcome=Outcome.INVALID, ticks=60), False),
         (braked(outcome=Outcome.INVALID), True),
         (braked(outcome=Outcome.ADS_ERROR, ticks=60), False),
-        (braked(outcome=Outcome.HANG, ticks=60), False),
-        (braked(outcome=Outcome.END_OF_ROAD, ticks=30), False),
         (braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
         (braked(ticks=27 + 181), True),
         (braked(ticks=27 + 180), False),
@@ -172,30 +170,6 @@ def test_braking_through_another_vehicle_avoids_nothing():
     states[90:100, 0, X] = states[90:100, 1, X]
     taken = replace(through, states=states)
     assert avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace) is None
-
-
-class Declares:
-    """A world in which each driver avoids the collision, and which refuses names that it does not declare."""
-
-    def __init__(self, *drivers, also=()):
-        self.reference_drivers, self.takes_over = drivers, also
-
-    def take_over(self, trace, tick, name):
-        assert name in (*self.reference_drivers, *self.takes_over)
-        return braked() if tick == 27 else trace
-
-
-@table(
-    ("world", "brakes"),
-    [
-        (Declares("calm", "careful-human", also=("steady-braking",)), True),
-        (Declares("calm", "quick"), False),
-        (Declares("steady-braking", "calm"), True),
-        (Declares(also=("steady-braking",)), True),
-    ],
-)
-def test_only_drivers_that_world_declares_take_over(world, brakes):
-    assert (avoidance(crash(), "leader-unanswered", world.take_over) is not None) is brakes
 
 
 @table(

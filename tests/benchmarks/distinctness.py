@@ -1,12 +1,12 @@
 """Is each defect one finding, and each finding one defect?
 
     python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
-        [--of first|second|development] [--policies NAME ...]
+        [--of second|development] [--policies NAME ...]
 
 Searches policies whose defects are known, and decides for each failing run which defect is to blame: the one whose
-repair, without any other, makes the scenario pass. The policies are those of ``policies_with_defects``, which
-influenced what counts as one mistake; or those of ``policies_with_defects_2``, which influenced nothing; or those of
-``example_ads.defects``, and combinations of them, on which the rules that separate findings were developed.
+repair, without any other, makes the scenario pass. The policies are those of ``policies_with_defects_2``, which
+influenced nothing; or those of ``example_ads.defects``, and combinations of them, on which the rules that separate
+findings were developed.
 
 Prints for each policy the findings of each search, in how many searches each defect has its own finding, and in how
 many there is no other; the V-measure of its failing runs (Rosenberg and Hirschberg 2007; classes: defects, clusters:
@@ -32,7 +32,7 @@ from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature
-from tests.benchmarks import policies_with_defects, policies_with_defects_2
+from tests.benchmarks import policies_with_defects_2
 from tests.benchmarks.command import holds, in_processes, options, print_head, seeds_of
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
@@ -47,8 +47,6 @@ COMBINED = (
     ("brakes-for-ghosts", "stops-in-its-lane", "sees-cut-ins-late"),
 )
 """Combinations of the policies of ``example_ads.defects``, in addition to the single policies."""
-
-SETS = {"first": policies_with_defects, "second": policies_with_defects_2}
 
 Label = frozenset[str]
 """Defects, each of whose repairs makes a scenario pass."""
@@ -93,8 +91,8 @@ def combined(names: Sequence[str], repaired: Sequence[str]) -> type[Any]:
 
 def subjects(of: str) -> dict[str, Subject]:
     """Return the subjects by name."""
-    if of in SETS:
-        policies: Any = SETS[of]
+    if of == "second":
+        policies: Any = policies_with_defects_2
         return {
             name: Subject(name, found, partial(policies.make, name)) for name, (_, found) in policies.POLICIES.items()
         }
@@ -177,8 +175,8 @@ def told(signature: Signature) -> str:
 
 
 def main() -> None:
-    names = [name for of in (*SETS, "development") for name in subjects(of)]
-    given = options(__doc__, seeds=10, first_seed=0, runs=400, workers=2, of="first", policies=names)
+    names = [name for of in ("second", "development") for name in subjects(of)]
+    given = options(__doc__, seeds=10, first_seed=0, runs=400, workers=2, of="second", policies=names)
     every = subjects(given.of)
     print_head("policy", "defects", "findings", "by seed", "every defect found", "one finding each", "V-measure")
     done: dict[int, list[Searched]] = {}

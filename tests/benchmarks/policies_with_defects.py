@@ -1,14 +1,11 @@
-"""Planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
+"""Planners with one seeded defect each, which can be switched off (``repaired=``).
 
-They were written before the rules that separate findings, to measure these. Units are metres, seconds and radians
-throughout.
+Units are metres, seconds and radians throughout.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from copy import copy
 from functools import partial
 
 
@@ -298,39 +295,6 @@ class ResumesUnasked:
         return max(a, 1.5) if o.time < getattr(self, "off_until", -1) else a
 
 
-class CutOffSlow:
-    """The distance controller, made for motorways, switches itself off below 7 m/s; the car coasts."""
-
-    def along(self, o, seen):
-        if self.bad("cut-off-slow") and o.ego.speed < 7.0:
-            return max(super().along(o, seen), -0.1)
-        return super().along(o, seen)
-
-
-class BrakesRest:
-    """A guard against hot brakes: after 1 s of more than 3.5 m/s^2, it allows only 1 m/s^2 for 2.5 s."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        if not self.bad("brakes-rest"):
-            return a
-        if o.time < getattr(self, "cool", -1):
-            self.hot = 0.0
-            return max(a, -1.0)
-        self.hot = getattr(self, "hot", 0.0) + self.dt if a < -3.5 else 0.0
-        if self.hot >= 1.0:
-            self.cool = o.time + 2.5
-        return a
-
-
-class BrakesCapped:
-    """Brakes with 2.5 m/s^2 at most: the limit of comfort is applied to the sum of all requests."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        return max(a, -2.5) if self.bad("brakes-capped") else a
-
-
 class CentredOnly:
     """A vehicle that comes in counts only when it has been centred in the lane for 1 s."""
 
@@ -347,46 +311,7 @@ class CentredOnly:
         return p and o.time - c[s.i] > 1.0
 
 
-class CutInOneSide:
-    """One of the two corner radars reports no cut-ins: a vehicle from that side is seen after 2 s in the lane."""
-
-    def in_path(self, o, s):
-        p, side = super().in_path(o, s), self.__dict__.setdefault("side_of", {})
-        d = s.y - o.ego.y
-        if abs(d) > 2.2 or s.x < o.ego.x:
-            side[s.i] = ("left" if d < 0 else "right", o.time + 2.0)
-        if p and s.i in side and self.bad(f"cut-in-{side[s.i][0]}-late") and self.old is None:
-            return o.time > side[s.i][1]
-        return p
-
-
 # defects in lane changes
-
-
-class NegativeDropped:
-    """A gap below 0, side by side, counts as no measurement when the next lane is checked."""
-
-    def fits(self, o, k, s):
-        return (self.bad("abreast-dropped") and self.gap(o, s) < 1.0) or super().fits(o, k, s)
-
-
-class TimeToContactOnly:
-    """Accepts a vehicle behind if the time to contact is above 3 s, however near it is."""
-
-    def rear_ok(self, o, s):
-        if self.bad("ttc-only-behind"):
-            g, d = self.gap(o, s), s.v - o.ego.speed
-            return g > 1.0 and (d <= 0 or g / d > 3)
-        return super().rear_ok(o, s)
-
-
-class OwnSpeedBehind:
-    """Assumes its own speed for a vehicle behind: one speed for all in the table of the next lane."""
-
-    def rear_ok(self, o, s):
-        if self.bad("own-speed-behind"):
-            return self.gap(o, s) > 3 + 0.35 * o.ego.speed
-        return super().rear_ok(o, s)
 
 
 class FirstLaneOnly:
@@ -411,68 +336,6 @@ class FirstLaneOnly:
         return super().free(o, k, seen)
 
 
-class BlindSpots:
-    """Each side's radar has a hole next to and behind the own rear wheel."""
-
-    def fits(self, o, k, s):
-        if -16 < s.x - o.ego.x < 3:
-            if k < (self.lane if self.old is None else self.old):
-                if self.bad("left-blind-spot"):
-                    return True
-            elif self.bad("right-blind-spot"):
-                return True
-        return super().fits(o, k, s)
-
-
-class StaleGrid:
-    """Lane changes use a list of objects from 2.8 s ago, in coordinates of the road, as if all had stood since."""
-
-    def perceive(self, o):
-        seen = super().perceive(o)
-        self.log = getattr(self, "log", deque(maxlen=30))
-        self.log.append((o.time, [copy(s) for s in seen]))
-        return seen
-
-    def free(self, o, k, seen):
-        if self.bad("stale-grid"):
-            seen = next((old for t, old in self.log if t >= o.time - 2.8), seen)
-        return super().free(o, k, seen)
-
-
-class CourteousOthers:
-    """Expects a vehicle behind to brake with 4 m/s^2 for it, as in the data for its gaps."""
-
-    def rear_ok(self, o, s):
-        if self.bad("courteous-others"):
-            d = max(s.v - o.ego.speed, 0)
-            return self.gap(o, s) > 2.5 + d * d / 8
-        return super().rear_ok(o, s)
-
-
-class EvadesUnchecked:
-    """If it would have to brake hard, it evades into the next lane without looking there."""
-
-    def choose(self, o, seen):
-        super().choose(o, seen)
-        if (
-            self.bad("evades-unchecked")
-            and self.old is None
-            and o.ego.speed > 9
-            and o.time > getattr(self, "evaded", -1)
-        ):
-            for s in seen:
-                if self.in_path(o, s) and self.off(o, s, 0.0) < 2.0 and self.need(o, s) > 4.0:
-                    self.evaded = o.time + 5
-                    self.old, self.lane = self.lane, self.lane - 1 if self.lane > 0 else 1
-                    self.forced = True
-                    return
-
-    def free(self, o, k, seen):
-        if self.old is None:
-            self.forced = False
-        return getattr(self, "forced", False) or super().free(o, k, seen)
-
-
 class Nudges:
     """Makes room for a vehicle alongside by 2.3 m to the other side, even if a vehicle is there."""
 
@@ -488,95 +351,11 @@ class Nudges:
         return clip(y + by, 0, (o.lanes - 1) * o.lane_width) if o.time < until else y
 
 
-# needless braking
-
-
-class FollowerAsLeader:
-    """The emergency brake uses the absolute distance along the road: a tailgater triggers it."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        if self.bad("follower-as-leader"):
-            for s in seen:
-                if abs(s.y - o.ego.y) < 1.5 and s.x < o.ego.x and self.gap(o, s) < 12:
-                    a = min(a, -7.5)
-        return a
-
-
-class LostIsZero:
-    """A lost leader leaves a distance of 0 for 2.5 s."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        had = getattr(self, "had", set())
-        self.had = {s.i for s in seen if s.x > o.ego.x and abs(s.y - o.ego.y) < 2.0 and self.gap(o, s) < 70}
-        if self.bad("lost-is-zero"):
-            if had - self.had and not self.had:
-                self.zero = o.time + 2.5
-            if self.had:
-                self.zero = -1
-            if o.time < getattr(self, "zero", -1):
-                a = min(a, -7.0)
-        return a
-
-
-class NextLaneSlow:
-    """A slower vehicle ahead in the next lane triggers the emergency brake: the strip is two lanes wide."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        if self.bad("strip-too-wide"):
-            for s in seen:
-                if (
-                    2.5 < abs(s.y - o.ego.y) < 5
-                    and s.x - o.ego.x > 0
-                    and self.gap(o, s) < 1.5 * max(o.ego.speed - s.v, 0.0)
-                ):
-                    a = min(a, -7.5)
-        return a
-
-
-class StopsWhenBeside:
-    """A vehicle that has been alongside for 3 s is taken for stuck to it: it stops, to be on the safe side."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        if not self.bad("stops-for-one-beside"):
-            return a
-        b = any(abs(s.x - o.ego.x) < 8 and 2.5 < abs(s.y - o.ego.y) < 5 for s in seen)
-        self.by = getattr(self, "by", 0.0) + self.dt if b else 0.0
-        if self.by > 3.0:
-            self.halt = o.time + 6.0
-        return min(a, -5.0) if o.time < getattr(self, "halt", -1) else a
-
-
 MADE_OF: dict[str, tuple[tuple[type, ...], tuple[str, ...]]] = {
-    # ten with one
     "OneSpeedNear": ((SpeedNearOnly, GippsBased), ("speed-near-only",)),
     "OneResumes": ((ResumesUnasked, IdmBased), ("resumes-unasked",)),
-    "OneCutOff": ((CutOffSlow, GippsBased), ("cut-off-slow",)),
-    "OneRest": ((BrakesRest, IdmBased), ("brakes-rest",)),
     "OneCentred": ((CentredOnly, Planner), ("cut-in-centred-only",)),
-    "OneAbreast": ((NegativeDropped, GippsBased), ("abreast-dropped",)),
-    "OneTtc": ((TimeToContactOnly, Planner), ("ttc-only-behind",)),
-    "OneFollower": ((FollowerAsLeader, IdmBased), ("follower-as-leader",)),
-    "OneLost": ((LostIsZero, GippsBased), ("lost-is-zero",)),
     "OneNudge": ((Nudges, IdmBased), ("nudge-unchecked",)),
-    # eight with two or three
-    "TwoBlindSpots": ((BlindSpots, Planner), ("left-blind-spot", "right-blind-spot")),
-    "TwoChanges": ((OwnSpeedBehind, EvadesUnchecked, IdmBased), ("own-speed-behind", "evades-unchecked")),
-    "TwoFollowing": ((SpeedNearOnly, BrakesCapped, Planner), ("speed-near-only", "brakes-capped")),
-    "TwoMixed": ((CutOffSlow, StaleGrid, IdmBased), ("cut-off-slow", "stale-grid")),
-    "TwoBrakings": ((NextLaneSlow, StopsWhenBeside, GippsBased), ("strip-too-wide", "stops-for-one-beside")),
-    "ThreeMixed": (
-        (ResumesUnasked, CourteousOthers, LostIsZero, Planner),
-        ("resumes-unasked", "courteous-others", "lost-is-zero"),
-    ),
-    "ThreeAnswers": ((CutInOneSide, CutOffSlow, GippsBased), ("cut-in-left-late", "cut-in-right-late", "cut-off-slow")),
-    "ThreeAround": (
-        (FirstLaneOnly, FollowerAsLeader, BrakesRest, IdmBased),
-        ("second-lane-unchecked", "follower-as-leader", "brakes-rest"),
-    ),
 }
 """The classes of each policy, and its defects."""
 POLICIES: dict[str, tuple[type, tuple[str, ...]]] = {

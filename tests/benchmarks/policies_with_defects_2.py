@@ -1,8 +1,8 @@
-"""More planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
+"""Planners with seeded defects that can be switched off one by one (``repaired=``): ten with one, eight with more.
 
-These are for a second measurement of the rules that separate findings, by an author who did not know the rules. There
-are five makes of planner, each with its own law for the distance and its own check before lane changes. Units are
-metres, seconds and radians throughout. Each defect is where it was made, behind ``self.bad``.
+These measure the rules that separate findings. Their author did not know the rules. There are five makes of planner,
+each with its own law for the distance and its own check before lane changes. Units are metres, seconds and radians
+throughout. Each defect is where it was made, behind ``self.bad``.
 """
 
 from __future__ import annotations

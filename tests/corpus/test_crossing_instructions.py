@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
@@ -16,7 +15,7 @@ from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruc
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError
-from tests.findings.builders import crossing_instructions, plain_finding, scenarios
+from tests.findings.builders import plain_finding, scenarios
 from tests.helpers.mutations import misread
 from tests.helpers.tables import table
 
@@ -69,12 +68,6 @@ def test_what_is_written_is_read(scenario, zone):
     assert parsed(Path(f"{finding.id}.pafot.yaml"), text_of(finding).encode()) == finding
 
 
-@given(crossing_instructions())
-def test_every_instruction_is_read_as_it_was_written(instruction):
-    finding = plain_finding(scenario=Scenario(npcs=((instruction,),)))
-    assert parsed(Path(f"{finding.id}.pafot.yaml"), text_of(finding).encode()) == finding
-
-
 def test_redundant_act_is_read_without_error():
     text = TEXT.replace("speed: 8.6}\n", "speed: 8.6, act: pass}\n")
     assert text != TEXT
@@ -87,25 +80,17 @@ def test_redundant_act_is_read_without_error():
         ("slot: 0.5, ", "", "scenario.npcs[0][0]", "the key 'slot'"),
         ("speed: 8.6}\n", "speed: 8.6, act: wave}\n", "scenario.npcs[0][0].act", "one of pass, hold, stop, late"),
         ("speed: 8.6}\n", "speed: 8.6, acts: hold}\n", "scenario.npcs[0][0].acts", "one of zone, slot, speed, act"),
-        ("speed: 8.6}\n", "speed: 0.0}\n", "scenario.npcs[0][0].speed", "m/s, more than 0"),
-        ("speed: 8.6}\n", "speed: 8.65}\n", "scenario.npcs[0][0].speed", "m/s, at least 0 and in steps of 0.1"),
         ("speed: 8.6}\n", "speed: 8.60000001}\n", "scenario.npcs[0][0].speed", "m/s in steps of 0.1"),
-        ("slot: 0.5", "slot: 0.55", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
         ("slot: 0.5", "slot: 0.50000001", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
         ("slot: 0.5", "slot: 5.1", "scenario.npcs[0][0].slot", "seconds, at most 5 before or after the ego"),
-        ("slot: 0.5", "slot: .nan", "scenario.npcs[0][0].slot", "a finite number"),
         ("slot: 0.5", "slot: soon", "scenario.npcs[0][0].slot", "a finite number"),
-        ("slot: 0.5", "slot: true", "scenario.npcs[0][0].slot", "a finite number"),
         ("zone: o1>o3,", "zone: o1,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
-        ("zone: o1>o3,", "zone: 'o1>o3 '  ,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
-        ("zone: o1>o3,", "zone: 3,", "scenario.npcs[0][0].zone", "text"),
         ("zone: o1>o3,", "zone: o1>o3, cell: 2,", "scenario.npcs[0][0].zone", "one of cell, speed"),
         ("    - - {cell: 6", "      - {cell: 6", "scenario.npcs[0][1].cell", "a CrossingInstruction like npcs[0][0]"),
         ("    - - {zone: o3", "      - {zone: o3", "scenario.npcs[1][1]", "a PositionInstruction like npcs[1][0]"),
         ("    - - {cell: 6", "      - {lane: keep, speed: 8}\n    - - {cell: 6", "scenario.npcs[0][1]", "a CrossingIn"),
         ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
         ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
-        ("zone: crossing from the left", "zone: o1>o3", "expect.zone", "one of crossing from the left, crossing from"),
         ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a finite number"),
         (", ego_enters: 2.0", "", "expect.situation", "the key 'ego_enters'"),
         ("npc_enters: 1.8", "npc_enters: 1.8, lane: 0", "expect.situation.lane", "one of npc, time, npc_enters"),
@@ -117,15 +102,3 @@ def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
         parsed(PATH, TEXT.replace(old, new).encode())
     assert caught.value.field == field
     assert caught.value.expected.startswith(expected)
-
-
-@given(scenarios())
-def test_crash_record_names_the_scenario_in_flight(tmp_path_factory, scenario):
-    folder = tmp_path_factory.mktemp("inflight")
-    with CrashRecord(folder, "test_it.py::test_it") as record:
-        record.write(scenario)
-        (path,) = folder.iterdir()
-        content = path.read_bytes()
-    path.write_bytes(content)
-    (left,) = leftovers(folder)
-    assert left.scenario == scenario

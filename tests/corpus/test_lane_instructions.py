@@ -8,14 +8,12 @@ from hypothesis import strategies as st
 
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.execution.crash_records import CrashRecord, leftovers
 from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
-from tests.helpers.shrinking import shrink
 
 PATH = "front-2-1f3a9c.pafot.yaml"
 
@@ -30,27 +28,7 @@ def scenario(*texts, **fields):
     return Scenario(npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs], **fields)
 
 
-def written(scenario):
-    return tuple(" ".join(f"{gene.lane}@{gene.speed:g}" for gene in chain) for chain in scenario.npcs)
-
-
-def minimal(given, fails):
-    def attempt(candidate):
-        return candidate if fails(candidate) else None
-
-    simplest, how = shrink(given, attempt, rollouts=3000, top_speed=26.8)
-    assert how.is_minimal
-    assert sort_key(simplest) <= sort_key(given)
-    return written(simplest)
-
-
 BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 left@26.8 keep@5")
-
-
-@given(chains)
-def test_what_is_written_is_read(npcs):
-    finding = plain_finding(scenario=Scenario(npcs=npcs))
-    assert parsed(Path(PATH), text_of(finding).encode()) == finding
 
 
 @given(chains, st.lists(st.lists(positions, min_size=1, max_size=4), min_size=1, max_size=3))
@@ -58,18 +36,6 @@ def test_both_kinds_in_one_file_are_read(in_lanes, on_grid):
     scenario = Scenario.repaired([*on_grid, *in_lanes[:5]], seed=1)
     finding = plain_finding(scenario=scenario)
     assert parsed(Path(PATH), text_of(finding).encode()) == finding
-
-
-@given(chains)
-def test_crash_record_names_the_scenario_in_flight(tmp_path_factory, npcs):
-    folder = tmp_path_factory.mktemp("inflight")
-    with CrashRecord(folder, "test_it.py::test_it") as record:
-        record.write(Scenario(npcs=npcs, seed=3))
-        (path,) = folder.iterdir()
-        content = path.read_bytes()
-    path.write_bytes(content)
-    (left,) = leftovers(folder)
-    assert left.scenario == Scenario(npcs=npcs, seed=3)
 
 
 def test_a_file_names_the_lane():
@@ -91,23 +57,6 @@ def test_file_error_is_reported_at_its_place(tmp_path, wrong, message):
     text = text_of(plain_finding(scenario=BUSY)).replace("{lane: left, speed: 22.3}", wrong)
     with pytest.raises(CorpusError, match=message):
         parsed(tmp_path / PATH, text.encode())
-
-
-def test_shrinking_leaves_only_the_manoeuvre_that_matters():
-    def fails(each):
-        return any(gene.target == "left" and gene.speed >= 20 for chain in each.npcs for gene in chain)
-
-    assert minimal(BUSY, fails) == ("left@20",)
-
-
-def test_manoeuvres_that_do_not_matter_become_keep():
-    def fails(each):
-        genes = [gene for chain in each.npcs for gene in chain]
-        is_in_lanes = all(gene.target in SHIFTS for gene in genes)
-        return each.genes >= 3 and is_in_lanes and any(gene.speed == 7.7 for gene in genes)
-
-    (chain,) = minimal(BUSY, fails)
-    assert chain == "keep@7.7 keep@7.7 keep@7.7"
 
 
 def test_staying_is_simpler_than_moving():

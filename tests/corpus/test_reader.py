@@ -108,41 +108,25 @@ def test_error_gives_place_expected_value_and_remedy(path):
     [
         ("pafot: 2 ", "pafot: 3 ", 1, "pafot"),
         ("pafot: 2 ", "pafot: 2.0 ", 1, "pafot"),
-        ("pafot: 2 ", "pafot: true ", 1, "pafot"),
-        ("pafot: 2 ", "pafot: '2' ", 1, "pafot"),
         ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test:", 2, "test"),
-        ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: 1", 2, "test"),
         ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: ' '", 2, "test"),
         (WORLD, "world: highway", 3, "world"),
         (WORLD, "world:", 3, "world"),
-        ("lanes: 4", "lanes: .nan", 3, "world.lanes"),
         ("lanes: 4, ", "", 3, "world"),
         ("lanes: 4", "lanes: 4, colour: red", 3, "world.colour"),
         ("jerk: 10.0, ", "", 5, "world.limits"),
         ("jerk: 10.0", "yerk: 10.0", 5, "world.limits.yerk"),
-        ("lanes: 4", "'" + "x" * 65 + "': 4", 3, "world." + "x" * 65),
         ("{cell: 1,", "{cell: 0,", 11, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: 9,", 11, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: 1.0,", 11, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: true,", 11, "scenario.npcs[0][0].cell"),
         ("{cell: 1,", "{cell: front,", 11, "scenario.npcs[0][0].cell"),
         ("{cell: 2, speed: 8.0}", "{cell: 4, speed: 8.0}", 12, "scenario.npcs[0][1].cell"),
         ("speed: 8.0", "speed: .nan", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: .inf", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: -1.0", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: 8.05", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: 8.00000001", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: 1.0e-300", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: '8'", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: null", 12, "scenario.npcs[0][1].speed"),
         ("speed: 8.0", "speed: 8.0, speedy: 1", 12, "scenario.npcs[0][1].speedy"),
         ("cell: 2, speed: 8.0}", "cell: 2}", 12, "scenario.npcs[0][1]"),
         ("      - {cell: 2, speed: 8.0}     # front", "    - []", 12, "scenario.npcs[1]"),
         ("      - {cell: 2, speed: 8.0}     # front", "    - - {cell: 1, speed: 8.0}", 12, "scenario.npcs[1][0].cell"),
         ("      - {cell: 2, speed: 8.0}     # front", "    - {cell: 2, speed: 8.0}", 12, "scenario.npcs[1]"),
         ("seed: 7", "seed: -7", 8, "scenario.seed"),
-        ("seed: 7", "seed: 9223372036854775808", 8, "scenario.seed"),
-        ("seed: 7", "seed: seven", 8, "scenario.seed"),
         ("seed: 7", "gene_seconds: 0\n  seed: 7", 8, "scenario.gene_seconds"),
         *(
             ("seed: 7", f"seed: 7\n  traffic: {value}", 9, f"scenario.traffic{field}")
@@ -158,15 +142,10 @@ def test_error_gives_place_expected_value_and_remedy(path):
             ]
         ),
         ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 9, "scenario.ego.lane"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1, speed: -2}", 9, "scenario.ego.speed"),
         ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 9, "scenario.ego"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: [1, 22.0]", 9, "scenario.ego"),
         ("outcome: collision", "outcome: crash", 13, "expect.outcome"),
-        ("outcome: collision", "outcome: invalid", 13, "expect.outcome"),
         ("failure: AssertionError, ", "", 13, "expect"),
-        ("failure: AssertionError", "failure: ''", 13, "expect.failure"),
         ("time: 12.4", "time: soon", 13, "expect.time"),
-        ("time: 12.4", "time: .inf", 13, "expect.time"),
         ("npc: 0, ", "", 13, "expect"),
         ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
         ("side: front", "side: top", 14, "expect.side"),
@@ -177,16 +156,11 @@ def test_error_gives_place_expected_value_and_remedy(path):
         ("numpy: 2.4.6", "numpy: 2.4", 16, "found.versions.numpy"),
         ("algorithm: pafot", "algoritm: pafot", 15, "found.algoritm"),
         ("# xfail: {reason, until}", "xfail:", 17, "xfail"),
-        ("# xfail: {reason, until}", "xfail: true", 17, "xfail"),
         ("# xfail: {reason, until}", "xfail: ''", 17, "xfail"),
         ("# xfail: {reason, until}", "xfails: 'planner issue 12'", 17, "xfails"),
         ("# xfail: {reason, until}", "xfail: {until: 2027-01-31}", 17, "xfail"),
         ("# xfail: {reason, until}", "xfail: {reason: '', until: 2027-01-31}", 17, "xfail.reason"),
         ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-02-30}", 17, "xfail.until"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-1-31}", 17, "xfail.until"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-01-31 12:00:00}", 17, "xfail.until"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, until: 20270131}", 17, "xfail.until"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, till: soon}", 17, "xfail.till"),
         ("# xfail: {reason, until}", "xfail: {reason: slow, til: 2027-01-31}", 17, "xfail.til"),
         ("# xfail: {reason, until}", "xfail: {reason: 2027-01-31}", 17, ""),
         ("# xfail: {reason, until}", "xfail: {reason: slow, until: [2027-01-31]}", 17, ""),
@@ -199,9 +173,6 @@ def test_error_gives_place_expected_value_and_remedy(path):
         ("# xfail: {reason, until}", "xfail: {reason: slow}", 17, "xfail"),
         ("# xfail: {reason, until}", "xfail: slow", 17, "xfail"),
         ("side: front", "side: front, closing_speed: -1.0", 14, "expect.closing_speed"),
-        ("side: front", "side: front, closing_speed: .nan", 14, "expect.closing_speed"),
-        ("side: front", "side: front, closing_speed: .inf", 14, "expect.closing_speed"),
-        ("side: front", "side: front, closing_speed: fast", 14, "expect.closing_speed"),
         ("# xfail: {reason, until}", "xfail: 2027-01-31", 17, ""),
     ],
 )
@@ -283,10 +254,6 @@ def test_misspelt_xfail_key_is_named_before_its_date(path):
     )
 
 
-def test_a_misspelt_key_comes_with_the_right_one(path):
-    assert "did you mean 'xfail'?" in str(fault(path, swapped("# xfail: {reason, until}", "xfial: 'issue 12'")))
-
-
 def test_unknown_key_error_names_the_format_version(path):
     error = fault(path, swapped("# xfail: {reason, until}", "zzz: 1"))
     assert error.expected.endswith("flaky, xfail (format 2)")
@@ -307,14 +274,12 @@ def test_newer_format_version_is_refused_first(path):
     ("content", "line", "expected"),
     [
         (b"", None, "a saved scenario"),
-        (b"\xef\xbb\xbf", None, "a saved scenario"),
         (b" \r\n\n", None, "a saved scenario"),
         (b"# only a comment\n", None, "exactly one document"),
         (b"pafot: 1\ntest: caf\xe9\n", 2, "text in UTF-8"),
         ("pafot: 1".encode("utf-16"), 1, "text in UTF-8"),
         (b"pafot: 1\ntest: a\x00b\n", 2, "printable text"),
         (b"pafot: 1\ntest: {a\n", None, "valid YAML"),
-        (b"pafot: 1\n\tworld: 1\n", 2, "valid YAML"),
         (b"pafot: 1\n<<<<<<< HEAD\ntest: a\n=======\n", None, "valid YAML"),
         (b"pafot: 1\n---\npafot: 1\n", 2, "exactly one document"),
         (b"just text", 1, "a mapping (key: value)"),
@@ -322,7 +287,6 @@ def test_newer_format_version_is_refused_first(path):
         (b"test: a\n", 1, "the key 'pafot' with the version 2"),
         (b"pafot: 1\npafot: 1\n", 2, "each key once"),
         (b"pafot: 1\n1: 2\n", 2, "keys of text"),
-        (b"pafot: 1\n? [a, b]\n: 2\n", 2, "keys of text"),
         (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, text, true, false or null"),
         (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, text, true, false or null"),
         (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2, "a number"),
@@ -339,11 +303,8 @@ def test_what_is_no_plain_document_is_refused(path, content, line, expected):
     ("value", "expected"),
     [
         ("&a 1", "plain values"),
-        ("&a [1]", "plain values"),
         ("!!str 1", "values without tags"),
-        ("! x", "values without tags"),
         ("!!python/object/apply:os.system ['true']", "values without tags"),
-        ("!!binary aGk=", "values without tags"),
     ],
 )
 def test_aliases_anchors_and_tags_are_refused(path, value, expected):
@@ -426,23 +387,15 @@ def test_a_named_pipe_does_not_block(path):
 
 
 SECRETS = {
-    "netrc": b"machine github.com login bot password HUSH\n",
-    "env": b"HUSH=1\nTOKEN='HUSH'\n",
     "passwd": b"root:x:0:0:HUSH:/root:/bin/bash\n",
     "mapping": b"HUSH: HUSH\ntoken: [HUSH]\n",
     "own key": b"pafot: {token: HUSH}\nHUSH: 1\n",
-    "own text": b"pafot: HUSH\n",
-    "list": b"- HUSH\n",
     "JSON": b'{"HUSH": "HUSH", "pafot": "HUSH"}',
-    "repeated key": b"HUSH: 1\nHUSH: 2\n",
-    "anchor": b"a: &HUSH 1\n",
     "alias": b"a: *HUSH\n",
     "tag": b"a: !HUSH 1\n",
-    "date": b"HUSH: 2026-11-20\n",
     "number": b"HUSH: 0x4855\n",
     "key of another type": b"0x48555348: 1\n",
     "syntax": b"HUSH: [HUSH\nHUSH: %HUSH\n",
-    "two documents": b"--- HUSH\n--- HUSH\n",
     "not UTF-8": b"HUSH \xa4 HUSH\n",
     "not text": b"HUSH\x1b\x00HUSH",
     "a scenario further down": b"HUSH HUSH: [\npafot: 2\nHUSH: HUSH\n",
@@ -527,15 +480,6 @@ def test_links_to_saved_scenarios_within_corpus_are_read(place):
 
 
 @links
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_link_to_a_named_pipe_does_not_block(place):
-    os.mkfifo(place.with_name("pipe.pafot.yaml"))
-    place.symlink_to("pipe.pafot.yaml")
-    with pytest.raises(CorpusError, match="received something else"):
-        load(place)
-
-
-@links
 def test_links_by_git_annex_and_build_systems_work(tmp_path, place):
     store = tmp_path / "project" / ".git" / "annex" / "objects" / "k" / "SHA256E-s9--1f.yaml"
     store.parent.mkdir(parents=True)
@@ -591,14 +535,11 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
     ("given", "field", "expected"),
     [
         ("[lorry]", "vehicles[0]", "one of car, van, truck, motorcycle"),
-        ("[3]", "vehicles[0]", "one of car, van, truck, motorcycle, or a mapping with a name and a size"),
         ("truck", "vehicles", "a list"),
         ("[car, truck]", "vehicles", "at most 1, one per NPC"),
         ("[{name: bus, length: 12.0}]", "vehicles[0]", "the key 'width'"),
         ("[{name: bus, length: 30.0, width: 2.5}]", "vehicles[0].length", "a number from 1 to 20"),
-        ("[{name: truck, length: 9.0, width: 2.5}]", "vehicles[0].name", "a name other than car, van, truck, "),
         ("[{name: bus, length: 9.0, width: 2.5, height: 3.0}]", "vehicles[0].height", "one of name, length, width"),
-        ("[{name: bus, length: 9.0, width: 2.5, braking: .inf}]", "vehicles[0].braking", "a finite number"),
     ],
 )
 def test_vehicles_are_read_strictly(path, given, field, expected):
@@ -628,9 +569,6 @@ def test_the_egos_own_vehicle_is_read_strictly(path):
         ("failing: 14, runs", "failing: 21, runs", "rate.failing"),
         ("runs: 20", "runs: 0", "rate.runs"),
         ("latency: 0.3", "latency: -0.3", "perception.latency"),
-        ("latency: 0.3", "lag: 0.3", "perception.lag"),
-        ("position: 0.5", "position: far", "perception.noise.position"),
-        ("dropout: 0.1", "dropout: 1.1", "perception.dropout"),
     ],
 )
 def test_error_in_a_later_section_names_its_field(path, old, new, field):

@@ -87,12 +87,6 @@ def test_crash_does_not_hide_that_the_ego_came_too_early():
     assert not Run(trace).as_asked
 
 
-def test_ego_that_comes_too_early_for_the_npc_is_not_as_asked():
-    trace = rollout((LEFT, -0.5, 7.0), ego=Hurrying)
-    assert asked(trace)[0].words == f"slot asked -0.5 s, was {asked(trace)[0].was:.1f} s"
-    assert not Run(trace).as_asked
-
-
 def test_npc_that_comes_too_late_for_the_run_is_not_as_asked():
     trace = rollout((LEFT, 1.0, 7.0))
     entered = trace.arrivals[0][0]

@@ -87,15 +87,6 @@ class TestGap:
     def test_counts_from_bumper_to_bumper(self):
         assert of_one_npc(criticality.gap, vehicle(0), vehicle(25)) == pytest.approx(20)
 
-    def test_counts_from_door_to_door_alongside(self):
-        assert of_one_npc(criticality.gap, vehicle(0), vehicle(0, 4)) == pytest.approx(2)
-
-    def test_counts_from_corner_to_corner_diagonally(self):
-        assert of_one_npc(criticality.gap, vehicle(0), vehicle(8, 6)) == pytest.approx(math.hypot(3, 4))
-
-    def test_crossed_boxes_without_inner_corner_have_zero_gap(self):
-        assert of_one_npc(criticality.gap, vehicle(0), vehicle(0, heading=math.pi / 2)) == 0
-
     def test_minimum_is_over_all_ticks_and_npcs(self):
         trace = trace_of(vehicle([0, 0, 0]), vehicle([30, 20, 25]), vehicle([-40, -12, -40]))
         assert criticality.min_gap(trace) == pytest.approx(7)
@@ -126,32 +117,8 @@ class TestTtc:
     def test_of_following_is_gap_over_closing_speed(self):
         assert of_one_npc(criticality.ttc, vehicle(0, speed=20), vehicle(25, speed=10)) == pytest.approx(2)
 
-    def test_of_being_followed_is_the_same(self):
-        assert of_one_npc(criticality.ttc, vehicle(25, speed=10), vehicle(0, speed=20)) == pytest.approx(2)
-
-    def test_is_infinite_at_equal_speed(self):
-        assert of_one_npc(criticality.ttc, vehicle(0, speed=20), vehicle(25, speed=20)) == math.inf
-
-    def test_is_infinite_when_the_leader_pulls_away(self):
-        assert of_one_npc(criticality.ttc, vehicle(0, speed=20), vehicle(25, speed=30)) == math.inf
-
-    def test_is_infinite_when_overtaking_in_the_next_lane(self):
-        assert of_one_npc(criticality.ttc, vehicle(0, speed=30), vehicle(25, 4, speed=10)) == math.inf
-
     def test_is_zero_at_overlap_even_when_parting(self):
         assert of_one_npc(criticality.ttc, vehicle(0, speed=10), vehicle(4, speed=30)) == 0
-
-    def test_ttc_is_infinite_when_npc_crosses_behind_ego(self):
-        ego, npc = vehicle(0, speed=20), vehicle(0, -20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ttc, ego, npc) == math.inf
-
-    def test_sees_a_crossing_npc_that_the_ego_meets(self):
-        # The NPC's front reaches the ego's flank, y = -1, after (20 - 2.5 - 1) / 10 s; the ego is there by then.
-        ego, npc = vehicle(-33, speed=20), vehicle(0, -20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ttc, ego, npc) == pytest.approx(1.65)
-
-    def test_of_a_car_that_reverses_into_the_ego(self):
-        assert of_one_npc(criticality.ttc, vehicle(0), vehicle(15, speed=-5)) == pytest.approx(2)
 
     def test_minimum_is_over_all_ticks_and_npcs(self):
         trace = trace_of(vehicle([0, 0], speed=20), vehicle([25, 15], speed=10), vehicle([-90, -80], speed=10))
@@ -187,31 +154,6 @@ class TestEttc:
         expected = math.sqrt((y - y1) ** 2 + (x - x1) ** 2) / abs(15.0)
         ego, npc = vehicle(x1, y1, heading=heading, speed=15), vehicle(x2, y2, heading=other, speed=5)
         assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(expected)
-
-    def test_is_defined_for_headings_along_both_axes(self):
-        ego, npc = vehicle(0, speed=10), vehicle(30, -20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(3)
-        assert of_one_npc(criticality.ettc, npc, ego) == pytest.approx(2)
-
-    @pytest.mark.parametrize("y", [0.0, 4.0])
-    def test_of_parallel_lines_is_infinite(self, y):
-        assert of_one_npc(criticality.ettc, vehicle(0, speed=20), vehicle(25, y, speed=10)) == math.inf
-
-    def test_ettc_is_infinite_for_crossing_point_behind_ego(self):
-        ego, npc = vehicle(0, speed=10), vehicle(-30, -20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ettc, ego, npc) == math.inf
-
-    def test_ettc_is_infinite_for_crossing_point_behind_npc(self):
-        ego, npc = vehicle(0, speed=10), vehicle(30, 20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ettc, ego, npc) == math.inf
-
-    def test_of_a_standing_ego_is_infinite(self):
-        ego, npc = vehicle(0, speed=0), vehicle(30, -20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ettc, ego, npc) == math.inf
-
-    def test_of_a_reversing_ego_looks_behind_it(self):
-        ego, npc = vehicle(0, speed=-10), vehicle(-30, -20, heading=math.pi / 2, speed=10)
-        assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(3)
 
     def test_mettc_is_minimum_over_all_ticks_and_npcs(self):
         crossing = vehicle([30, 25], -20, heading=math.pi / 2, speed=10)

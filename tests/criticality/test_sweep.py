@@ -106,12 +106,6 @@ class TestSweep:
     def test_sweep_needs_no_arrays_in_most_search_runs(self, module):
         assert sum(swept(module, trace) is not None for trace in runs()) >= 15
 
-    def test_sweep_stops_at_contact_from_the_side(self, module):
-        beside = vehicle(0, np.linspace(4, 1, 30), speed=20, lane=1)
-        trace = trace_of(vehicle(0, 0, speed=20, lane=1), beside)
-        assert swept(module, trace) in (by_arrays(trace), None)
-        assert by_arrays(trace)[1] == 0
-
     @pytest.mark.parametrize("of", [0, 2])
     def test_sweep_leaves_invalid_states_to_the_arrays(self, module, of):
         columns, values = (X, Y, HEADING, SPEED, ACCELERATION, LANE), (math.nan, math.inf, -math.inf, 2e6)

@@ -2,8 +2,6 @@
 
 import math
 
-import pytest
-
 from example_ads import blind_lane_change
 from example_ads.blind_lane_change import SECONDS_PER_LANE
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
@@ -63,20 +61,6 @@ def test_driver_turns_back_at_the_road_edge():
     assert lanes == [1, 2, 3, 2, 1, 0]
 
 
-@table("lanes", [3, 4, 5, 6])
-def test_driver_settles_mid_lane_and_stays_on_road(lanes):
-    track = drive(60, lanes=lanes)
-    assert all(-1.0 < y < (lanes - 1) * 4.0 + 1.0 for y, _ in track)
-    before_changes = [track[round(15 * SECONDS_PER_LANE * n) - 1][0] for n in range(1, 8)]
-    assert all(abs(y - 4.0 * round(y / 4.0)) < 0.1 for y in before_changes)
-
-
-def test_driver_alone_reaches_and_obeys_speed_limit():
-    speeds = [speed for _, speed in drive(60)]
-    assert speeds[-1] == pytest.approx(26.8, abs=0.1)
-    assert max(speeds) <= 26.81
-
-
 @table(("gap", "speed"), [(15.0, 10.0), (40.0, 5.0), (60.0, 0.0)])
 def test_driver_brakes_for_slower_vehicle_in_its_lane(gap, speed):
     leader = vehicle(x=105.0 + gap, speed=speed)
@@ -85,10 +69,3 @@ def test_driver_brakes_for_slower_vehicle_in_its_lane(gap, speed):
 
 def test_it_does_not_brake_for_a_vehicle_behind():
     assert blind_lane_change.make()(view(vehicle(x=90.0, speed=26.0)))[0] > 0.0
-
-
-def test_two_drivers_share_nothing():
-    first = blind_lane_change.make()
-    first(view())
-    first(view(time=SECONDS_PER_LANE))
-    assert blind_lane_change.make()(view())[1] == 0.0

@@ -266,13 +266,6 @@ def test_task_of_a_dead_process_is_retried_and_alone_if_it_was_killed(pool_of, t
 
 
 @pytest.mark.processes
-def test_every_task_that_kills_its_process_is_named(pool_of):
-    pool = pool_of(os._exit)
-    pool.expect(TASKS)
-    assert [lost.end for lost in fetched(pool)] == [f"ended with exit code {number}" for number in TASKS]
-
-
-@pytest.mark.processes
 def test_process_that_dies_between_tasks_is_replaced(pool_of):
     pool = pool_of(lambda number: None, size=1)
     for task in TASKS[:2]:
@@ -347,34 +340,6 @@ def test_an_exception_kills_those_at_work_at_once(pool_of):
         raise KeyboardInterrupt
     assert time.monotonic() - started < 300
     assert multiprocessing.active_children() == []
-
-
-@pytest.mark.processes
-def test_program_awaited_by_a_process_ends_with_it(pool_of, tmp_path):
-    def start_one(number):
-        busy = subprocess.Popen([sys.executable, "-c", "while True: pass"], process_group=0)
-        (tmp_path / "unfinished").write_text(str(busy.pid))
-        (tmp_path / "unfinished").rename(tmp_path / "pid")
-        busy.wait()
-
-    pool = pool_of(start_one)
-    pool.expect([1])
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "pid").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    pool.close()
-    program = int((tmp_path / "pid").read_text())
-    deadline = time.monotonic() + 60
-    while _is_running(program) and time.monotonic() < deadline:  # a signal takes a moment
-        time.sleep(0.01)
-    assert not _is_running(program)
-
-
-def _is_running(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"  # its exit code may not have been read yet
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 def test_closing_pool_does_not_wait_for_unfetched_answers(pool_of):
@@ -626,18 +591,6 @@ def test_a_task_is_answered_before_its_share_is_gone(tmp_path):
             finished += 1
     assert {0.75, 1.75} <= set(counts)
     assert counts == sorted(counts), "a count of finished work fell"
-
-
-def doubled(number, tell):
-    """Double a number; a function of this module, so that processes that are not forked find it."""
-    return 2 * number
-
-
-@pytest.mark.processes
-def test_processes_that_are_not_forked_complete_tasks_too():
-    with WorkerPool(doubled, 1, method="spawn", patience=30.0) as pool:
-        pool.expect([1, 2])
-        assert dict(pool.completed(lambda share: None)) == {1: 2, 2: 4}
 
 
 def test_completed_does_not_retry_a_task_that_died(pool_of):

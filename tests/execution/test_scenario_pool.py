@@ -12,7 +12,7 @@ import pytest
 
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, expectation, made_from, pool_for
+from pytest_pafot.execution.scenario_pool import Job, expectation, made_from, pool_for
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -156,9 +156,3 @@ def test_spawned_processes_run_a_picklable_factory(job_of, monkeypatch):
     with pool_for(job_of(idle), 1) as pool:
         assert made_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
     assert pool.failure == ""
-
-
-def test_unpicklable_factory_is_refused_without_forking(job_of, monkeypatch):
-    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
-    with pytest.raises(ExecutionError, match="such as a class in a module that can be imported"):
-        pool_for(job_of(lambda: print), 2)

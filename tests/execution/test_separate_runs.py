@@ -167,21 +167,3 @@ class TestRetrying:
     def test_without_retrying_one_death_of_lone_scenario_suffices(self, retried, no_fork):
         _, kept = retried()
         assert kept == [(ONE, None)]
-
-
-def keep(observation):
-    return 0.0, 0.0
-
-
-def ends(how):
-    """Return a function that makes a driver of an NPC, which ends its process after two seconds."""
-    return lambda: lambda observation: keep(observation) if observation.time < 2.0 else how()
-
-
-def swallow():
-    while True:
-        try:
-            while True:
-                pass
-        except BaseException:  # noqa: BLE001  (as a driver may)
-            pass

@@ -58,9 +58,7 @@ def asked(factory, trace, npc=None, question=None, world=WORLD, check=SI):
     [
         (KEEPS, (0.19, 0.019), False),
         (KEEPS, BRAKES, True),
-        (3, 3, False),
         (3, 1, True),
-        (None, None, False),
         (KEEPS, None, True),
         (np.array([0.5]), np.array([0.54]), False),
         (np.array([0.5]), np.array([0.6]), True),
@@ -76,7 +74,6 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     ("action", "other", "text"),
     [
         ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
-        ((-0.0, 0.03), (0.0, 0.0), "steering 0.03 rad"),
         ((26.68, 0.9), None, "acceleration 26.7 m/s^2, limited to 6.0, steering 0.90 rad, limited to 0.79"),
         (pafot.Drive(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
         (3, 1, "3"),
@@ -421,8 +418,6 @@ def lane_at(time, plan):
         (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
         (DRIFTS, [(0.0, 1), (2.0, 0)], 2.0),
         (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
-        (steering(0.03), [(0.0, 1), (2.0, 2), (5.4, 0)], 5.4),
-        (steering(0.03), [(0.0, 1), (2.0, 2), (12.2, 0)], 12.2),
         (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
     ],
 )

@@ -78,21 +78,17 @@ def test_message_is_saved_if_no_assertion_says_it():
     ("text", "kept"),
     [
         ("<Car object at 0x7f12ab34cd56>", "<Car object at ADDRESS>"),
-        ("<Car at 0x1F3> and 0x00007FF612AB34CD", "<Car at ADDRESS> and ADDRESS"),
         ("error 0x80004005, mask 0x1F", "error 0x80004005, mask 0x1F"),
         ("process id 77 (pid 1234, PID=12)", "process id N (pid N, PID=N)"),
         ("<Thread(Worker-3, started daemon 140211)>", "<Thread(Worker-3, started daemon N)>"),
         ("restarted 3 times by planner 7", "restarted 3 times by planner 7"),
         ("no file '/tmp/tmpab12cd34/model.bin'", "no file 'TMP/model.bin'"),
-        ("no folder /tmp/tmp_b12cd34", "no folder TMP/tmp"),
         ("/tmp/pytest-of-me/pytest-12/test_x0/a.csv: gone", "TMP/a.csv: gone"),
-        ("/private/var/folders/ab/c_d/T/tmpab12cd34/a.csv", "TMP/a.csv"),
         ("/scratch/me/tmpab12cd34/a.csv", "/scratch/me/tmp/a.csv"),
         (r"C:\Users\me\AppData\Local\Temp\tmpab12cd34\a.csv", "TMP/a.csv"),
         ("https://example.org/tmp/abc, a/tmp/b, 3/4", "https://example.org/tmp/abc, a/tmp/b, 3/4"),
         ('File "/home/me/planner/ads/plan.py", line 3', 'File "ads/plan.py", line 3'),
         ('File "/opt/venv/lib/python3.11/site-packages/numpy/x.py"', 'File "site-packages/numpy/x.py"'),
-        ('File "/usr/lib/python3.11/json/decoder.py"', 'File "python3.11/json/decoder.py"'),
     ],
 )
 @pytest.mark.skipif(os.name == "nt", reason="the folder of the project is written as on other systems")

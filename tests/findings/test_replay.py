@@ -50,13 +50,6 @@ def lane_change(gap, *, faster):
     return Run(trace)
 
 
-def test_different_lane_change_mistakes_are_different_failures():
-    accepted, other = lane_change(10.0, faster=8.0), Run(situations.hit(*BESIDE))
-    assert other.attribution.fault == "entered-lane"
-    assert of_failure(lane_change(2.0, faster=4.0), FAILS) == of_failure(accepted, FAILS)
-    assert of_failure(other, FAILS) != of_failure(accepted, FAILS)
-
-
 def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):
     return replay_label(finding or saved(), run, failure, versions)
 

@@ -2,8 +2,6 @@
 
 import math
 
-from pytest_pafot import Drive, Observation
-
 HZ = 15
 
 
@@ -18,16 +16,3 @@ def moved(car, acceleration=0.0, steering=0.0):
         speed=max(car.speed + acceleration / HZ, 0.0),
         lane=round(y / 4.0),
     )
-
-
-def drive(seconds, *others, ego, ads, lanes=3):
-    """Return the ego and the others, which keep their speed, after a time without contact."""
-    action = (0.0, 0.0)
-    for tick in range(round(seconds * HZ)):
-        if tick % 3 == 0:
-            seen = Observation(tick / HZ, ego, others, lanes, 4.0, 26.8, acceleration=action[0], steering=action[1])
-            answer = ads(seen)
-            action = (answer.acceleration, 0.0) if isinstance(answer, Drive) else answer
-        ego, others = moved(ego, *action), tuple(map(moved, others))
-        assert not any(abs(ego.x - o.x) < 5.0 and abs(ego.y - o.y) < 2.0 for o in others), "contact"
-    return ego, others

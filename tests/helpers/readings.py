@@ -37,24 +37,6 @@ class Read:
         return responsibility in self.answers[0][1]
 
 
-def packed(trace, ticks):
-    """Return the last ticks of a trace as plain data."""
-    states = trace.states[-ticks - 1 :, :, COLUMNS].copy()
-    states[..., 0] -= trace.states[-1, 0, X]
-    whole = np.round(states * SCALES).astype(np.int64)
-    steps = np.diff(whole, axis=0, prepend=0)
-    steps[1:, :, 0] = np.diff(steps[:, :, 0], axis=0)  # positions along the road: second differences
-    hit = trace.collision
-    return {
-        "steps": steps,
-        "sizes": trace.sizes.tolist(),
-        "lanes": [[lane.y, lane.width, lane.speed_limit] for lane in trace.lanes],
-        "hz": trace.physics_hz,
-        "npc": hit.npc,
-        "side": hit.side,
-    }
-
-
 def unpacked(data):
     """Return the trace of packed data, on a straight road without an end."""
     steps = data["steps"].copy()
@@ -86,20 +68,6 @@ def unpacked(data):
             npc_speed=speeds[npc + 1],
             closing_speed=0.0,
         ),
-    )
-
-
-def save(items, path=FILE):
-    """Write packed collisions with their answers to a file."""
-    plain = [{key: value for key, value in item.items() if key != "steps"} for item in items]
-    shapes = [item["steps"].shape for item in items]
-    # Column by column, because similar numbers next to each other compress best.
-    numbers = [np.concatenate([item["steps"][..., column].ravel() for item in items]) for column in range(len(COLUMNS))]
-    head = json.dumps({"items": plain, "shapes": shapes}).encode()
-    body = io.BytesIO()
-    np.save(body, np.stack(numbers).astype(np.int32), allow_pickle=False)
-    path.write_bytes(
-        lzma.compress(len(head).to_bytes(8, "big") + head + body.getvalue(), preset=9 | lzma.PRESET_EXTREME)
     )
 
 

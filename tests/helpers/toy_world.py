@@ -41,10 +41,3 @@ class Toy:
 def idle():
     """Return an ADS that does nothing; this factory can be imported."""
     return lambda number: None
-
-
-class Keeps:
-    """A planner that keeps its speed; its class can be imported."""
-
-    def __call__(self, observation):
-        return 0.0, 0.0

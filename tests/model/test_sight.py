@@ -101,15 +101,12 @@ def test_numbers_of_any_kind_become_pythons_own():
     [
         ({"latency": -0.1}, r"^latency: expected a finite number from 0 \[s\], received -0.1$"),
         ({"latency": math.inf}, "latency: expected a finite number"),
-        ({"latency": True}, "latency"),
         ({"range": -1.0}, r"range: .* \[m\]"),
-        ({"range": "far"}, "received 'far'"),
         ({"noise": 0.5}, 'noise: expected a mapping of "position" .m. and "speed" .m/s., one of them or both'),
         ({"noise": {"heading": 0.1}}, "received {'heading': 0.1}"),
         ({"noise": {"position": -0.5}}, r"noise.position: expected a finite number from 0 \[m\], received -0.5"),
         ({"noise": {"speed": math.nan}}, "noise.speed"),
         ({"dropout": 1.1}, "dropout: expected a number from 0 to 1, received 1.1"),
-        ({"dropout": -0.1}, "dropout"),
     ],
 )
 def test_invalid_sight_value_is_refused_by_name(values, message):

@@ -72,15 +72,6 @@ def test_frame_positions_and_measures_match_the_trace():
             assert is_close(shown.ttc[frame], seconds if np.isfinite(seconds) else None)
 
 
-def test_time_to_contact_without_contact_is_none():
-    view = view_of(trace_of(vehicle(0.0, speed=20.0, ticks=30), vehicle(40.0, speed=20.0, ticks=30)))
-    assert set(view.vehicles[1].ttc) == {None}
-
-
-def test_the_gap_ends_at_zero_in_a_collision():
-    assert view_of(cut_in_trace()).vehicles[1].gap[-1] == 0.0
-
-
 @table("heading", [0.5, -2.0, np.pi / 2])
 def test_turned_road_gives_the_same_picture_as_straight(heading):
     def driving(offset, lane, speed):

@@ -256,20 +256,6 @@ def test_many_searches_without_a_failing_run_have_a_line_each():
     assert any(line.startswith("9 searches without a failing run, from --pafot-seed=") for line in rest)
 
 
-def test_what_searches_draw_is_said_once_if_it_is_the_same():
-    searches = [replace(SEARCH, node_id=f"t.py::test_{n}", drawn="4 cars" if n < 3 else "a truck") for n in range(5)]
-    said = [
-        line for line in terminal.session_lines(SessionSummary(searches=searches)) if line in ("  4 cars", "  a truck")
-    ]
-    assert said == ["  4 cars", "  a truck"]
-
-
-def test_few_searches_are_whole():
-    searches = many_searches()[3:8]
-    lines = terminal.session_lines(SessionSummary(searches=searches))
-    assert all(set(terminal.search_lines(search)) <= set(lines) for search in searches)
-
-
 def test_the_failure_of_a_search_reads_so(snapshot):
     flaky = named("rear-6-222222", difference="running it again gave a different run", is_timed=True)
     search = replace(SEARCH, finds=(FIND, flaky))
@@ -306,10 +292,6 @@ def test_finding_names_drivers_if_one_does_not_prevent_it(responsibility, outcom
         reference_drivers=dict(zip("ABC", outcomes.split(), strict=False)),
     )  # fmt: skip
     assert terminal.prevention_text(expect) == text
-
-
-def test_nothing_to_tell_is_nothing_told():
-    assert terminal.session_lines(SessionSummary()) == []
 
 
 def test_progress_is_one_line_with_the_name_cut():
@@ -383,32 +365,6 @@ def test_a_replay_says_what_was_driven_and_what_the_search_found():
     failing = replace(passes, label="still failing")
     assert concluded(failing, other) is failing
     assert concluded(replace(passes, against="idm"), {}).result == "fixed"
-
-
-def test_replays_are_counted_by_label_and_partly_listed():
-    replays = [
-        sighting("saved-a", label="fixed"),
-        sighting("saved-b", label="still failing"),
-        sighting("saved-c", label="drifted", detail="numpy 1 then, 2 now"),
-    ]
-    assert terminal.replay_lines(replays) == [
-        "replayed 3 saved scenarios: 1 drifted, 1 passes, 1 still failing",
-        "  passes: t[saved-a]",
-        "  drifted: t[saved-c]",
-        "    numpy 1 then, 2 now",
-    ]
-    assert max(map(len, terminal.replay_lines(replays, 40))) <= 40
-
-
-def test_orphans_are_reported_with_the_way_out():
-    orphans = [("corpus/test_a", ["a", "b"], "expected c"), ("corpus/test_d", ["e"], "expected f")]
-    assert terminal.session_lines(SessionSummary(orphans=orphans, way_out="remove them")) == [
-        "orphaned: 2 saved scenarios without a test in corpus/test_a",
-        "  a, b: expected c",
-        "orphaned: 1 saved scenario without a test in corpus/test_d",
-        "  e: expected f",
-        "  remove them",
-    ]
 
 
 def test_what_is_no_ascii_is_escaped():

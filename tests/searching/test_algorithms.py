@@ -9,7 +9,6 @@ from pytest_pafot import searching
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.searching import (
     ALGORITHMS,
-    DistinctSearch,
     GenerationalSearch,
     GenerationState,
     PafotSearch,
@@ -68,10 +67,6 @@ class Borrowed(Structural):
 class Nameless:
     def ask(self, state, rng):
         return state, ()
-
-
-class Careful(DistinctSearch):
-    name = "careful"
 
 
 def own_fitness(trace):

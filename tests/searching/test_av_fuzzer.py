@@ -270,15 +270,6 @@ class TestCourse:
                 started.append(event.generation)
         assert (restarts, started) == ([6], [9])
 
-    def test_equal_seeds_give_equal_events(self, landscape):
-        def fitness(each):
-            return -sum(gene.speed for chain in each.npcs for gene in chain)
-
-        first, second = (
-            list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=8, seed=5)) for _ in range(2)
-        )
-        assert first == second
-
 
 class TestTurns:
     def test_asking_twice_is_refused_even_without_questions(self):
@@ -288,11 +279,6 @@ class TestTurns:
             search.ask(state, rng())
         with pytest.raises(RuntimeError, match="which gave 0 scenarios"):
             search.ask(replace(state, asked=()), rng())
-
-    def test_telling_without_an_ask_is_refused(self):
-        search = AvFuzzerSearch()
-        with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
-            search.tell(search.start(rng()), [], rng())
 
     def test_telling_something_else_is_refused(self, make_evaluation):
         search = AvFuzzerSearch()
@@ -304,7 +290,6 @@ class TestTurns:
         ("fields", "message"),
         [
             ({"population": 1}, "population: expected at least 2"),
-            ({"slices": 0}, "slices: expected a count of at least 1"),
             ({"mutation_rate": 1.5}, "mutation_rate: expected a number from 0 to 1"),
             ({"local_mutation_factor": math.nan}, "local_mutation_factor: expected a finite number"),
         ],

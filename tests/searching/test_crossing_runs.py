@@ -7,7 +7,7 @@ import pytest
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import Evaluation, interaction_of, nearest_crossing
-from pytest_pafot.searching.fitness import FITNESSES, Steered, av_fuzzer, before_impact, resolve, weighted
+from pytest_pafot.searching.fitness import FITNESSES, Steered, before_impact, resolve, weighted
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
 from tests.helpers.traces import blamed_on
@@ -49,12 +49,6 @@ def test_npc_on_grid_is_measured_alongside_distant_crossing():
 def test_no_named_fitness_is_nan_with_crossing_npcs(name):
     for trace in (run_of(8.5, 12.0), collision()):
         assert not math.isnan(resolve(name)(trace))
-
-
-def test_av_fuzzer_fitness_is_finite_with_crossing_npcs():
-    near, far = av_fuzzer(run_of(8.2)), av_fuzzer(run_of(30.0))
-    assert math.isfinite(near)
-    assert near > far
 
 
 def test_run_before_impact_includes_all_crossing_ways():

@@ -79,12 +79,6 @@ def test_drawn_and_varied_scenarios_fit_without_any_clash(space, seed, variation
         check(b, space)
 
 
-@given(seeds)
-def test_equal_draws_give_equal_scenarios(seed):
-    one, other = (np.random.default_rng(seed) for _ in range(2))
-    assert mutate(sample(SPACE, one), SPACE, one) == mutate(sample(SPACE, other), SPACE, other)
-
-
 def test_all_zones_acts_and_slots_are_drawn():
     rng = np.random.default_rng(0)
     scenarios = [sample(SPACE, rng) for _ in range(400)]

@@ -5,8 +5,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Outcome
@@ -135,12 +133,6 @@ def test_rare_failure_is_found_behind_a_frequent_one(make_evaluation):
         )
 
     assert found(DistinctSearch(population=4)) >= 1.5 * found(PafotSearch()) > 0
-
-
-@given(st.integers(0, 20))
-def test_the_same_draws_give_the_same_search(make_evaluation, seed):
-    judge = Judge(make_evaluation, lambda scenario: "fast" if scenario.npcs[0][0].speed > 20 else None)
-    assert search(judge, DistinctSearch(population=4), seed, 5) == search(judge, DistinctSearch(population=4), seed, 5)
 
 
 def test_every_best_of_a_block_is_announced_once(make_evaluation):

@@ -98,34 +98,9 @@ def test_an_evaluation_is_read_from_a_trace():
     assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (Outcome.SAFE, True, 0.5)
 
 
-@table(
-    ("run", "expected"),
-    [
-        ({"ahead": 60.0}, False),
-        ({"ahead": 30.0}, True),
-        ({"ahead": 30.0, "same_lane": False}, False),
-        ({"ahead": -30.0, "npc_speed": 20.0}, True),
-        ({"ahead": -60.0, "npc_speed": 20.0}, False),
-        ({"ahead": 6.5, "ego_speed": 0.0, "npc_speed": 0.0}, True),
-        ({"ahead": 8.5, "ego_speed": 0.0, "npc_speed": 0.0}, False),
-    ],
-)
-def test_npc_interacts_when_close_in_ego_lane(run, expected):
-    assert interaction_of(trace(**run))[0] is expected
-
-
-def test_start_at_two_seconds_headway_is_no_interaction():
-    assert not interaction_of(trace(ahead=2.0 * 20.0 + 5.0))[0]
-
-
 def test_a_collision_is_an_interaction():
     crash = Collision(tick=9, time=0.6, npc=0, side="left", cell=8, ego_speed=1.0, npc_speed=1.0, closing_speed=0.1)
     assert interaction_of(trace(ahead=60.0, outcome=Outcome.COLLISION, collision=crash))[0]
-
-
-@table(("npc_speed", "expected"), [(20.0, False), (5.0, False), (0.0, True)])
-def test_ego_outruns_npcs_far_behind_for_half_run(npc_speed, expected):
-    assert interaction_of(trace(20.0, npc_speed, ahead=0.0, same_lane=False, seconds=12))[1] is expected
 
 
 def tick_by_tick(trace):

@@ -189,19 +189,6 @@ def test_mutation_reaches_every_cell_between_its_neighbours():
     assert (middles, firsts) == ({1, 2}, {8, 1, 2})
 
 
-@given(st.integers(1, 8), st.integers(1, 6), seeds)
-def test_generations_of_variation_stay_valid_and_in_space(npcs, genes, seed):
-    rng = np.random.default_rng(seed)
-    space = SearchSpace(npcs=npcs, genes=genes, speed_limit=13.3)
-    a, b = sample(space, rng), sample(space, rng)
-    for _ in range(5):
-        a, b = (mutate(child, space, rng) for child in crossover(a, b, rng))
-    for child in (a, b):  # a Scenario checks the ring and the distinct cells when it is made
-        assert Scenario.repaired(child.npcs, seed=child.seed) == child
-        assert [len(chain) for chain in child.npcs] == [genes] * npcs
-        assert all(gene.speed <= 13.3 for chain in child.npcs for gene in chain)
-
-
 @given(seeds)
 def test_variation_keeps_the_start_of_the_parent(seed):
     rng = np.random.default_rng(seed)

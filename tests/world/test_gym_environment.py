@@ -468,24 +468,14 @@ class Alps(HighwayEnv):
         self.road = Icy(self.road.network, np_random=self.np_random)
 
 
-class Thawing(HighwayEnv):
-    """One whose road gets an ``act`` of its own when it is made."""
-
-    def _create_road(self):
-        super()._create_road()
-        road = self.road
-        self.road.act = lambda: (Road.act(road), Icy.slow(road))
-
-
-@pytest.mark.parametrize("cls", [Alps, Thawing])
 @pytest.mark.parametrize(
     ("options", "ads", "speed"),
     [({}, IDLE, 20.0), ({"wrappers": []}, IDLE, 20.0),
      ({"planner_hz": 5}, lambda: lambda seen: (0.0, 0.0), 22.0), ({}, IDMVehicle, 22.0)],
     ids=["policy", "wrapped", "planner", "class"],
 )  # fmt: skip
-def test_what_the_act_of_an_own_road_does_to_the_ego_holds_in_runs(cls, options, ads, speed, register):
-    register("mine-v0", entry_point=cls)
+def test_what_the_act_of_an_own_road_does_to_the_ego_holds_in_runs(options, ads, speed, register):
+    register("mine-v0", entry_point=Alps)
     scenario = Scenario(npcs=[[PositionInstruction(6, 10.0)]], ego_lane=1, ego_speed=22.0)
     ego = World("mine-v0", duration=5.0, **options).rollout(scenario, ads).ego
     on_ice = ego[:-1, 0] > 250.0
@@ -502,18 +492,6 @@ class Harder(HighwayEnv):
         type(self).episodes += 1
         self.config["lanes_count"] = 3 + type(self).episodes // 3
         super()._reset()
-
-
-class Faster(HighwayEnv):
-    """One that has other actions from its seventh episode on, counted for each of its objects."""
-
-    episodes = 0
-
-    def reset(self, *, seed=None, options=None):
-        found = super().reset(seed=seed, options=options)
-        self.episodes += 1
-        self.vehicle.target_speeds = np.array([20, 25, 30 if self.episodes < 7 else 35])
-        return found
 
 
 class Chancy(HighwayEnv):
@@ -539,7 +517,6 @@ class Lessons(gymnasium.Wrapper):
     ("cls", "wrappers", "received"),
     [
         (Harder, None, "Harder, where config['lanes_count'] is 4 after the first reset and 5 after a later one"),
-        (Faster, None, "Faster, where vehicle.target_speeds is array([20, 25, 30]) after the first"),
         (Chancy, None, "Chancy, where vehicle is MDPVehicle at *"),
         (HighwayEnv, [Lessons], "HighwayEnv in Lessons, where config['lanes_count'] is 4 after the first"),
     ])  # fmt: skip
@@ -665,16 +642,6 @@ class Spawning(Bothered):
         self.road.vehicles.append(self.other())
 
 
-class Replacing(Bothered):
-    def bother(self):
-        self.road.vehicles = [*self.road.vehicles[:-1], self.other()]
-
-
-class Emptying(Bothered):
-    def bother(self):
-        self.road.vehicles = [self.vehicle]
-
-
 class Braking(Bothered):
     def bother(self):
         self.road.vehicles[-1].speed = 5.0
@@ -713,8 +680,6 @@ class Swapping(HighwayEnv):
     ("cls", "received"),
     [
         (Spawning, "whose `step` adds 1 vehicle at 3.0 s"),
-        (Replacing, "whose `step` adds 1 vehicle and removes 1 vehicle at 3.0 s"),
-        (Emptying, "whose `step` removes 2 vehicles at 3.0 s"),
         (Braking, "whose `step` sets the speed of NPC 1 from 2*.* to 5.0 m/s at 3.0 s"),
         (Pushing, "whose `step` moves NPC 0 from (2*.*, 4.0) m at 3.0 s"),
         (Choosing, "whose `reset` removes 2 vehicles at 0.0 s"),
@@ -1010,13 +975,6 @@ class Rolling(Falling):
         self.road.objects[0].position = np.array([400.0, 4.0])
 
 
-class Clearing(Falling):
-    """One whose object goes."""
-
-    def fall(self):
-        self.road.objects.pop(0)
-
-
 class Strewing(Roadworks):
     """One whose reset adds an object at random."""
 
@@ -1039,7 +997,6 @@ class Marking(Falling):
     [
         (Falling, "with more at 4.0 s, at (500.0, 0.0) m"),
         (Rolling, "with others at 4.0 s, at (300.0, 4.0) m"),
-        (Clearing, "with fewer at 4.0 s, at (300.0, 4.0) m"),
         (Strewing, "with others at 0.0 s, at (4"),
         (Marking, ""),
     ])  # fmt: skip

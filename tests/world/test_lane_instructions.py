@@ -107,12 +107,6 @@ def test_npc_does_not_steer_into_another_npc():
     assert np.all(trace.npcs[:, 0, LANE] == 0)
 
 
-def test_npc_retains_lane_and_speed_after_last_gene():
-    trace = drive(scenario(chain("right@26"), chain(*["left@26"] * 4), ego_speed=10.0))
-    assert np.all(trace.npcs[80:, 0, LANE] == trace.npcs[80, 0, LANE])
-    assert np.ptp(trace.npcs[80:, 0, SPEED]) < 0.5
-
-
 def test_the_repair_changes_nothing_of_them():
     given = random_lanes(random.Random(1))
     assert drive(given).executed == given
@@ -137,15 +131,3 @@ def test_npcs_seldom_crash_into_each_other():
     rng = random.Random(3)
     traces = [drive(random_lanes(rng), lambda: IDMVehicle) for _ in range(20)]
     assert sum(trace.outcome is Outcome.INVALID for trace in traces) <= 4
-
-
-def test_a_find_is_the_same_through_env_step():
-    rng, world = random.Random(5), Highway(duration=20.0)
-    hits = [trace for trace in (world.rollout(random_lanes(rng), constant_speed) for _ in range(12)) if trace.collision]
-    assert len(hits) >= 3
-    for trace in hits:
-        again = world.rollout_in_gym(trace.executed, constant_speed)
-        assert again.collision is not None
-        assert (again.collision.npc, again.collision.side, again.collision.tick) == (
-            trace.collision.npc, trace.collision.side, trace.collision.tick,
-        )  # fmt: skip

@@ -9,13 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot import Highway, strategies
-from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import Evaluation
-from pytest_pafot.searching.evaluation import EvaluationCache
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample, space_on
 from pytest_pafot.world.kernel.director import Director
@@ -61,14 +57,6 @@ def test_executed_scenario_gives_the_same_run_again(name, data):
         assert [type(gene) for gene in done] == [type(gene) for gene in chain]
         if isinstance(chain[0], LaneInstruction):
             assert all(was.lane in (gene.lane, "keep") for gene, was in zip(chain, done, strict=True))
-
-
-@pytest.mark.parametrize("name", ["merge-v1", "intersection-v1"])
-def test_bent_road_gives_the_same_run_by_env_step(name):
-    world, rng = world_named(name), np.random.default_rng(4)
-    for _ in range(2):
-        trace = world.rollout(sample(space_in(world), rng), idm)
-        assert not disagreement(Run(trace), Run(world.rollout_in_gym(trace.executed, idm)))
 
 
 @pytest.mark.parametrize("name", ["merge-v1", "racetrack-v1", "u-turn-v1"])
@@ -146,32 +134,6 @@ def test_children_of_mixed_scenarios_fit_the_world(name, seed):
                 gene_seconds=child.gene_seconds, traffic=child.traffic,
             )  # fmt: skip
             assert again == child
-
-
-@pytest.mark.parametrize("name", ["Highway", "merge-v1"])
-@settings(max_examples=6, deadline=None)
-@given(seed=st.integers(0, 2**32))
-def test_cached_runs_equal_fresh_ones_in_mixed_scenarios(name, seed):
-    world, rng = world_named(name), np.random.default_rng(seed)
-    space = space_in(world, npcs=2, ego_lane=1)
-    runs = EvaluationCache()
-
-    def follows():
-        def decide(seen):
-            gaps = [each.x - seen.ego.x for each in seen.others if each.lane == seen.ego.lane and each.x > seen.ego.x]
-            return (0.1 * min(min(gaps, default=50.0) - 12.0, 20.0 - seen.ego.speed), 0.0)
-
-        return decide
-
-    scenario = sample(space, rng)
-    for _ in range(10):
-        ego = follows if name == "Highway" else idm
-        trace = world.rollout(scenario, ego)
-        fresh = Evaluation.of(trace, fitness=float(trace.states.sum()), failing=trace.collision is not None)
-        known = runs.recall(scenario)
-        assert known in (None, fresh)
-        runs.add(fresh)
-        scenario = mutate(trace.executed if rng.random() < 0.7 else scenario, space, rng)
 
 
 def test_cells_at_a_junction_are_those_of_their_own_npcs():

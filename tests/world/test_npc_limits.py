@@ -9,7 +9,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, SPEED, Outcome, X, Y
+from pytest_pafot.model.trace import SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits, World
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
@@ -174,18 +174,6 @@ def test_npc_drives_to_cell_then_at_its_speed():
     assert trace.outcome is Outcome.COLLISION
     assert trace.collision.side == "front"
     assert trace.collision.cell == 2
-
-
-def test_npc_with_ended_chain_retains_lane_and_speed():
-    """Its cell is behind an ego that drives away; it follows only until its only gene is over."""
-    short, long = [PositionInstruction(6, 25.0)], [PositionInstruction(4, 25.0)] * 6
-    scenario = Scenario(npcs=[short, long], ego_speed=15.0, gene_seconds=2.0)
-    trace = Highway().rollout(scenario, lambda: lambda observation: (3.0, 0.0))
-    assert trace.arrivals[0] == (None,)
-    assert len(trace.arrivals[1]) == 6
-    assert trace.npcs[-1, 0, SPEED] == pytest.approx(trace.npcs[30, 0, SPEED], abs=0.1)
-    assert abs(trace.npcs[31:, 0, HEADING]).max() < 1e-3
-    assert trace.ego[-1, SPEED] > trace.npcs[-1, 0, SPEED] + 10
 
 
 def test_lane_that_vanishes_inside_gene_is_not_approached():

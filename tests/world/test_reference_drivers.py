@@ -1,7 +1,6 @@
 """The reference drivers: their separate behaviour, and that they see no more than an ADS does."""
 
 import math
-from itertools import takewhile
 
 import pytest
 
@@ -18,7 +17,6 @@ from pytest_pafot.world.reference_drivers import (
     CarefulHuman,
     Leader,
 )
-from tests.helpers.fuzzy_safety import FuzzySafety
 
 HZ = 30
 NAMES = tuple(REFERENCES)
@@ -164,35 +162,6 @@ class TestCarefulHuman:
         assert all(a == 0.0 for *_, a in rows)
 
 
-class TestFuzzySafety:
-    def lead(self, gap, speed, own=20.0):
-        return Leader(gap=gap, speed=speed, closing=own - speed, braking=0.0)
-
-    def test_proactive_danger_is_between_gentle_and_hard_braking(self):
-        model = FuzzySafety()
-        gentle = 20 * 0.75 + 400 / 8 - 400 / 14 + 2.0
-        hard = 20 * 0.75 + 400 / 12 - 400 / 14
-        assert model.proactive(20.0, self.lead(gentle + 2.0, 20.0)) == 0.0
-        assert model.proactive(20.0, self.lead(hard + 2.0, 20.0)) == pytest.approx(1.0)
-        assert model.proactive(20.0, self.lead((gentle + hard) / 2 + 2.0, 20.0)) == pytest.approx(0.5)
-
-    def test_critical_danger_needs_a_leader_that_is_slower(self):
-        model = FuzzySafety()
-        assert model.critical(20.0, self.lead(1.0, 20.0)) == 0.0
-        assert model.critical(20.0, self.lead(1.0, 10.0)) == 1.0
-        gentle, hard = 10 * 0.75 + 100 / 8, 10 * 0.75 + 100 / 12
-        assert model.critical(20.0, self.lead((gentle + hard) / 2 + 0.5, 10.0)) == pytest.approx(0.5)
-
-    def test_fuzzy_driver_hits_a_hard_braking_leader(self):
-        """It assumes that the leader keeps its speed. It brakes with 4 m/s^2 until that is too weak; 6 is too late."""
-        brakes = leader(24.0, 20.0, brakes_at=0.0, braking=6.0)
-        approach = list(takewhile(lambda row: row[1] > 0, drive(FuzzySafety(), brakes)))
-        assert len(approach) < 10 * HZ
-        assert sum(a == -4.0 for *_, a in approach) > 1.0 * HZ
-        assert approach[-1][3] == -6.0
-        assert min(gap for _, gap, *_ in drive(CarefulHuman(), brakes)) > 5.0
-
-
 def scenario(*speeds, cell=2, lane=1):
     """Return a scenario with one NPC that stays in a cell."""
     return Scenario(npcs=[[PositionInstruction(cell, speed) for speed in speeds]], ego_lane=lane, ego_speed=22.0)
@@ -208,11 +177,6 @@ class TestInTheWorld:
         trace = Highway(duration=20.0).rollout_reference(scenario(22.0, 10.0), name)
         assert (trace.ego[:, Y] == trace.ego[0, Y]).all()
         assert (trace.ads_hz, len(trace.actions)) == (15, trace.ticks)
-
-    def test_drives_the_same_each_time(self, name):
-        world = Highway(duration=20.0)
-        once, again = (world.rollout_reference(BRAKES, name) for _ in range(2))
-        assert once.states.tobytes() == again.states.tobytes()
 
     def test_keeps_the_limits_of_the_vehicle(self, name):
         trace = Highway().rollout_reference(BRAKES, name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import random
-from math import hypot
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from pytest_pafot.world import Highway, World
 from pytest_pafot.world.limits import BEND_SHARE
 from pytest_pafot.world.run_config import start_places, start_speeds
 from tests.helpers.tables import table
-from tests.helpers.world_cases import LENGTH, WIDTH, chains, constant_speed, random_scenario
+from tests.helpers.world_cases import LENGTH, WIDTH, constant_speed, random_scenario
 
 
 def starts(world, scenario, ego=constant_speed):
@@ -129,11 +128,3 @@ def test_gym_worlds_start_in_the_same_way(ego):
     trace = starts(world, hold(*Cell, ego_lane=1, ego_speed=22.0), ego)
     reference = starts(Highway(duration=0.2), hold(*Cell, ego_lane=1, ego_speed=22.0))
     assert trace.states[0, :, :6].tolist() == reference.states[0, :, :6].tolist()
-
-
-def test_random_chains_start_at_least_one_lane_apart():
-    rng = random.Random(4)
-    for _ in range(50):
-        scenario = Scenario.repaired(chains(rng, 8, 1, 26.8), ego_lane=rng.choice([1, 2]), gene_seconds=0.2)
-        start = starts(Highway(), scenario).states[0]
-        assert min(hypot(*(a[:2] - b[:2])) for a, b in itertools.combinations(start, 2)) >= 4.0

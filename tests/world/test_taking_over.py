@@ -104,12 +104,6 @@ def test_steady_braking_slows_by_six_to_a_standstill(tick):
     assert (lane == lane[0]).all()
 
 
-def test_taking_over_gives_the_same_run_each_time():
-    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
-    once, again = (HIGHWAY.take_over(trace, 60, "careful-human") for _ in range(2))
-    assert once.states.tobytes() == again.states.tobytes()
-
-
 @table(
     ("tick", "name", "world", "message"),
     [

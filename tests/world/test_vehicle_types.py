@@ -26,7 +26,7 @@ from pytest_pafot import (
 from pytest_pafot.criticality.boxes import overlaps
 from pytest_pafot.criticality.measures import Encounters
 from pytest_pafot.findings.finding import disagreement
-from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome, X
+from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import Highway, World
@@ -109,18 +109,6 @@ def test_the_plain_environment_agrees(env_id):
         drives = np.minimum.accumulate(first.ego[:, SPEED] > 1.0)  # IDM's steering magnifies rounding where it stands
         assert first.states[drives] == pytest.approx(again.states[drives], abs=1e-9)
         assert first.sizes.tolist() == again.sizes.tolist()
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_straight_road_of_an_environment_drives_the_same(kind):
-    """The environment's straight road begins elsewhere than that of a Highway; otherwise the runs are the same."""
-    chains = [[LaneInstruction("left", 20.0), LaneInstruction("right", 8.0)], [PositionInstruction(6, 24.0)] * 2]
-    scenario = Scenario(npcs=chains, gene_seconds=4.0, vehicles=(kind, kind), ego_speed=20.0)
-    straight = Highway(lanes=4, speed_limit=30.0, physics_hz=15, ads_hz=1).rollout(scenario, keeping)
-    other = World("highway-v0", {"lanes_count": 4, "simulation_frequency": 15, "policy_frequency": 1}, planner_hz=1)
-    trace = other.rollout(scenario, keeping)
-    assert np.array_equal(trace.npcs[..., SPEED], straight.npcs[..., SPEED])
-    assert trace.npcs[..., X] - trace.ego[:1, :1] == pytest.approx(straight.npcs[..., X] - straight.ego[:1, :1])
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
@@ -291,10 +279,6 @@ def test_braking_that_a_truck_cannot_do_avoids_nothing():
         taken = world.take_over(world.rollout(trace.scenario, keeping), 20, "careful-human")
         assert -taken.ego[:, ACCELERATION].min() <= hardest[kind.name] + 1e-9
     assert hardest == pytest.approx({"car": 7.593, "truck": 7.0}, abs=1e-3)
-
-
-def brake(seen):
-    return -2.0, 0.0
 
 
 def test_explanation_and_picture_say_what_the_ego_is():

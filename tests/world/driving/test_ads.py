@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
-from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -138,16 +137,6 @@ def test_a_vehicle_class_drives_itself_at_every_tick(world, idle, ego):
     assert trace.outcome in (Outcome.SAFE, Outcome.COLLISION)
     assert trace.actions == ()
     assert trace.ego[1:, 4].any()
-
-
-@worlds
-def test_error_in_vehicle_class_counts_as_ads_error(world, idle):
-    class Broken(Vehicle):
-        def act(self, action=None):
-            raise RuntimeError("no brakes")
-
-    trace = world.rollout(SCENARIO, Broken)
-    assert (trace.outcome, trace.error.kind, trace.error.message) == (Outcome.ADS_ERROR, "RuntimeError", "no brakes")
 
 
 # --- kind (d): planners inside the environment

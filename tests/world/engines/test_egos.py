@@ -11,7 +11,7 @@ from highway_env.road import road
 from highway_env.vehicle.behavior import AggressiveVehicle, IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from example_ads import defects
@@ -96,14 +96,6 @@ def assert_same(case):
 @example(133_539)  # where the dot product of numpy's linear algebra rounds otherwise than its products and their sum
 def test_run_equals_that_of_env_step_exactly(seed):
     assert_same(Case.random(seed))
-
-
-@pytest.mark.oracle
-@pytest.mark.parametrize("ego", ALL_EGOS, ids=lambda ego: ego.__name__)
-@settings(max_examples=3)
-@given(seed=st.integers(10_000, 2**32))
-def test_every_ego_drives_exactly_as_by_env_step(ego, seed):
-    assert_same(replace(Case.random(seed), ego=ego))
 
 
 def in_python(vehicle_class):

@@ -88,11 +88,6 @@ class Planting(gymnasium.Wrapper):
         return self.env.step(action)
 
 
-class Passing(gymnasium.Wrapper):
-    def step(self, action):
-        return self.env.step(action)
-
-
 class Starting(gymnasium.Wrapper):
     """Its reset hangs after those by which a world looks at it."""
 

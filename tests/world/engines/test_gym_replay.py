@@ -11,15 +11,14 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import SPEED, Outcome
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
-from tests.helpers.stages import mostly_oracle, oracle
-from tests.helpers.world_cases import EGOS, constant_speed, random_scenario
+from tests.helpers.world_cases import constant_speed, random_scenario
 
 
 def assert_confirmed(world, scenario, ads):
@@ -47,56 +46,6 @@ def ending(world, ads, outcome, seed=0):
     )
 
 
-@pytest.mark.parametrize("ads", EGOS, ids=lambda ads: ads.__name__)
-@pytest.mark.parametrize(
-    "world", [oracle(Highway()), Highway(lanes=3, physics_hz=20, ads_hz=10, clearance=0.0)], ids=str
-)
-def test_planners_and_vehicle_classes_on_a_highway(world, ads):
-    for scenario in scenarios(world.lanes, 2, lanes=world.lanes):
-        assert_confirmed(world, scenario, ads)
-
-
-CONFIGS = {
-    "meta-actions": ({}, lambda rng: int(rng.integers(5))),
-    "continuous": ({"action": {"type": "ContinuousAction"}}, lambda rng: rng.uniform(-0.02, 0.02, 2)),
-    "discrete": ({"action": {"type": "DiscreteAction"}, "policy_frequency": 5}, lambda rng: 4),
-    "images": (
-        {"observation": {"type": "OccupancyGrid"}, "simulation_frequency": 10, "policy_frequency": 2},
-        lambda rng: int(rng.integers(5)),
-    ),
-}
-
-
-@pytest.mark.parametrize("config", mostly_oracle(CONFIGS, "continuous"))
-def test_policies_of_an_environment(config):
-    options, choose = CONFIGS[config]
-    world = World("highway-v0", config=options, duration=6.0)
-
-    def policy():
-        rng = np.random.default_rng(3)
-        return lambda observation: choose(rng)
-
-    for scenario in scenarios(config, 2):
-        assert_confirmed(world, scenario, policy)
-
-
-def test_a_policy_sees_the_observation_of_the_environment():
-    seen = []
-
-    def policy():
-        def decide(observation):
-            seen.append(observation)
-            return 1
-
-        return decide
-
-    world, (scenario,) = World("highway-v0", duration=5.0), scenarios(1, 1)
-    trace = assert_confirmed(world, scenario, policy)
-    half = len(trace.actions)
-    assert len(seen) == 2 * half
-    assert all(np.allclose(a, b, atol=1e-3) for a, b in zip(seen[:half], seen[half:], strict=True))
-
-
 def test_planners_and_vehicle_classes_in_environment_are_confirmed():
     def inside(env):
         return lambda observation: 1 if env.vehicle.speed < 25 else 4
@@ -120,30 +69,6 @@ def test_collision_inside_a_decision_ends_run_at_tick():
     assert any(tick % 15 for tick in ticks)
 
 
-def test_run_ending_inside_a_decision_has_same_length():
-    world = Highway(duration=2.6)
-    assert assert_confirmed(world, scenarios(2, 1)[0], constant_speed).ticks <= 39
-
-
-def test_an_ads_that_raises_raises_there_too():
-    def broken():
-        def decide(observation):
-            if observation.time > 0.5:
-                raise ValueError("lost")
-            return 0.0, 0.0
-
-        return decide
-
-    world, (scenario,) = Highway(), scenarios(3, 1)
-    first = world.rollout(scenario, broken)
-    again = world.rollout_in_gym(scenario, broken)
-    assert (first.outcome, first.error.tick, first.error.message) == (
-        again.outcome,
-        again.error.tick,
-        again.error.message,
-    )
-
-
 def test_environment_drives_its_own_road_and_vehicles(monkeypatch):
     """Nothing of this package's physics is used: even if it is broken, the run in the environment stays the same."""
     from pytest_pafot.world.driving.vehicles import Car
@@ -155,41 +80,6 @@ def test_environment_drives_its_own_road_and_vehicles(monkeypatch):
     assert np.array_equal(world.rollout_in_gym(scenario, constant_speed).states, before.states)
     own = {name for name in vars(StockVehicle) if not name.startswith("_")}
     assert own & set(vars(Vehicle)) == set()
-
-
-def drives_at(x, y):
-    """Return a vehicle class that drives straight on for 150 m, and then at a point of the road [m]."""
-
-    class DrivesAt(Vehicle):
-        def act(self, action=None):
-            to_x, to_y = x - self.position[0], y - self.position[1]
-            wanted = np.arctan2(to_y, to_x) if self.position[0] > 150 and to_x > 1 else 0.0
-            steering = float(np.clip(wanted - self.heading, -0.3, 0.3))
-            super().act({"acceleration": 0.0, "steering": steering})
-
-    return DrivesAt
-
-
-def obstacle_ahead():
-    """Return a world with an obstacle, a scenario in which no NPC is near it, and the obstacle."""
-    world = World("merge-v0", duration=14.0)
-    (obstacle,) = world.environment.unwrapped.road.objects
-    lane, speed = world.start
-    return world, Scenario(npcs=[[PositionInstruction(6, 5.0)]], ego_lane=lane, ego_speed=speed), obstacle
-
-
-def test_ego_that_touches_a_fixed_obstacle_has_a_collision_there():
-    """The obstacle stands at the end of the lane that merges; highway-env calls the contact a crash."""
-    world, behind, obstacle = obstacle_ahead()
-    first = assert_confirmed(world, behind, drives_at(*obstacle.position))
-    distance = np.hypot(*(first.ego[:, :2] - obstacle.position).T)
-    assert first.outcome is Outcome.COLLISION
-    hit = first.collision
-    assert (hit.npc, hit.cell, hit.tick, hit.npc_speed) == (None, None, first.ticks, 0.0)
-    assert hit.closing_speed == hit.ego_speed == first.ego[-1, SPEED]
-    assert Run(first).responsibility == "ego"
-    assert f"collision after {hit.time:.1f} s: a fixed object against the ego's {hit.side}" in Run(first).explain()
-    assert 2.0 < distance[-1] < 3.5 < distance[-2], "half the lengths of the car and the obstacle, 5 m and 2 m"
 
 
 @pytest.mark.parametrize("constant", ["LANE_CHANGE_DELAY", "COMFORT_ACC_MAX"])

@@ -28,7 +28,7 @@ from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.gym_environment import ENDS, vehicle_classes_kept
 
-IDLE, FASTER, SLOWER = 1, 3, 4
+IDLE, FASTER = 1, 3
 
 
 class Goal(HighwayEnvFast):
@@ -36,36 +36,6 @@ class Goal(HighwayEnvFast):
 
     def _is_terminated(self):
         return super()._is_terminated() or self.vehicle.position[0] > 260.0
-
-
-class TooFast(HighwayEnv):
-    """Whoever drives too fast is stopped, in a run of which nothing else ends."""
-
-    def _is_terminated(self):
-        return self.vehicle.speed > 27.0
-
-
-class Keyed(HighwayEnv):
-    """How far an episode goes is an option of the user's own."""
-
-    @classmethod
-    def default_config(cls):
-        return super().default_config() | {"far": 250.0, "policy_frequency": 5}
-
-    def _is_truncated(self):
-        return super()._is_truncated() or self.vehicle.position[0] > self.config["far"]
-
-
-class Crawling(HighwayEnvFast):
-    """Who is too slow for three steps in a row is given up: the environment counts them."""
-
-    def _reset(self):
-        super()._reset()
-        self.slow = 0
-
-    def _is_truncated(self):
-        self.slow = self.slow + 1 if self.vehicle.speed < 21.0 else 0
-        return self.slow == 3
 
 
 class Exit(ExitEnv):
@@ -130,10 +100,7 @@ CASES = {
         {"entry_point": HighwayEnv}, {"config": {"offroad_terminal": True, "action": STEERING}},
         np.array([0.0, 0.05], dtype=np.float32), "HighwayEnv._is_terminated",
     ),
-    "too fast": ({"entry_point": TooFast}, {}, FASTER, "TooFast._is_terminated"),
-    "an option of its own": ({"entry_point": Keyed}, {"config": {"far": 270.0}}, IDLE, "Keyed._is_truncated"),
     "an exit": ({"entry_point": Exit}, {}, IDLE, "Exit._is_terminated"),
-    "too slow": ({"entry_point": Crawling}, {}, SLOWER, "Crawling._is_truncated"),
     "a sum of times": ({"entry_point": Timed}, {}, IDLE, "Timed._is_truncated"),
     "rewards in a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [Rewarded]}, FASTER, "Rewarded"),
     "truncated by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [Fenced]}, IDLE, "Fenced"),
@@ -255,12 +222,6 @@ class OwnStep(HighwayEnvFast):
         return seen, reward, terminated or self.vehicle.position[0] > 260.0, truncated, info
 
 
-class Counting(HighwayEnvFast):
-    def step(self, action):
-        seen, reward, terminated, truncated, info = super().step(action)
-        return seen, reward, terminated, truncated or self.steps >= 15, info
-
-
 class LooksAhead(OwnStep):
     """Its step goes ahead in a copy of it first."""
 
@@ -282,7 +243,6 @@ class LooksAhead(OwnStep):
         (HighwayEnvFast, [Twice, limited], "the limit of 4 steps"),
         (Goal, [Twice], "Goal._is_terminated"),
         (OwnStep, None, "OwnStep.step"),
-        (Counting, None, "Counting.step"),
     ],
 )
 def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_point, wrappers, name):
@@ -454,11 +414,6 @@ def test_a_policy_has_no_episodes_that_a_step_of_the_older_gym_ends_by_its_info(
     assert trace.error.message.startswith("step: expected (observation, reward, terminated, truncated, info), as in g")
 
 
-class Idle:
-    def __call__(self, seen):
-        return IDLE
-
-
 class Wrong(HighwayEnvFast):
     """Its end has an error, which shows after 60 m."""
 
@@ -614,19 +569,13 @@ def test_a_limit_counts_steps_of_the_environment_that_repeat_actions(register, w
     assert World("limited-v0", wrappers=wrappers, ends="duration").to_dict()["ends"] == "duration"
 
 
-class Computed(HighwayEnvFast):
-    @property
-    def _is_terminated(self):
-        return lambda: self.vehicle.position[0] > 260.0
-
-
 class SetOnItself(HighwayEnvFast):
     def __init__(self, *args, **given):
         super().__init__(*args, **given)
         self._is_terminated = lambda: self.vehicle.position[0] > 260.0
 
 
-@pytest.mark.parametrize("entry_point", [Computed, SetOnItself, OwnStep])
+@pytest.mark.parametrize("entry_point", [SetOnItself, OwnStep])
 def test_an_end_need_not_be_a_method_of_the_class(register, entry_point):
     """The goal is that of ``Goal``, in all of them."""
     register("goal-v0", entry_point=Goal)

@@ -431,17 +431,6 @@ def test_slow_decisions_are_measured_and_change_nothing_else():
     assert trace.states.tobytes() == HIGHWAY.rollout(SCENARIO, always((0.0, 0.0))).states.tobytes()
 
 
-def test_slow_decision_of_vehicle_class_is_measured():
-    calls = iter(range(1000))
-
-    class Slow(IDMVehicle):
-        def act(self, action=None):
-            time.sleep(0.03 * (next(calls) == 2))
-            super().act(action)
-
-    assert 0.03 <= HIGHWAY.rollout(SCENARIO, Slow).max_decision_seconds < 5
-
-
 @pytest.mark.processes
 def test_thread_can_be_traced_after_another_thread_hangs():
     # CPython 3.11 hangs in a traced function after its C interface has revoked an exception for a thread.

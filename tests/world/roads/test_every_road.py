@@ -99,59 +99,6 @@ def test_npc_at_bend_end_starts_with_turning_speed():
     assert trace.npcs[0, 0, SPEED] < trace.ego[0, SPEED]
 
 
-@pytest.mark.parametrize(
-    ("env_id", "ego"),
-    mostly_oracle(
-        itertools.product(
-            ["merge-v1", "exit-v1", "racetrack-v1", "roundabout-v1", "u-turn-v1", "two-way-v0"], [idm, constant]
-        ),
-        ("merge-v1", idm),
-        ("roundabout-v1", constant),
-    ),
-)
-def test_the_plain_environment_agrees(env_id, ego):
-    world, rng = world_of(env_id, duration=6.0), np.random.default_rng(5)
-    for style in STYLES:
-        first = world.rollout(sample(space_of(world, traffic=style), rng), ego)
-        again = world.rollout_in_gym(first.executed, ego)
-        assert disagreement(Run(first), Run(again)) == ""
-        assert first.states == pytest.approx(again.states, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("env_id", "action"),
-    [
-        ("merge-v1", 1),
-        oracle("roundabout-v1", 1),
-        oracle("exit-v0", 1),
-        oracle("intersection-v0", 1),
-        oracle("racetrack-v1", np.zeros(1)),
-        ("lane-keeping-v0", np.zeros(1)),
-    ],
-)
-def test_policy_drives_with_own_observations_and_actions(env_id, action):
-    world = World(env_id, duration=3.0)
-    seen = []
-
-    def policy(observation):
-        seen.append(observation)
-        return action
-
-    first = world.rollout(hold(world, 2, speed=5.0), lambda: policy)
-    assert first.error is None
-    assert len(first.actions) == len(seen) > 0
-    again = world.rollout_in_gym(first.executed, lambda: policy)
-    assert disagreement(Run(first), Run(again)) == ""
-    half = len(seen) // 2
-    for before, after in zip(seen[:half], seen[half:], strict=True):
-        np.testing.assert_allclose(_flat(before), _flat(after), atol=1e-5)
-
-
-def _flat(observation):
-    values = observation.values() if isinstance(observation, dict) else [observation]
-    return np.concatenate([np.ravel(value) for value in values])
-
-
 def test_cells_exist_only_on_lanes_in_ego_direction():
     roundabout = world_of("roundabout-v1").road
     assert roundabout.start_lanes == (1,)
@@ -187,16 +134,6 @@ def test_npc_in_lanes_uses_lanes_where_they_exist():
     assert lane[-1] == 2
     assert trace.npcs[-1, 0, SPEED] < 7.0, "it brakes before the ramp ends"
     assert violations(trace, world) == []
-
-
-def test_bends_limit_speed_of_npc_in_lanes():
-    world = world_of("racetrack-v1", duration=20.0)
-    lane, speed = world.start
-    npc = [LaneInstruction("keep", 10.0)] * 10
-    trace = world.rollout(Scenario(npcs=[npc], ego_lane=lane, ego_speed=speed, gene_seconds=2.0), constant)
-    assert violations(trace, world) == []
-    assert trace.npcs[:, 0, SPEED].min() < 7.0
-    assert trace.npcs[:, 0, SPEED].max() > 9.5, "between the bends it drives as fast as its instruction says"
 
 
 def test_ring_steps_skip_cells_that_do_not_exist():
