@@ -14,7 +14,7 @@ import pytest
 
 from tests.helpers.actions import SCRIPT, copies, environment, git, inputs_of, run_action, shell
 from tests.helpers.processes import begun
-from tests.helpers.sessions import command_in_a_copy, read_record
+from tests.helpers.sessions import read_record
 
 pytestmark = pytest.mark.processes
 
@@ -150,24 +150,6 @@ def test_a_night_keeps_its_finds_and_the_next_one_knows_them(repository, copied,
     assert not found[1]
     git(repository, "fetch", "-q", "origin", "pafot-finds")
     assert git(repository, "diff", "--name-only", "main", "FETCH_HEAD").splitlines() == sorted(found[0])
-
-
-def test_jobs_that_divide_the_replays_replay_each_file_once(repository, copied):
-    pytest.importorskip("pytest_split")
-    pytest.importorskip("xdist")
-    commit(repository, {"test_a.py": FAILS, "test_b.py": FAILS}, "Two tests")
-    plugins = "pytest_pafot.plugin,pytest_split.plugin,xdist.plugin"
-    search = ["-p", "pafot", "--pafot-runs=4", *QUICK.split()]
-    assert command_in_a_copy("pytest", *search, folder=repository).code == 1
-    replayed = []
-    for job in ("--splits 2 --group 1", "--splits 2 --group 2 -n 2"):
-        code, printed = shell(f"sh {SCRIPT} replay {job}", repository, PYTEST_PLUGINS=plugins, **copied)
-        record = record_of(repository)
-        assert (code, record.exit, record.orphans) == (1, 1, []), printed
-        assert {finding.result for finding in record.findings} == {"failed"}
-        assert "ERROR" not in printed
-        replayed += [finding.file for finding in record.findings]
-    assert sorted(replayed) == saved(repository)
 
 
 @pytest.fixture

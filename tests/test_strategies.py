@@ -83,11 +83,6 @@ def test_scenarios_have_two_npcs_at_most_by_default(scenario):
 
 
 @given(strategies.scenarios(lanes=3, max_npcs=5))
-def test_every_npc_starts_in_a_lane_that_exists(scenario):
-    assert all(0 <= scenario.ego_lane + chain[0].cell.column < 3 for chain in scenario.positions)
-
-
-@given(strategies.scenarios(lanes=3, max_npcs=5))
 def test_npcs_of_both_kinds_fit_the_road(scenario):
     Highway(lanes=3).check_fits(scenario)
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import pytest
 
-from pytest_pafot.__main__ import main
+from pytest_pafot.__main__ import COMMANDS, main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.export import exporter
@@ -106,6 +106,13 @@ OF_PYTEST = {
     "--runxfail",
     "--tb",
 }  # of the sessions that commands start
+
+
+def test_every_command_explains_itself(capsys):
+    for name, command_ in COMMANDS.items():
+        with pytest.raises(SystemExit, match="0"):
+            main([name, "--help"])
+        assert command_.about[:20] in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("name", OF_COMMANDS)

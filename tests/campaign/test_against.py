@@ -8,7 +8,6 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.harness import same_policy
-from pytest_pafot.campaign.request import AgainstError
 from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
@@ -46,14 +45,6 @@ def returns_nothing():
 
 def collides(ads, scenario):
     return pafot.Run(ROAD.rollout(scenario, ads)).collision is not None
-
-
-def test_policy_is_not_compared_with_itself():
-    with pytest.raises(AgainstError, match=r"against \(example_ads\.constant_speed:make\): expected a policy that dif"):
-        pafot.explore(constant_speed.make, against=constant_speed.make, holds=never_collides, **SHORT)
-    named = "example_ads.constant_speed:make"
-    with pytest.raises(AgainstError, match="would be compared with itself; put the earlier policy"):
-        pafot.explore(constant_speed.make, against=named, holds=never_collides, **SHORT)
 
 
 def made_again():
@@ -158,14 +149,6 @@ def test_reference_passes_wherever_the_test_would_pass(kind):
 def test_failing_or_silent_reference_makes_failure_common(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
     assert (verdict.kind, verdict.failed) == ("common", False)
-
-
-def test_reference_that_always_fails_is_reported_with_cause():
-    exploration = pafot.explore(constant_speed.make, against=Breaks, holds=never_collides, **SHORT)
-    assert exploration.findings == ()
-    assert "the reference itself failed in all its runs, at first with KeyError: 'lanes'" in "".join(
-        exploration.summary.warnings
-    )
 
 
 def test_test_function_error_is_raised_despite_the_reference():

@@ -3,7 +3,6 @@
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.verdict import PlainFailure
 from pytest_pafot.findings.finding import replay_label
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import MOST_ON_GRID
@@ -38,13 +37,6 @@ def corpus(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(corpus):
     return pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), corpus=str(corpus), **RUNS)
-
-
-class Broken:
-    """A policy that raises at its first decision."""
-
-    def __call__(self, observation):
-        raise ValueError("no map")
 
 
 def test_search_finds_collisions_from_several_sides(found):
@@ -104,8 +96,3 @@ def test_paper_search_stays_on_the_grid():
     found = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), runs=6, seed=1, algorithm="pafot")
     assert kinds == {False}
     assert "says nothing about such traffic" in " ".join(found.summary.notes)
-
-
-def test_policy_that_raises_at_once_is_a_set_up_error():
-    with pytest.raises(PlainFailure, match="at the first decision: it is an error of the set-up"):
-        pafot.explore(Broken, holds=holds, world=world_of("intersection-v0"), runs=12, seed=1)

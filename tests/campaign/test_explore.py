@@ -3,8 +3,6 @@
 import math
 import shutil
 import signal
-import sys
-import traceback
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
@@ -24,7 +22,6 @@ from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, write
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.events import Evaluated
@@ -83,25 +80,6 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
     assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
     assert [each.shrunk for each in cut.findings] == [each.shrunk for each in whole.findings]
     assert cut.summary.shrink_decisions < 0.75 * whole.summary.shrink_decisions
-
-
-@table(
-    ("world", "keeps_speed", "is_chosen"),
-    [(pafot.Highway(duration=10.0), (0.0, 0.0), True), (pafot.World("highway-fast-v0", {"duration": 10}), 1, False)],
-)
-def test_small_scenarios_are_chosen_by_recorded_decisions_only_where_a_world_accepts_them(
-    world, keeps_speed, is_chosen, monkeypatch
-):
-    given = []
-
-    def shrink(scenario, *, asks_likely, **options):
-        given.append(asks_likely)
-        return scenario, Shrunk(rollouts=0)
-        yield
-
-    monkeypatch.setattr(simplest, "shrink", shrink)
-    pafot.explore(lambda: lambda seen: keeps_speed, holds=never_collides, world=world, seed=5, **SHORT)
-    assert set(given) == {is_chosen}
 
 
 def test_its_findings_show_what_the_property_forbids(exploration):
@@ -187,19 +165,6 @@ def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_few_frames_separate_search_loop_and_run():
-    class Planner:
-        stacks = ()
-
-        def __call__(self, observation):
-            Planner.stacks = [frame.f_code.co_qualname for frame, _ in traceback.walk_stack(sys._getframe(1))]
-            return 0.0, 0.0
-
-    pafot.explore(Planner, holds=lambda run: None, seed=5, runs=1, genes=1)
-    assert Planner.stacks[0] == "SteppedRun.finish"
-    assert Planner.stacks.index("search") < 8
-
-
 def test_search_without_corpus_writes_nothing_but_finds_same(exploration, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert pafot.explore(constant_speed.make, holds=never_collides, seed=5, **SHORT).findings == exploration.findings
@@ -214,15 +179,6 @@ def test_corpus_content_is_known_to_the_next_search(exploration, corpus, tmp_pat
     again = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus="saved", **SHORT)
     assert again.findings == ()
     assert sum(again.summary.known.values()) == again.summary.failing
-
-
-def test_property_may_reject_runs_with_a_warning():
-    def judges_nothing(run):
-        pafot.reject()
-
-    summary = pafot.explore(constant_speed.make, holds=judges_nothing, seed=5, **SHORT).summary
-    assert summary.rejected == summary.runs
-    assert summary.warnings
 
 
 class OwnTraffic(pafot.World):
@@ -515,24 +471,6 @@ def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
     gone.unlink()
     (found,) = mistakes_of_one_who_changes_blindly(seed=3, corpus=str(tmp_path)).findings
     assert signature_of(found.scenario) == gone_mistake
-
-
-def test_finding_that_does_not_repeat_is_flaky(tmp_path):
-    made = []
-
-    def every_second_one_brakes():
-        made.append(-8.0 if len(made) % 2 else 0.0)
-        return lambda observation, does=made[-1]: (does, 0.0)
-
-    told = []
-    options = SHORT | {"shrink_rollouts": 0, "population": 8}
-    pafot.explore(
-        every_second_one_brakes, holds=never_collides, seed=5, corpus=tmp_path, on_event=told.append, **options
-    )
-    finds = [each for each in told if isinstance(each, Sighting)]
-    assert finds
-    assert {each.difference for each in finds} == {"running it again gave a different run"}
-    assert {load(path).flaky for path in tmp_path.rglob("*.yaml")} == {"running it again gave a different run"}
 
 
 def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_path, monkeypatch):

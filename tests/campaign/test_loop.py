@@ -22,7 +22,6 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.plan import Plan, plan_of
-from pytest_pafot.support.errors import OutOfTime
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
@@ -161,16 +160,6 @@ class Reached(Watch):
 def test_limits_are_looked_at_between_runs_but_before_none_and_not_after_the_last(runs, simulated, generations, reason):
     last = searched(passed, watch=Reached(runs))[0].finished
     assert (last.simulated, last.generations, last.reason) == (simulated, generations, reason)
-
-
-def test_time_that_ends_in_a_run_ends_the_search_before_it():
-    def cut(scenario, runs=count()):  # noqa: B008
-        if next(runs) == 3:
-            raise OutOfTime
-        return quiet_run(scenario)
-
-    found, _ = searched(passed, run=cut)
-    assert (found.finished.simulated, found.finished.reason, found.runs) == (3, "time", 3)
 
 
 def test_whoever_stops_it_still_gets_the_last_event():

@@ -332,12 +332,6 @@ def test_run_that_is_cut_counts_nowhere(clock):
     assert cut.summary.reached == whole.summary.reached
 
 
-def test_search_whose_first_run_is_cut_tested_nothing(clock):
-    result = searched(clock, out_of_time, runs=10, max_time=30)
-    assert (result.summary.runs, result.summary.reason) == (0, "--pafot-max-time")
-    assert "no scenario was simulated" in result.summary.warnings[0]
-
-
 @pytest.fixture
 def confirming(monkeypatch):
     """Return the confirming runs so far; there is no time for the first three."""

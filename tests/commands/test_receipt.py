@@ -96,6 +96,11 @@ def test_an_ending_after_the_verdict_is_no_success(tmp_path):
     assert ended(tmp_path, SEARCH, options=(), ON_IMPORT="atexit.register(os._exit, 0)")[0] != 0
 
 
+def test_assertions_that_are_off_are_refused(tmp_path):
+    code, told = ended(tmp_path, f"{SEARCH} --check planner:check", options=["-O"])
+    assert (code, "check: expected a Python that runs assertions" in told) == (2, True), told
+
+
 def test_a_search_that_comes_to_its_end_keeps_its_code(tmp_path):
     assert ended(tmp_path, SEARCH)[0] == 1
     help_of, wrong = (ended(tmp_path, f"search {option}")[0] for option in ("--help", "--nothing"))

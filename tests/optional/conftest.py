@@ -1,4 +1,4 @@
-"""The tests that need optional libraries are a stage of their own; tests/test_optional.py has the essence of them."""
+"""The tests that need optional libraries are a stage of their own."""
 
 import pytest
 

@@ -126,10 +126,11 @@ def test_world_and_ads_are_sent_once_per_worker(pool_of):
     assert [size > 100_000 for size in executor.sizes] == [True, False, False, True, False]
 
 
-def test_a_task_may_fail_once_without_a_known_reason(pool_of):
-    pool = pool_of(Inline(lost=(1,), error=ValueError))
+@pytest.mark.parametrize("error", [ValueError, ConnectionResetError])
+def test_a_task_or_connection_that_fails_is_tried_once_more(pool_of, error):
+    pool = pool_of(Inline(lost=(1,), error=error))
     assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
-    assert [lost.end for lost in pool.recovered] == ["was lost (ValueError)"]
+    assert [lost.end for lost in pool.recovered] == [f"was lost ({error.__name__})"]
 
 
 def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
@@ -140,25 +141,15 @@ def test_scenario_lost_twice_is_named_and_others_continue(pool_of):
     assert str(lost).startswith("the worker that ran <Scenario ")
 
 
-def test_a_connection_that_fails_is_tried_once_more(pool_of):
-    pool = pool_of(Inline(lost=(1,), error=ConnectionResetError))
-    assert numbers(fetched(pool, SCENARIOS[:3])) == [0, 1, 2]
-    assert [lost.end for lost in pool.recovered] == ["was lost (ConnectionResetError)"]
-
-
-def test_cluster_with_failing_connections_is_not_used_again(pool_of):
-    executor = Inline(lost=range(1, 99), error=OSError)
+@pytest.mark.parametrize("error", [OSError, CancelledError])
+def test_cluster_whose_connections_or_tasks_fail_twice_is_not_used_again(pool_of, error):
+    executor = Inline(lost=range(1, 99), error=error)
     pool = pool_of(executor)
     assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
     fetched(pool, SCENARIOS[3:6])
     assert len(executor.sizes) == 4
-    assert pool.notes == ["--pafot-dask: this process ran the scenarios; the cluster failed: OSError: pafot-1"]
-
-
-def test_cluster_that_drops_a_task_twice_is_not_used_again(pool_of):
-    pool = pool_of(Inline(lost=range(1, 99), error=CancelledError))
-    assert [type(answer) for answer in fetched(pool, SCENARIOS[:3])] == [tuple, RuntimeError, RuntimeError]
-    assert pool.notes[0].endswith("the cluster failed: CancelledError: pafot-1")
+    told = f"--pafot-dask: this process ran the scenarios; the cluster failed: {error.__name__}: pafot-1"
+    assert pool.notes == [told]
 
 
 def test_cluster_that_refuses_tasks_is_not_used_again(pool_of):

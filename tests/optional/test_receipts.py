@@ -16,7 +16,6 @@ from tests.helpers.sessions import Copy, command_in_a_copy
 pytestmark = pytest.mark.processes
 
 COMMANDS = {
-    "map": "map r157/cut-in --ads planner:make --over gap=10:60:2 --fail-on preventable",
     "rate": "rate --ads planner:make@planner --world highway-fast-v0 --episodes 8 --workers 1 --fail-above 60%",
     "compare": "compare --ads planner:make --algorithms random --runs 1 --generations 1 --workers 1 --out out",
 }
@@ -47,42 +46,27 @@ def test_command_ends_all_that_it_began(tmp_path, tmp_path_factory, command, nam
     check_that_all_ends(tmp_path, tmp_path_factory.mktemp("places"), LONG[command].split(), name)
 
 
-def test_an_ending_after_the_verdict_does_not_change_it(tmp_path):
-    assert ended(tmp_path, COMMANDS["map"], options=(), ON_IMPORT="atexit.register(os._exit, 0)")[0] != 0
-
-
 def test_commands_that_come_to_their_end_keep_their_codes(tmp_path):
-    assert {command: ended(tmp_path, line)[0] for command, line in COMMANDS.items()} == {
-        "map": 1,
-        "rate": 1,
-        "compare": 0,
-    }
+    assert {command: ended(tmp_path, line)[0] for command, line in COMMANDS.items()} == {"rate": 1, "compare": 0}
 
 
 def test_wrong_arguments_and_help_keep_their_codes(tmp_path):
     def code(*arguments):
         return command_in_a_copy("pytest_pafot", *arguments, folder=tmp_path).code
 
-    assert [code("map", "--help"), code("rate", "--hel"), code("map", "--nothing"), code("map")] == [0, 0, 2, 0]
-
-
-def test_assertions_that_are_off_are_refused_and_own_checks_hold(tmp_path):
-    assert ended(tmp_path, COMMANDS["map"], options=["-O"])[0] == 1
-    code, told = ended(tmp_path, f"{COMMANDS['map']} --check planner:check", options=["-O"])
-    assert code == 2
-    assert "check: expected a Python that runs assertions" in told
+    assert [code("compare", "--help"), code("rate", "--hel"), code("rate", "--nothing")] == [0, 0, 2]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_child_that_an_interrupt_ends_without_a_receipt_is_no_fault_of_the_policy(tmp_path):
     how = "signal.signal(signal.SIGTERM, signal.SIG_IGN); os.kill(os.getppid(), signal.SIGTERM); os._exit(1)"
-    assert ended(tmp_path, COMMANDS["map"], ON_IMPORT=how) == (143, "map: interrupted\n")
+    assert ended(tmp_path, COMMANDS["rate"], ON_IMPORT=how) == (143, "rate: interrupted\n")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
-    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["map"].replace("10:60:2", "10:60:200").split()]
+    line = [sys.executable, "-m", "pytest_pafot", *COMMANDS["rate"].replace("episodes 8", "episodes 800").split()]
     (tmp_path / "planner.py").write_text(
         "import os, time\ndef make():\n    open(f'pid-{os.getpid()}', 'w').close()\n    time.sleep(0.1)\n"
         "    return lambda seen: (0.0, 0.0)\n"
@@ -94,7 +78,7 @@ def test_a_signal_to_the_command_ends_the_process_that_drives(tmp_path, number):
     process.send_signal(number)
     _, told = process.communicate(timeout=60)  # until the process that drives has ended, too
     assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
-    assert "map: interrupted" in told
+    assert "rate: interrupted" in told
     if number != signal.SIGKILL:  # then nobody may have waited for it yet, though its output is closed
         with pytest.raises(ProcessLookupError):
             os.kill(int(begun[0].name.removeprefix("pid-")), 0)

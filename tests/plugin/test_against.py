@@ -138,12 +138,6 @@ def test_common_failure_reports_harder_hits_than_the_reference(project):
     project.run(AGAINST, generations=0).stdout.no_fnmatch_line("*became worse*")
 
 
-def test_saved_scenario_replays_normally_without_the_reference(changed):
-    result = changed.run(generations=0)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
-    result.stdout.no_fnmatch_line("against *")
-
-
 def test_common_failure_hides_no_regression_of_same_kind(changed):
     # The old policy failed in the saved scenario, which it recognises by the number of vehicles, and in no other.
     others = len(load(changed.only_file).scenario.npcs)

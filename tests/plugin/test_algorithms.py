@@ -54,14 +54,6 @@ def test_every_algorithm_searches_with_every_kind_it_supports(project):
     assert supported.count(False) == 4, "av-fuzzer and random-manoeuvre have lanes only"
 
 
-def test_a_find_without_cells_is_on_the_page(project):
-    project.write(TEST.format("random-manoeuvre"))
-    project.run("--pafot-report=page.html", generations=6)
-    page = (project.path / "page.html").read_text()
-    assert re.search(r'"words":"(keep|into|from|out of) [a-z0-9 ]*ego', page)
-    assert '"lane": "' in page or '"lane":"' in page
-
-
 def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
     told = {
         "SHORT, algorithm='random-manoeuvre', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "

@@ -5,25 +5,13 @@ import re
 
 import pytest
 
-from pytest_pafot.corpus.layout import safe_name
 from tests.helpers.sessions import section
 from tests.plugin.conftest import CONFTEST
 
 GARBLED = {
     "an unknown version": (r"^pafot: 2", "pafot: 99", "pafot"),
     "an unknown key": (r"^scenario:", "colour: red\nscenario:", "colour"),
-    "a cell that is no ring neighbour": (
-        r"- - \{cell: \d(.*\n)",
-        r"- - {cell: 1\g<1>      - {cell: 5, speed: 1.0}\n",
-        "cell",
-    ),
-    "a world that is not complete": (r", lanes: 4", "", "world"),
-    "a world with an unknown key": (r"lanes: 4", "lanes: 4, colour: red", "world.colour"),
-    "cell 0": (r"cell: \d, speed", "cell: 0, speed", "cell"),
     "cell 9": (r"cell: \d, speed", "cell: 9, speed", "cell"),
-    "a speed that is no number": (r"speed: [\d.]+\}", "speed: .nan}", "speed"),
-    "an empty chain": (r"  npcs:\n(    .*\n)+", "  npcs:\n    - []\n", "npcs"),
-    "an alias": (r"^test: .*", "test: &a x\nworld2: *a", ""),
     "no YAML": (r"^pafot: 2", "pafot: [1", ""),
     "nothing": (r"(?s).*", "", ""),
     "too much": (r"(?s)\Z", "#" * 300_000, ""),
@@ -60,26 +48,11 @@ def test_each_invalid_file_name_fails_one_item(saved):
         assert told, name
 
 
-def test_crlf_line_ends_are_accepted(saved):
-    saved.only_file.write_bytes(saved.only_file.read_bytes().replace(b"\n", b"\r\n"))
-    result = saved.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replay: still failing"])
-
-
 def test_garbled_file_does_not_stop_its_search(saved):
     saved.only_file.write_text("[")
     result = saved.run()
     assert result.parseoutcomes()["failed"] == 3
     assert len(saved.files) == 2
-
-
-def test_deleted_file_is_found_again_with_same_name(failing):
-    failing.run_once()
-    first = failing.contents
-    failing.only_file.unlink()
-    failing.run().assert_outcomes(failed=2)
-    assert failing.contents == first
 
 
 @pytest.mark.skipif(os.name == "nt", reason="folders have no write permission on Windows")
@@ -137,18 +110,6 @@ def test_half_written_leftovers_disappear_in_the_next_session(saved):
     assert not leftover.exists()
 
 
-def test_name_of_another_finding_is_not_overwritten(saved):
-    text = saved.only_file.read_text().replace("AssertionError", "ValueError")
-    saved.only_file.write_text(text)
-    (saved.path / "test_it.py").write_text(
-        (saved.path / "test_it.py")
-        .read_text()
-        .replace("assert run.duration < 1", "assert run.duration < 1 or run.scenario.seed")
-    )
-    saved.run()
-    assert text in saved.contents.values()
-
-
 def test_file_copied_to_another_parametrisation_retains_its_id(project):
     project.write(
         """
@@ -167,60 +128,6 @@ def test_short(run, limit):
     result.assert_outcomes(failed=2, skipped=2)
     for limit in (1, 2):
         result.stdout.fnmatch_lines([f"test_it.py::test_short[[]{limit}-saved-{id_}[]] FAILED*"])
-
-
-COUNTING = """
-import pytest
-from pytest_pafot.corpus import reader
-
-counts = {"read": 0, "made": 0}
-load, init = reader.load, pytest.Function.__init__
-
-def counted_load(path):
-    counts["read"] += 1
-    return load(path)
-
-def counted_init(self, *args, **kwargs):
-    counts["made"] += 1
-    init(self, *args, **kwargs)
-
-reader.load, pytest.Function.__init__ = counted_load, counted_init
-
-def pytest_unconfigure():
-    reader.load, pytest.Function.__init__ = load, init
-    print(counts)
-"""
-
-
-def test_each_file_of_class_methods_is_read_once(project):
-    """Their folders end with a digest, and one's name may begin with another's."""
-    project.write("""
-class TestAll:
-    @pafot.search(SHORT)
-    def test_a(self, run):
-        pass
-
-    @pafot.search(SHORT)
-    def test_ab(self, run):
-        pass
-
-    @pytest.mark.parametrize("n", range(2))
-    @pafot.search(SHORT)
-    def test_b(self, run, n):
-        pass
-""")
-    names = ("test_a", "test_ab", "test_b[0]", "test_b[1]")
-    for name in names:
-        folder = project.path / "pafot_corpus" / "test_it" / safe_name(f"TestAll::{name}")
-        folder.mkdir(parents=True)
-        (folder / "x.pafot.yaml").write_text("")
-    project.pytester.makeconftest(COUNTING)
-    result = project.run("--collect-only", "-q")
-    ids = [line.partition("::TestAll::")[2] for line in result.outlines if "::" in line]
-    assert ids == [
-        f"{name.rstrip(']')}{'-' if '[' in name else '['}{part}]" for name in names for part in ("search", "saved-x")
-    ]
-    result.stdout.fnmatch_lines(["{'read': 4, 'made': 11}"])  # for the items, and pytest's own nodes for each function
 
 
 def test_failure_saved_meanwhile_by_another_session_still_fails(saved):

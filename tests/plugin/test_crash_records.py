@@ -1,7 +1,5 @@
 """The next session reports and saves what a process was running when it died."""
 
-import pytest
-
 from pytest_pafot.execution.crash_records import records_of
 
 
@@ -56,17 +54,6 @@ def test_crash_that_became_an_ordinary_failure_is_labelled(failing):
     result = failing.run(generations=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
-
-
-@pytest.mark.processes
-def test_search_after_a_death_runs_isolated(project):
-    project.write(PASSES)
-    project.leave_crash("test_it.py::test_lives")
-    project.run().assert_outcomes(failed=2)
-    project.leave_behind(f"test_it.py::test_lives[saved-{project.only_id}]")
-    result = project.run("test_it.py::test_lives[search]")
-    result.assert_outcomes(failed=1)  # an ADS that ends all other processes: there is no valid run
-    result.stdout.fnmatch_lines([f"*4 runs fail like saved-{project.only_id}*", "*note: ran as with *"])
 
 
 def test_killed_session_causes_no_false_crash_of_replay(failing):

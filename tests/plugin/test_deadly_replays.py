@@ -173,12 +173,6 @@ def test_crash_against_a_reference_is_introduced_or_common(crash):
 
 
 @forks
-def test_a_page_shows_a_crash_that_comes_again(crash):
-    replayed(crash, "--pafot-report=x.html").assert_outcomes(failed=1, passed=1, skipped=1)
-    assert "was ended by SIGSEGV" in (crash.path / "x.html").read_text()
-
-
-@forks
 def test_output_of_the_other_process_is_captured_once(crash):
     crash.mend()
     crash.write(TESTS.replace("pass", "print('judged'); assert run.duration < 1", 1))

@@ -211,13 +211,6 @@ def test_failure_by_chance_after_the_end_is_flaky(saved):
     assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
 
 
-def test_page_names_the_failure_after_the_end(saved):
-    replay(saved, "slow", "--pafot-report=report.html")
-    assert "driven on past the file&#x27;s end: the same mistake, collision at 6.5 s" in (
-        saved.path / "report.html"
-    ).read_text().replace("&#39;", "&#x27;").replace("file's", "file&#x27;s")
-
-
 @pytest.mark.parametrize("how", ["--pafot-isolate", "--pafot-strict-drift"])
 def test_options_do_not_change_the_label(saved, how):
     replay(saved, "slow", how).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
@@ -282,12 +275,6 @@ def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
         path.read_text().replace("# xfail: {reason, until}", 'xfail: {reason: "a known mistake", until: 9999-12-31}')
     )
     replay(saved, "slow").assert_outcomes(xfailed=1, skipped=1)
-
-
-def test_search_knows_the_failure_of_a_slower_ego(saved):
-    result = replay(saved, "slow", "--pafot-runs=60", generations=None)
-    result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(["  * runs fail like saved-leader-unanswered-f0cc96, not looked at"])
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,11 @@
 """The report of failures: one compact block each, lines that fit, and a summary that names the failures."""
 
 import re
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.plugin.session import SHARED, Controller, Shared, shared_by_controller
 from tests.helpers.sessions import read_record
 
 EXPLAINED = """
@@ -112,15 +110,6 @@ def test_junit_contains_message_and_file_name(explained):
     assert named["pafot_file"] == explained.files[0]
 
 
-def test_worker_receives_terminal_width_of_the_session(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
-    controller = SimpleNamespace(stash={SHARED: Shared()})
-    node = SimpleNamespace(config=controller, workerinput={})
-    Controller().pytest_configure_node(node)
-    monkeypatch.setenv("COLUMNS", "90")
-    assert shared_by_controller(node).width == 60
-
-
 RED = "\x1b[31m"
 
 
@@ -156,11 +145,6 @@ def test_workers_fit_their_lines_to_the_terminal(explained, monkeypatch):
     told = [line for line in lines if line.startswith("E  ")]
     assert told
     assert max(map(len, told)) <= 60
-
-
-def test_run_is_short_in_a_traceback_header(failing):
-    (header,) = re.findall(r"^run = .*$", failing.run_once("-v").stdout.str(), re.MULTILINE)
-    assert len(header) < 80
 
 
 PRINTS = """

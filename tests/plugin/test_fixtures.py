@@ -99,7 +99,7 @@ def test_search(run):
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
-        ["*expected the fixture pafot_world to give *received 'highway-v0', which has no rollout, *"]
+        ["*expected the fixture pafot_world*'highway-v0', which has no rollout, *; did you mean pafot.World(*-v0*)[?]"]
     )
 
 

@@ -119,7 +119,9 @@ def test_what_lets_a_session_pass_all_the_same(saved, ci, monkeypatch):
 def test_deselected_tests_do_not_count_as_gone(saved, ci):
     saved.write(FAILING + "\n\ndef test_ordinary():\n    pass\n")
     for args in (["-k", "ordinary"], ["-m", "not pafot"], ["--deselect", "test_it.py::test_fails"], ["test_it.py"]):
-        assert not is_red(replay(saved, *args)), args
+        result = replay(saved, *args)
+        assert not is_red(result), args
+        assert "orphaned:" not in result.stdout.str(), args
     saved.write("def test_ordinary():\n    pass\n")
     for args in (["test_it.py"], ["test_it.py::test_ordinary"]):
         result = replay(saved, *args)
@@ -145,6 +147,7 @@ def test_missing_module_fails_the_session_without_any_test(saved, ci):
     result = replay(saved)
     assert is_red(result)
     result.stdout.fnmatch_lines(["  expected the test test_it.py::test_fails, received no file test_it.py: *"])
+    result.stdout.fnmatch_lines([f"orphaned: 1 saved scenario without a test in {FOLDER}"])
     (saved.path / "tests").mkdir()
     shutil.move(saved.path / "pafot_corpus", saved.path / "tests" / "pafot_corpus")
     assert is_red(replay(saved, "tests"))
@@ -268,7 +271,9 @@ def test_rerunning_failures_passes_by_tests_that_are_there(saved, ci):
 @pytest.mark.processes
 def test_workers_fail_the_session_by_one_error(saved, ci):
     saved.write(RENAMED)
-    assert is_red(replay(saved, "-n2"))
+    result = replay(saved, "-n2")
+    assert is_red(result)
+    assert result.stdout.str().count(f"without a test in {FOLDER}") == 1
     (saved.path / "test_it.py").unlink()
     assert is_red(replay(saved, "-n2"))
 
@@ -515,14 +520,6 @@ def test_files_behind_links_are_searched_no_deeper_than_tests(saved, ci, tmp_pat
     (saved.path / FOLDER / "linked").symlink_to(elsewhere, target_is_directory=True)
     (saved.path / "pafot_corpus" / "linked").symlink_to(elsewhere, target_is_directory=True)
     assert replay(saved).ret == 0
-
-
-@pytest.mark.processes
-def test_workers_report_a_misnamed_file_once(saved, ci):
-    saved.only_file.rename(saved.only_file.with_suffix(".yml"))
-    result = replay(saved, "-n2")
-    assert is_red(result)
-    assert sum(line.startswith("not run: ") for line in result.stdout.lines) == 1
 
 
 LEFT_OUT = """

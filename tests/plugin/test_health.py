@@ -54,37 +54,6 @@ def test_search_with_only_known_failures_says_so(project):
     result.stdout.no_fnmatch_line("*accelerations in m/s^2*")
 
 
-def test_immediate_collisions_give_a_health_warning(project):
-    project.write(
-        """
-def swerving():
-    return lambda observation: (0.0, 1.0)
-
-@pafot.search(npcs=8, genes=2, gene_seconds=5, ego_lane=1, ads=swerving)
-def test_swerves(run):
-    pass
-"""
-    )
-    result = project.run(generations=2)
-    result.stdout.fnmatch_lines(["  warning: * valid runs collided within the first*"])
-
-
-def test_advice_for_policies_is_not_in_si_units(project):
-    project.write(
-        """
-CONFIG = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 1]}}
-
-@pafot.search(npcs=1, genes=1, gene_seconds=10, ego_speed=3, ads=lambda: lambda seen: 4, shrink_rollouts=0,
-              world=pafot.World("highway-v0", CONFIG))
-def test_stands(run):
-    pass
-"""
-    )
-    result = project.run()
-    result.stdout.fnmatch_lines(["  warning: * mean speed below 2 m/s; check that the ADS returns the environment's *"])
-    result.stdout.no_fnmatch_line("*m/s^2*")
-
-
 def test_listing_tests_does_not_import_the_simulation(project):
     project.pytester.makeconftest(
         """

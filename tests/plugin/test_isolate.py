@@ -5,7 +5,6 @@ import sys
 
 import pytest
 
-import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from tests.helpers.sessions import set_keys
 from tests.plugin.test_workers import summary
@@ -130,13 +129,6 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     assert not project.records
 
 
-def test_process_death_in_first_run_is_a_finding(isolated):
-    project = isolated("os._exit(9)")
-    result = project.run("--pafot-isolate", generations=1, apart=True)
-    assert result.parseoutcomes()["passed"] == 1
-    assert project.only_id.startswith("crash-")
-
-
 def test_exception_of_another_process_is_not_retried_here(isolated):
     more = "def breaks(observation):\n    note()\n    os.write = None\n    return 0.0, 0.0\n"
     project = isolated("breaks", more)
@@ -195,55 +187,8 @@ def test_finding_whose_rerun_kills_process_is_flaky(isolated):
     result.assert_outcomes(failed=2, passed=1)
 
 
-def test_factory_must_be_picklable_without_forking(isolated, monkeypatch):
-    for module in (pytest_pafot.execution.scenario_pool, pytest_pafot.execution.scenario_pool):
-        monkeypatch.setattr(module, "METHOD", "spawn")
-    project = isolated()
-    result, contents = session(project, "--pafot-isolate", generations=1)
-    assert contents == {}
-    result.stdout.fnmatch_lines(["*--pafot-isolate: expected an ADS factory that can be pickled*"])
-    named = "from tests.helpers.toy_world import Keeps\n" + MANY.replace(
-        "npcs=2", "npcs=2, ads=Keeps, shrink_rollouts=0"
-    )
-    project = isolated(test=named)
-    result, contents = session(project, "--pafot-isolate", "--pafot-stop-after=1", generations=1)
-    assert contents
-    project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=0).assert_outcomes(
-        failed=len(contents), passed=1, skipped=1
-    )
-
-
 def pids(project):
     return {path.name for path in project.path.glob("pid-*")}
-
-
-@pytest.mark.usefixtures("examined")
-def test_isolated_search_explains_the_same_as_the_session_does(isolated):
-    project = isolated("drive", TURNS)
-    here, contents = session(project, "--pafot-seed=0")
-    apart, same = session(project, "--pafot-isolate", "--pafot-seed=0")
-    assert same == contents
-    told = [[line for line in result.outlines if line.startswith(("moment ", "shrunk "))] for result in (here, apart)]
-    assert told[0] == told[1]
-    assert told[0]
-
-
-TURNS = """
-def drive(observation):
-    ego, other = observation.ego, observation.others[0]
-    if other.lane == ego.lane:
-        if other.x > ego.x + 30:
-            return -1.0, 0.0
-        return -0.5, 0.0
-    return 0.0, 0.0
-"""
-
-
-def test_isolated_policy_that_works_only_in_the_session_is_an_error(isolated):
-    project = isolated("only_here()", "def only_here():\n    assert os.getpid() == SESSION\n    return keep\n")
-    strict, contents = session(project, "--pafot-isolate", "--pafot-seed=0", *QUICK, generations=1)
-    strict.stdout.fnmatch_lines(["*not tried again in the session*"])
-    assert contents == {}
 
 
 EXITS = """

@@ -127,15 +127,6 @@ class TestWhatAnAdsRaisesIsAFinding:
         result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
         project.run(generations=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
 
-    @pytest.mark.processes
-    @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-    def test_of_the_processes_of_a_search(self, project):
-        slow = RAISING.replace("def drive", "import time\n\ndef drive").replace("RAISE", "pytest.skip('no GPU')")
-        project.write(slow.replace("    return 0.0", "    time.sleep(0.005)\n    return 0.0"))
-        result = project.run("--pafot-workers=2", generations=2)
-        result.assert_outcomes(failed=2)
-        result.stdout.fnmatch_lines(["*8 failing*", "*--pafot-workers=2: in use after 1 run of this process*"])
-
     def test_but_for_an_interrupt(self, project):
         project.write(RAISING.replace("RAISE", "raise KeyboardInterrupt"))
         result = project.run(no_reraise_ctrlc=True)

@@ -200,7 +200,6 @@ WRONG = [
     ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, avoidable, received 'npc'*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     ("world=pafot.Highway", "*(world=...): expected a world such as pafot.Highway(...), received <class*"),
-    ("world=3", "*(world=...): expected a world such as pafot.Highway(...), received 3*"),
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
@@ -230,10 +229,7 @@ def test_wrong_argument_is_an_error_before_any_fixture(project):
 REFUSED = [
     ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
-    ("npcs=1.5", "*npcs: expected 1 to 8 NPCs, one per cell at most, received 1.5*"),
     ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 0*"),
-    ("gene_seconds=1e9", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0*"),
-    ("ego_lane='left'", "*ego_lane*"),
     ("ego_lane=7", "*ego_lane*"),
     ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
     ("fitness='best'", "*(fitness=...): *'best'*"),
@@ -283,15 +279,6 @@ def test_summary_line_names_the_test_only_once(project):
             "ERROR test_it.py::test_other - Failed: expected a parameter 'run'*",
         ]
     )
-
-
-def test_invalid_ads_fixture_error_says_what_to_return(project):
-    project.write(
-        "@pytest.fixture\ndef ads():\n    return 'planner'\n\n@pafot.search\ndef test_drive(run):\n    pass\n"
-    )
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*expected the fixture 'ads' to return a factory*received 'planner'*"])
 
 
 def test_failing_factory_shows_traceback_and_is_no_finding(project):
@@ -399,12 +386,6 @@ def test_the_skip_of_unittest_is_a_skip_too(project):
     project.write("import unittest\n\n@pafot.search(SHORT)\ndef test_x(run):\n    raise unittest.SkipTest('no')\n")
     project.run().assert_outcomes(skipped=1)
     assert project.files == []
-
-
-def test_pytest_fail_inside_a_scenario_is_a_find(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    pytest.fail('too close')\n")
-    project.run().assert_outcomes(failed=2)
-    assert "failure: Failed" in project.only_file.read_text()
 
 
 def test_timeout_is_no_finding_and_preserves_earlier_ones(project):

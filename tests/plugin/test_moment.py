@@ -1,7 +1,6 @@
 """What is found out about the decisions that led to a finding."""
 
 import json
-import re
 from contextlib import contextmanager
 
 import pytest
@@ -111,18 +110,6 @@ def test_collides(run):
 """
 
 
-def test_conditions_of_two_vehicles_are_told_apart(project):
-    """The policy compares the place of the rear one with a gap, and that of the front one with the start."""
-    more = "        if max(o.x for o in seen.others) < 0.0: return 0.0, 0.0\n"
-    decides = "        return self.braking("
-    project.write(READS.replace("npcs=1", "npcs=2").replace(decides, f"{more}{decides}"))
-    moment = run(project, "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
-    groups = {row.partition(": ")[2].partition(" <")[0]: whom for whom, rows in moment["conditions"] for row in rows}
-    assert set(groups) == {"gap", "max((o.x for o in seen.others))"}
-    assert set(groups.values()) == {"NPC 0", "NPC 1"}
-    assert moment["conditions"][0][0] == f"NPC {moment['npc']}"
-
-
 def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(project):
     project.write(READS)
     line = 1 + (project.path / "test_it.py").read_text().splitlines().index(
@@ -140,58 +127,6 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     assert f"line {line}: gap" in (project.path / "out.html").read_text()
     apart = run(project, *options, "--pafot-isolate", generations=20)[1]
     assert apart["moment"] == record["moment"]
-
-
-WEAVES = """
-class Planner:
-    def __init__(self):
-        self.lane = None
-
-    def __call__(self, seen):
-        self.lane = seen.ego.lane if self.lane is None else self.lane
-        ahead = [o.x - seen.ego.x for o in seen.others if o.lane == self.lane and o.x > seen.ego.x]
-        if min(ahead, default=99.0) < 40.0:
-            for lane in (self.lane - 1, self.lane + 1):
-                if 0 <= lane < seen.lanes and self.is_free(seen, lane):
-                    self.lane = lane
-                    break
-        hard = any(gap < 20.0 for gap in ahead)
-        soft = any(gap < 40.0 for gap in ahead)
-        fast = seen.ego.speed > 25.0
-        done = seen.time > 99.0
-        late = seen.time > 98.0
-        slow = seen.ego.speed < 5.0
-        return pafot.Drive(lane=self.lane, acceleration=-6.0 if hard else -2.0 if soft or fast else 1.0)
-
-    def is_free(self, seen, lane):
-        for other in seen.others:
-            if other.lane == lane and REAR:
-                return False
-        return True
-
-@pafot.search(npcs=2, genes=3, gene_seconds=3, ads=Planner, vehicles="car", blame="ego")  # stop_after=1
-def test_never_moves_over_at_fault(run):
-    assert not (run.collision and run.attribution.fault == "entered-lane")
-"""
-
-
-@pytest.mark.parametrize(
-    ("rear", "ending"),
-    [
-        ("-6.0 < other.x - seen.ego.x < 20.0", "-> False; with NPC 0 .* True$"),
-        ("abs(other.x - seen.ego.x) < 20.0 and len(seen.others) > 9", "-> False; also with NPC 0 32 m further away$"),
-    ],
-    ids=["a gap that is too small", "no gap at all"],
-)
-def test_of_a_change_of_lanes_the_condition_that_let_it_pass_is_told_first(project, rear, ending):
-    project.write(WEAVES.replace("REAR", rear))
-    lines = (project.path / "test_it.py").read_text().splitlines()
-    line = 1 + lines.index(f"            if other.lane == lane and {rear}:")
-    options = ("--pafot-shrink-rollouts=0", "--pafot-runs=400")
-    moment = run(project, *options, generations=50)[1]["moment"]
-    whom, rows = moment["conditions"][0]
-    assert whom == f"NPC {moment['npc']}"
-    assert re.match(rf"line {line}: .*{ending}", rows[0])
 
 
 def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_decision_before_did_not_fulfil(project):

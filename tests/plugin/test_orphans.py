@@ -3,55 +3,6 @@
 import pytest
 
 
-def test_renamed_test_leaves_a_reported_orphan(saved):
-    saved.write("@pafot.search(SHORT)\ndef test_renamed(run):\n    pass\n")
-    result = saved.run()
-    result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(
-        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails", "*; else delete them"]
-    )
-    assert saved.files
-
-
-def test_a_renamed_module_leaves_an_orphan(saved):
-    saved.write("def test_other():\n    pass\n", name="test_other")
-    (saved.path / "test_it.py").unlink()
-    saved.run().stdout.fnmatch_lines(["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_fails"])
-
-
-METHOD = """
-class TestClass:
-    @pafot.search(SHORT)  # stop_after=1
-    def test_fails(self, run):
-        assert not run
-"""
-
-
-def test_renamed_class_or_method_leaves_an_orphan(project):
-    source = METHOD
-    project.write(source)
-    project.run_once()
-    project.write(source.replace("TestClass", "TestOther").replace("assert not run", "pass"))
-    assert "orphaned: 1" in project.run().stdout.str()
-    project.write(source.replace("test_fails", "test_renamed").replace("assert not run", "pass"))
-    assert "orphaned: 1" in project.run().stdout.str()
-
-
-def test_a_removed_parameter_leaves_an_orphan(project):
-    source = """
-@pytest.mark.parametrize("limit", [1, 2])
-@pafot.search(SHORT)  # stop_after=1
-def test_it(run, limit):
-    assert not limit
-"""
-    project.write(source)
-    project.run_once()
-    project.write(source.replace("[1, 2]", "[2]"))
-    project.run(generations=0).stdout.fnmatch_lines(
-        ["orphaned: 1 saved scenario without a test in pafot_corpus/test_it/test_it@1"]
-    )
-
-
 def test_misplaced_files_are_reported_with_their_test(saved):
     home = saved.only_file
     text, places = home.read_text(), ["pafot_corpus/test_it", "pafot_corpus", "."]
@@ -121,56 +72,12 @@ def test_misplaced_files_are_ignored_without_a_search(project):
     assert "pafot.yaml" not in project.run(generations=None).stdout.str()
 
 
-SELECTIONS = (
-    ["-k", "other"],
-    ["test_it.py::test_other"],
-    ["test_it.py::TestOther"],
-    ["test_it.py::TestOther::test_method"],
-    ["-m", "not pafot"],
-    ["test_other.py"],
-    ["--deselect", "test_it.py::test_fails"],
-)
-
-
-def test_a_selection_makes_no_orphans(project):
-    project.write(
-        """
-@pafot.search(SHORT)  # stop_after=1
-def test_fails(run):
-    assert not run
-
-def test_other():
-    pass
-
-class TestClass:
-    @pafot.search(SHORT)  # stop_after=1
-    def test_fails(self, run):
-        assert not run
-
-class TestOther:
-    def test_method(self):
-        pass
-"""
-    )
-    project.write("def test_other():\n    pass\n", name="test_other")
-    project.run()
-    assert len(project.files) == 2
-    for selection in SELECTIONS:
-        assert "orphaned:" not in project.run(*selection, generations=0).stdout.str(), selection
-
-
 def test_a_skipped_test_is_no_orphan(saved):
     source = (saved.path / "test_it.py").read_text()
     (saved.path / "test_it.py").write_text(source.replace("def test_fails", "@pytest.mark.skip\ndef test_fails"))
     assert "orphaned:" not in saved.run(generations=0).stdout.str()
     (saved.path / "test_it.py").write_text(f"import pytest\npytest.skip('all', allow_module_level=True)\n{source}")
     assert "orphaned:" not in saved.run(generations=0).stdout.str()
-
-
-def test_module_with_import_error_makes_no_orphans(saved):
-    saved.write("import nothing_of_this_name\n")
-    assert "orphaned:" not in saved.run().stdout.str()
-    assert saved.files
 
 
 def test_a_misplaced_file_above_a_test_is_named_alone(project):

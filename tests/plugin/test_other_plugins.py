@@ -2,16 +2,6 @@
 
 import pytest
 
-TWO = """
-@pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
-def test_first(run):
-    assert run.scenario.id == ""
-
-@pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
-def test_second(run):
-    assert run.scenario.id == ""
-"""
-
 MANY = """
 @pafot.search(SHORT, shrink_rollouts=0)
 def test_many(run):
@@ -178,11 +168,6 @@ def test_the_marks_select_and_deselect_under_strict_markers(failing):
 
 def test_durations_and_summaries_know_nothing_of_messages(failing):
     failing.run("--durations=0", "-rA").stdout.no_fnmatch_line("*s pafot *")
-
-
-def test_log_gets_progress_at_most_every_ten_seconds(project):
-    project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
-    assert "generations, " not in project.run(generations=3).stdout.str().partition("pafot ====")[0]
 
 
 def test_other_plugins_randomness_changes_nothing(project):

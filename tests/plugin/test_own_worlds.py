@@ -1,6 +1,5 @@
 """Worlds that are code: the user's own and wrapped environments are searched and replayed as tests name them."""
 
-import re
 import textwrap
 
 import pytest
@@ -93,11 +92,6 @@ def test_finding_in_own_world_replays_in_named_world(saved):
     saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
 
-def test_later_search_in_own_world_knows_the_finding(saved):
-    known = saved.only_id
-    saved.run(generations=5).stdout.fnmatch_lines([f"  * like saved-{known}, not looked at"])
-
-
 def test_passing_replay_in_a_changed_world_has_drifted(saved):
     own(saved, lanes="4", verdict=PASSES)
     result = saved.run("--pafot-strict-drift", generations=0)
@@ -118,15 +112,6 @@ def test_world_of_another_class_is_refused_with_location(saved):
     result = saved.run(generations=0)
     result.stdout.fnmatch_lines(
         ["*a world of the class Ring, *, received a pafot.Highway; *(world=...), the fixture pafot_world or --world*"]
-    )
-
-
-def test_scenario_unfit_for_own_world_names_its_line(saved):
-    text = saved.only_file.read_text()
-    saved.only_file.write_text(re.sub("ego: {lane: [0-9]", "ego: {lane: 7", text))
-    result = saved.run(generations=0)
-    result.stdout.fnmatch_lines(
-        [f"*{saved.only_file.name}:*scenario.ego.lane: expected a lane from 0 to 2, received 7*"]
     )
 
 
@@ -199,37 +184,6 @@ def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
     result = saved_wrapped.run(generations=0)
     result.stdout.fnmatch_lines(
         ["*pafot.World('highway-v0') with FlattenObservation, *, received pafot.World('highway-fast-v0') with Flatten*"]
-    )
-
-
-def test_environment_registered_with_wrapper_fails_its_item(project):
-    project.write(
-        textwrap.dedent(
-            """
-            import gymnasium
-            from gymnasium.wrappers import FlattenObservation
-            from highway_env.envs.highway_env import HighwayEnv
-
-            def flat(config=None, render_mode=None):
-                return FlattenObservation(HighwayEnv(config, render_mode))
-
-            if "flat-v0" not in gymnasium.registry:
-                gymnasium.register("flat-v0", flat)
-
-            @pafot.search(SHORT, ads=lambda: lambda seen: 1, world=pafot.World("flat-v0"))
-            def test_refused(run):
-                assert not run.collision
-
-            @pafot.search(genes=2, gene_seconds=5, npcs=1)
-            def test_runs(run):
-                assert run.outcome
-            """
-        )
-    )
-    result = project.run()
-    result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines(
-        ["*(world=...): env_id: *registered with these wrappers: FlattenObservation; *wrappers=[[]])*"]
     )
 
 

@@ -52,24 +52,12 @@ def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
     assert saved.contents == before
 
 
-def test_scenario_failing_as_before_is_still_failing(saved):
-    saved.run(generations=0).stdout.fnmatch_lines(
-        ["replay: still failing", "replayed 1 saved scenario: 1 still failing"]
-    )
-
-
 def test_a_search_counts_a_known_failure_and_passes(saved):
     before = saved.contents
     result = saved.run(generations=5)
     result.assert_outcomes(failed=1, passed=1)
     result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
     assert saved.contents == before
-
-
-def test_a_rediscovered_scenario_is_known(saved):
-    found_again = saved.run(generations=3).stdout.str()
-    assert "new finding" not in found_again
-    assert len(saved.files) == 1
 
 
 def test_accepted_failure_lets_the_session_pass(saved):

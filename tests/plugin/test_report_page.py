@@ -133,14 +133,6 @@ def test_unwritable_page_is_one_problem_and_changes_nothing(failing):
     assert "Traceback" not in text
 
 
-def test_folder_in_place_of_the_page_stays(failing, page):
-    page.mkdir()
-    result = failing.run_once("--pafot-report=report.html")
-    assert "not written" in result.stdout.str()
-    assert list(failing.path.glob("**/.pafot-*")) == []
-    assert page.is_dir()
-
-
 def test_an_interrupted_session_writes_what_it_has(project, page):
     project.write(INTERRUPTED)
     result = project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
@@ -245,15 +237,6 @@ def test_known_failures_without_replay_prevent_claiming_success(project, page):
     text = page.read_text(encoding="utf-8")
     assert "No new findings. Some runs failed" in text
     assert KEPT not in text
-
-
-def test_report_page_can_be_named_in_every_source(project):
-    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
-    project.pytester.makeini("[pytest]\npafot_report = ini.html\n")
-    project.run()
-    (project.path / "ini.html").unlink()
-    project.run("--pafot-report=line.html")
-    assert [path.name for path in project.path.glob("*.html")] == ["line.html"]
 
 
 @pytest.mark.parametrize("name", ["report.pdf", "report/", "report"])

@@ -112,13 +112,6 @@ def test_replaying_session_does_not_change_the_state(project):
     assert state.read_bytes() == before
 
 
-def test_resume_folder_may_be_ini_key_or_argument(project):
-    project.pytester.makeini("[pytest]\npafot_resume = kept\n")
-    project.write(SOURCE + SOURCE.replace("SHORT", 'SHORT, resume="other"').replace("test_it", "test_other"))
-    project.run("--pafot-runs=4", generations=None)
-    assert len(list(project.path.glob("kept/*.json"))) == len(list(project.path.glob("other/*.json"))) == 1
-
-
 @pytest.mark.processes
 def test_workers_resume_each_search_with_same_files(project):
     project.write(SOURCE + SOURCE.replace("test_it", "test_other"))
@@ -203,23 +196,3 @@ def test_second_session_with_the_same_state_is_refused(project, monkeypatch):
 def simulated(state):
     """Return the number of runs in a state."""
     return json.loads(state.read_text())["sums"][3]
-
-
-@pytest.mark.processes
-def test_four_times_twenty_runs_are_eighty(project):
-    source = SOURCE.replace("SHORT, shrink_rollouts=10", "blame='ego', shrink_rollouts=10")
-    project.write(source)
-    project.run("--pafot-runs=80", generations=None)
-    whole = forget(project)
-    for _ in range(4):
-        night(project, runs=20)
-    assert project.contents == whole
-
-
-def test_a_state_of_a_changed_test_is_refused(project):
-    project.write(SOURCE)
-    night(project, ONLY, runs=4)
-    project.write(SOURCE.replace("not run.collision", "run.min_ttc > 0.5"))
-    refused = night(project, ONLY, runs=4)
-    refused.assert_outcomes(failed=1)
-    refused.stdout.fnmatch_lines(["*one that differs: code.test_it.py 'sha256:*' in the file, 'sha256:*' now*"])

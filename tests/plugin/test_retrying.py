@@ -168,14 +168,6 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
 
 
 @forks
-def test_a_death_in_the_test_function_comes_again(project):
-    write(project, "None", TEST.replace("pass", "if is_elsewhere(): os._exit(3)"))
-    project.leave_behind(OWNER)
-    replayed(project).stdout.fnmatch_lines(["*the one that ran it again ended with exit code 3*"])
-    assert project.only_id.startswith("crash-")
-
-
-@forks
 @pytest.mark.processes
 def test_process_stuck_in_native_code_is_a_hang(project, monkeypatch):
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
@@ -185,15 +177,6 @@ def test_process_stuck_in_native_code_is_a_hang(project, monkeypatch):
     assert project.only_id.startswith("hang-")
     assert load(project.only_file).expect.outcome is Outcome.HANG
     result.stdout.fnmatch_lines(["*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"])
-
-
-def test_one_death_suffices_if_nothing_can_be_retried(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "METHOD", "spawn")
-    write(project, "None")
-    project.leave_behind(OWNER)
-    result = replayed(project)
-    assert project.only_id.startswith("crash-")
-    result.stdout.fnmatch_lines(["*a kill from outside; if it was killed from outside, delete the file"])
 
 
 @pytest.mark.parametrize(

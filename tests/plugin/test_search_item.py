@@ -128,13 +128,6 @@ def test_next_session_replays_finding_under_the_same_id(failing):
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
 
 
-def test_property_without_collision_is_searched_saved_and_replayed(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_gap(run):\n    assert run.min_distance > 1000\n")
-    project.run().assert_outcomes(failed=2)
-    assert project.only_id.startswith("min-distance")
-    project.run(generations=0).assert_outcomes(failed=1, skipped=1)
-
-
 def test_search_without_findings_passes_with_a_summary(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    assert run.duration > 0\n")
     result = project.run(generations=2)

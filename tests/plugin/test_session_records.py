@@ -325,13 +325,6 @@ def test_properties_of_a_marked_test_are_those_of_one_run(project):
     assert recorded()[names[1]] == one  # and not those of the run of the reference, which came last
 
 
-def test_unwritable_record_file_is_a_summary_problem(failing):
-    (failing.path / "taken").write_text("")
-    result = failing.run("--pafot-json=taken/pafot.json")
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  problem: --pafot-json=taken/pafot.json: not written: *; *"])
-
-
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
 def test_folder_in_place_of_record_file_is_named(failing):
     (failing.path / "taken").mkdir()

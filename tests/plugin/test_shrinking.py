@@ -20,7 +20,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
-from tests.helpers.sessions import set_keys
 from tests.plugin.test_progress import ON_A_TERMINAL
 
 COLLIDES = """
@@ -96,17 +95,6 @@ def test_finding_stays_unchanged_without_shrink_rollouts(collides):
     assert "shrunk" not in result.stdout.str()
 
 
-@pytest.mark.parametrize("source", ["marker", "ini"])
-def test_shrink_rollouts_option_works_in_every_source(project, monkeypatch, source):
-    argument = ", shrink_rollouts=3" if source == "marker" else ""
-    project.write(COLLIDES.replace("SHORT", f"SHORT{argument}"))
-    if source == "ini":
-        set_keys(monkeypatch, shrink_rollouts=3)
-    run(project)
-    shrunk = load(project.only_file).shrunk
-    assert (shrunk.rollouts, shrunk.is_minimal) == (3, False)
-
-
 def test_report_shows_shrunk_run_and_both_sizes(collides):
     result = run(collides, "-v")
     finding = load(collides.only_file)
@@ -117,14 +105,6 @@ def test_report_shows_shrunk_run_and_both_sizes(collides):
         ]
     )
     result.stdout.fnmatch_lines(["  * run* and * to shrink in * s, *"])
-
-
-def test_shrunk_file_replays_and_covers_the_finding(collides):
-    run(collides)
-    files = collides.contents
-    result = run(collides)
-    result.stdout.fnmatch_lines(["replay: still failing"])
-    assert collides.contents.items() >= files.items()
 
 
 def test_existing_shrunk_file_is_no_new_finding(collides):
@@ -334,14 +314,6 @@ def test_a_flaky_file_that_passes_is_called_flaky(collides):
     collides.write(COLLIDES.replace("assert not run.collision", "pass"))
     result = run(collides, "-v", generations=0)
     result.stdout.fnmatch_lines(["*PASSED (flaky)*", "replayed 1 saved scenario: 1 flaky"])
-
-
-def test_a_shrunk_xfail_reason_stays(collides):
-    run(collides)
-    file = collides.only_file
-    file.write_text(file.read_text().replace("# xfail: {reason, until}", "xfail: {reason: ours, until: 9999-12-31}"))
-    assert load(file).xfail == "ours"
-    run(collides, generations=0).assert_outcomes(xfailed=1, skipped=1)
 
 
 IMPATIENT = """

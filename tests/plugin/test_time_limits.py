@@ -4,8 +4,6 @@ import time
 
 import pytest
 
-from pytest_pafot.world.guard import hang_guard
-
 pytestmark = pytest.mark.processes
 
 SLOW = """
@@ -29,14 +27,6 @@ def test_limit_ends_a_run_of_slow_decisions_between_two(project):
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["  0 runs in *", "*ended: --pafot-max-time", "*no scenario was simulated*"])
     assert not project.files
-
-
-def test_limit_ends_a_factory_that_never_returns(project, monkeypatch):
-    monkeypatch.setattr(hang_guard, "LATE", 0.2)
-    project.write(SLOW.replace("ads=lambda: slow", "ads=lambda: time.sleep(1000)"))
-    begun = time.monotonic()
-    project.run("--pafot-max-time=0.5", generations=3).assert_outcomes(failed=1)
-    assert time.monotonic() - begun < 30
 
 
 def test_limit_ends_a_run_in_an_isolated_process(project):

@@ -10,7 +10,6 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.scenario_pool
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution import runner
 from pytest_pafot.model.trace import Outcome
@@ -112,15 +111,6 @@ def test_number_of_workers_does_not_change_which_known_runs_are_looked_at(dear):
     assert all(0 < len(lines) <= 3 for lines in told[0][1].values())
 
 
-def test_early_ending_search_ends_at_same_run(dear):
-    project = dear()
-    alone, contents = session(project, 1, "--pafot-stop-after=2", generations=5)
-    several, same = session(project, 2, "--pafot-stop-after=2", generations=5)
-    assert len(contents) == 2
-    assert same == contents
-    assert summary(several) == summary(alone)
-
-
 def test_cheap_runs_stay_in_process_with_a_note(project, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
     project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
@@ -210,17 +200,6 @@ def test_worker_death_is_a_finding_and_search_continues(dear):
     assert not project.records
 
 
-def test_further_deaths_are_counted_and_later_known(dear):
-    project = dear("dies", DIES)
-    result, contents = session(project, 2, generations=6)
-    (crash,) = [name.rpartition("/")[2] for name in contents if "crash-" in name]
-    id_ = crash.removesuffix(".pafot.yaml")
-    result.stdout.re_match_lines([rf".*{id_} \((?!1 )\d+ runs\)"])
-    again = project.run("--pafot-workers=2", "-p", "no:cacheprovider", generations=6)
-    again.stdout.re_match_lines([rf"  \d+ runs? fails? like saved-{id_}"])
-    assert project.contents.keys() == contents.keys()
-
-
 def test_a_worker_whose_decision_hangs_interrupts_it(dear):
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "time.sleep(60)")
     project = dear("hangs", hangs + IMPATIENT)
@@ -228,17 +207,6 @@ def test_a_worker_whose_decision_hangs_interrupts_it(dear):
     finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
     result.stdout.fnmatch_lines(["*one decision took longer than the hang limit*"])
-
-
-def test_worker_stuck_in_native_code_is_a_hang(dear, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
-    hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "sum(range(10**12))")
-    project = dear("hangs", hangs + IMPATIENT)
-    result, contents = session(project, 2, generations=4)
-    finding = next(load(project.path / name) for name in contents if "hang-" in name)
-    assert finding.expect.outcome is Outcome.HANG
-    assert finding.expect.message == "the process that ran this scenario did not answer for 0.5 s and was killed"
-    result.stdout.fnmatch_lines(["*ended: all generations done*"])
 
 
 def test_keyboard_interrupt_ends_all_processes_without_losing_findings(dear):
@@ -276,11 +244,3 @@ def test_xdist_allows_one_process_for_each_search(dear):
     text = result.stdout.str()
     assert text.count("--pafot-workers is 1 under pytest-xdist") == 1
     assert "in use after" not in text
-
-
-@pytest.mark.parametrize("value", ["0", "-1", "many", "1.5"])
-def test_wrong_number_of_workers_is_a_usage_error(project, value):
-    project.write("def test_ordinary():\n    pass\n")
-    result = project.run(f"--pafot-workers={value}", generations=None)
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines([f"*--pafot-workers: expected auto or a whole number, at least 1, received '{value}'*"])

@@ -51,14 +51,6 @@ def test_xdist_workers_give_same_results_as_one_process(project):
         assert text.count(f'name="{test}[saved-{file.removesuffix(".pafot.yaml")}]"') == 1
 
 
-def test_workers_replay_and_label(project):
-    project.write(TWO)
-    project.run_once("--pafot-stop-after=1")
-    result = project.run("-n1", generations=0)
-    result.assert_outcomes(failed=1, skipped=2)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
-
-
 def test_a_worker_can_send_what_no_text_encoding_has(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration < 1, '\\ud800'\n")
     for label, passed in (("new", 0), ("still failing", 1)):
@@ -70,14 +62,6 @@ def test_a_worker_can_send_what_no_text_encoding_has(project):
 def test_workers_name_the_base_seed_once(project):
     project.write(TWO.replace('run.scenario.id == ""', "run"))
     assert project.run("-n2", seed=None).stdout.str().count("pafot: base seed 0 (") == 1
-
-
-def test_workers_report_orphans_once(project):
-    project.write(TWO)
-    project.run_once("--pafot-stop-after=1")
-    project.write("@pafot.search(SHORT)\ndef test_other(run):\n    pass\n")
-    result = project.run("-n2", generations=0)
-    assert result.stdout.str().count("without a test in pafot_corpus/test_it/test_first") == 1
 
 
 def test_workers_report_a_misplaced_file_once(project):

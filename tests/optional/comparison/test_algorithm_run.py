@@ -89,15 +89,6 @@ def test_blame_changes_default_fitness_but_not_av_fuzzer(quick):
     assert plain[0] == plain[1]
 
 
-def test_equal_failures_have_equal_signatures(quick):
-    rows = list(run_rows(quick(generations=8), "random", 0))
-    assert all((row["signature"] is None) == (row["outcome"] != "collision") for row in rows)
-    signatures = {
-        (row["side"], row["cell"], row["responsibility"]): row["signature"] for row in rows if row["signature"]
-    }
-    assert len(set(signatures.values())) > 1
-
-
 def test_rows_are_read_as_they_were_written(quick):
     rows = list(run_rows(quick(), "pafot", 0))
     read = list(csv.DictReader(io.StringIO(text_of(rows))))

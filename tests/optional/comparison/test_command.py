@@ -287,17 +287,6 @@ def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, argume
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("below", ["", "deep"])
-def test_impossible_folder_is_reported_with_the_way_out(tmp_path, capsys, below):
-    (tmp_path / "taken").touch()
-    assert compare(tmp_path / "taken" / below) == BAD_USE
-    error = capsys.readouterr().err
-    assert error.startswith(
-        f"compare: --out: expected a folder that can be written, received {tmp_path / 'taken' / below}"
-    )
-    assert error.endswith("; there is a file where a folder should be: rename or delete it, or give another folder\n")
-
-
 @pytest.mark.skipif(os.name == "nt", reason="Windows calls it a lack of permission")
 @pytest.mark.usefixtures("undrawn", "copies")
 @pytest.mark.parametrize(("name", "workers"), [("runs", "1"), ("runs", "2"), ("results.csv", "1"), ("report.md", "1")])
@@ -334,12 +323,6 @@ def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monk
     monkeypatch.setitem(sys.modules, "pandas", None)
     assert compare(tmp_path / "out") == BAD_USE
     assert "pip install 'pytest-pafot[compare]'" in capsys.readouterr().err
-
-
-def test_wrong_policy_is_reported_before_missing_libraries(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    assert compare(tmp_path / "out", "--ads", "constant_speedd") == BAD_USE
-    assert "did you mean 'constant_speed'?" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn", "copies")
@@ -460,13 +443,6 @@ def test_what_a_world_of_the_users_own_decides_is_no_option(tmp_path, capsys, op
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_policy_of_an_environment_is_compared_in_it(tmp_path):
-    arguments = ["--ads", "ppo", "--world", "highway-v0", "--algorithms", "random", "--runs", "1", "--generations", "1"]
-    assert compare(tmp_path, *arguments) == 0
-    assert '"env_id": "highway-v0"' in (tmp_path / "comparison.json").read_text()
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_ego_on_curved_road_starts_as_in_environment(tmp_path, monkeypatch):
     (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
     arguments = ["--ads", "idle:make", "--world", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
@@ -476,9 +452,3 @@ def test_ego_on_curved_road_starts_as_in_environment(tmp_path, monkeypatch):
     assert (space["ego_lane"], space["ego_speed"], space["speed_limit"]) == (1, 30.0, 30.0)
     assert space["genes"] == 3
     assert space["gene_seconds"] == pytest.approx(430 / 30 / 3, abs=0.1)
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_defect_name_is_an_argument_of_the_factory(tmp_path):
-    arguments = ["--ads", "example_ads.defects:make:follows-too-close", "--algorithms", "random", "--runs", "1"]
-    assert compare(tmp_path, *arguments, "--generations", "1") == 0

@@ -336,16 +336,3 @@ def test_killed_worker_is_reported_with_the_way_out(tmp_path, quick, quiet):
     plan = quick(ads="tests.optional.comparison.test_resumable:dying", algorithms=("random",), runs=1)
     with pytest.raises(ChildProcessError, match=r"finish \('random', 0\), .* exit code 5; .* fewer --workers"):
         run_all(plan, tmp_path, workers=2, stream=quiet, clock=clock)
-
-
-def raising():
-    raise LookupError("no such planner")
-
-
-@pytest.mark.processes
-@pytest.mark.usefixtures("copies")
-def test_worker_exception_is_raised_with_its_place(tmp_path, quick, quiet):
-    plan = quick(ads="tests.optional.comparison.test_resumable:raising", algorithms=("random",), runs=1)
-    with pytest.raises(LookupError, match="no such planner") as raised:
-        run_all(plan, tmp_path, workers=2, stream=quiet, clock=clock)
-    assert 'raise LookupError("no such planner")' in raised.value.__notes__[0]

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 import textwrap
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -320,23 +319,6 @@ print(pid)
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked elsewhere alone")
-def test_forked_process_starts_its_own_program(tmp_path):
-    loader = program(tmp_path, "answer(action=os.getpid())")
-    ads = loader()
-    pid = ads([1])
-    ads.close()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # about threads, which libraries have
-        child = os.fork()
-    if not child:
-        os._exit(loader()([1]) == pid)
-    assert os.waitpid(child, 0)[1] == 0
-    ads = loader()
-    assert ads([1]) == pid
-    ads.close()
-
-
 @pytest.mark.processes
 def test_program_ends_with_its_process_despite_a_fork(tmp_path):
     command = program(tmp_path, "answer(action=os.getpid())").command
@@ -360,13 +342,3 @@ def test_the_planner_in_c_of_the_documents_drives(tmp_path):
 def test_program_that_ends_after_its_run_is_started_again(tmp_path):
     ads = program(tmp_path, "sys.exit(3) if seen['reset'] and number else answer(acceleration=0.0, steering=0.0)")
     assert [ROAD.rollout(CUT_IN, ads).error for _ in range(3)] == [None, None, None]
-
-
-def test_waiting_program_is_not_used_by_other_process(tmp_path, monkeypatch):
-    loader = program(tmp_path, "answer(acceleration=0.0, steering=0.0)")
-    first = loader()
-    first(SEEN)
-    first.close()
-    assert programs._idle(loader) == [first._program]
-    monkeypatch.setattr(programs.os, "getpid", lambda: 1)
-    assert programs._idle(loader) == []

@@ -1,7 +1,5 @@
 """Models of Stable-Baselines3; the tests need it installed, with torch, which is large."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -109,26 +107,3 @@ def test_spaces_that_differ_are_both_named(framed):
     framed_policy = pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)
     with pytest.raises(TypeError, match=r"Discrete\(5\).*received .*actions Box\(-1.0, 1.0, \(2,\)"):
         continuous.rollout(scenarios(1)[0], framed_policy)
-
-
-def test_model_is_loaded_once_with_one_thread(framed):
-    import torch
-
-    file, statistics = framed
-    torch.set_num_threads(4)
-    policy = pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3)
-    copy = pickle.loads(pickle.dumps(policy))
-    assert copy == policy
-    assert copy.loaded is policy.loaded
-    assert copy() is not copy()
-
-
-def test_only_model_without_its_statistics_gets_hint(framed, tmp_path):
-    file, statistics = framed
-    hint = pafot.policies.sb3(file, frame_stack=3).loading_hint
-    assert hint.startswith("model.zip was trained with VecNormalize")
-    assert hint.endswith("give sb3(..., vecnormalize='statistics.pkl')")
-    assert pafot.policies.sb3(file, vecnormalize=statistics, frame_stack=3).loading_hint == ""
-    for cls in (stable_baselines3.PPO, stable_baselines3.DQN):
-        plain, _ = saved_model(tmp_path, cls, steps=64)
-        assert pafot.policies.sb3(plain).loading_hint == ""
