@@ -142,7 +142,7 @@ class Replays:
         try:
             first = Replayed(Observed(), *self.tried(saved, world, owner))
             now = first
-            if not first.verdict.failed and not first.verdict.discarded and world.can_last:
+            if not first.verdict.failed and not first.verdict.discarded and world.can_go_on:
                 now = self._repeated(saved, world, owner, first)
             if _finding(saved).rate is not None and not first.verdict.discarded:
                 now = self._by_rate(saved, world, owner, now)
@@ -298,7 +298,7 @@ class Replays:
 
         The text says what is wrong with a user's method ``lasting``.
         """
-        if not world.can_last:
+        if not world.can_go_on:
             return None, ""
         seconds = min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON
         try:

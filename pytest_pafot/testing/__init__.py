@@ -579,7 +579,7 @@ def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
         (base.reference_drivers, "who would have prevented a collision", "reference_drivers, rollout_reference"),
         (has_braking, "from when on braking avoids it", f"take_over with {STEADY_BRAKING}, or decisions= and SI units"),
         (is_built_in, "what the ego answered to", "only worlds of this package"),
-        (base.can_last, "runs that are driven on after their end", "lasting"),
+        (base.can_go_on, "runs that are driven on after their end", "lasting"),
         (base.has_traffic_styles, "styles of traffic", "has_traffic_styles"),
         (base.has_lane_instructions, "Lane-Instructions", "has_lane_instructions"),
         (base.can_drive(TRUCK), "trucks, vans and motorcycles", "has_vehicles"),
@@ -591,7 +591,7 @@ def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
 
 def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
     """Check that a run that lasts longer is as long as asked for, and begins as usual."""
-    if not base_world(world).can_last:
+    if not base_world(world).can_go_on:
         return
     whole = [each for each in done if each.trace.outcome is Outcome.SAFE][:LONGER]
     if not whole:

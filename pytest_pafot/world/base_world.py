@@ -207,7 +207,7 @@ class BaseWorld(ABC):
         return False
 
     @property
-    def can_last(self) -> bool:
+    def can_go_on(self) -> bool:
         """True if runs can go on after the end of their scenario, by :meth:`lasting`."""
         return False
 
@@ -354,7 +354,7 @@ class TakingOver:
         Raises:
             DriverError: if the world's ``lasting`` raises, or does not return a world.
         """
-        if not self.world.can_last:
+        if not self.world.can_go_on:
             return None
         with driven_by(self.world.given, "lasting"):
             longer = self.world.lasting(seconds)

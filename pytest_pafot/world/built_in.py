@@ -147,7 +147,7 @@ class BuiltInWorld(BaseWorld):
         """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
         return self.rules.road.can_drive(vehicle)
 
-    can_last = True
+    can_go_on = True
     """True, because :meth:`lasting` gives this world with longer runs."""
 
     replays_in_gym = True

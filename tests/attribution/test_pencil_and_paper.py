@@ -14,7 +14,7 @@ SAMPLE = {
     "constant-speed": (8, 8),
     "idm-mobil": (3, 6),
     "careful-human": (3, 6),
-    "fuzzy-safety": (0, 4),
+    "fuzzy-model": (0, 4),
     "sound-lane-changer": (0, 6),
     "erratic": (50, 50),
     "stop-and-go": (30, 30),

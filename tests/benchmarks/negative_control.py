@@ -4,7 +4,7 @@
         [--algorithms distinct pafot] [--npcs 2] [--workers 2]
 
 Every collision for which the ego is responsible would be a finding. With the careful and competent human driver of UN
-R157 and the sound lane changer, there should be none, so each of them is read. ``fuzzy-safety`` is no negative control:
+R157 and the sound lane changer, there should be none, so each of them is read. ``fuzzy-model`` is no negative control:
 it runs into a vehicle that cuts in and brakes hard, so its findings are expected. Each driver is searched by the
 default algorithm and at random, both in the default scenarios, and by the paper's algorithm in the paper's scenarios.
 Prints for each search how its runs ended, how often the ego entered a
@@ -32,9 +32,9 @@ from tests.helpers.fuzzy_safety import FuzzySafety
 from tests.helpers.sound_driver import SoundLaneChanger
 
 DRIVERS: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
-    {**REFERENCES, "fuzzy-safety": FuzzySafety, "sound-lane-changer": SoundLaneChanger}
+    {**REFERENCES, "fuzzy-model": FuzzySafety, "sound-lane-changer": SoundLaneChanger}
 )
-AT_FAULT = "fuzzy-safety"
+AT_FAULT = "fuzzy-model"
 """A driver that brakes with 4 m/s^2 at most for a leader, and harder too late."""
 
 

@@ -117,7 +117,7 @@ ON_A_MOTORWAY: dict[str, Policy] = {
     "erratic": lambda rng: functools.partial(Erratic, random.Random(rng.random())),
     "stop-and-go": lambda rng: functools.partial(StopAndGo, random.Random(rng.random())),
     "careful-human": lambda rng: CarefulHuman,
-    "fuzzy-safety": lambda rng: FuzzySafety,
+    "fuzzy-model": lambda rng: FuzzySafety,
     **{name: lambda rng, name=name: defects.make(name) for name in defects.POLICIES if name != "healthy"},
 }
 ON_OTHER_ROADS: dict[str, Policy] = {

@@ -294,7 +294,7 @@ def test_reference_is_driven_on_as_well(saved, now, before, label):
 
 
 @pytest.mark.parametrize(("more", "label"), [("", "passes"), (LASTING, "still failing")])
-def test_own_world_is_driven_on_if_it_can_last_longer(project, more, label):
+def test_own_world_is_driven_on_if_it_goes_on(project, more, label):
     project.write(OWN + more + TEST.replace("WORLD", "Own()"))
     project.pytester.makepyfile(policies=POLICIES)
     filed(project, {"kind": "own", "class": "Own", "data": {}})

@@ -142,4 +142,4 @@ def test_world_with_another_rollout_does_not_last_by_an_inherited_method():
     own = type("Own", (Highway,), {"rollout": lambda self, scenario, ads: None})
     around = type("Around", (), {"__getattr__": lambda self, name: getattr(Highway(), name)})
     named = type("Named", (Highway,), {})
-    assert [base_world(world()).can_last for world in (own, around, named)] == [False, False, True]
+    assert [base_world(world()).can_go_on for world in (own, around, named)] == [False, False, True]

@@ -14,7 +14,7 @@ from pytest_pafot.oracle.run import Run, with_avoidance
 from pytest_pafot.support.errors import DriverError
 
 
-def with_drivers(
+def with_reference_drivers(
     sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
 ) -> Refining[Sighting]:
     """Return a finding as its confirmed scenario shows it, with what other drivers do in it.

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Refining
-from pytest_pafot.campaign.refine.drivers import with_drivers
+from pytest_pafot.campaign.refine.drivers import with_reference_drivers
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
 from pytest_pafot.campaign.refine.runs import check_time, failure_rate, shows
 from pytest_pafot.campaign.refine.simplest import Simplest, simplest_of
@@ -144,7 +144,7 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
     else:
         # Drivers in the ego's place say who could have prevented the failure, and how. With that, the simplest scenario
         # replaces the one in the file.
-        refined = yield from with_drivers(sighting, simplest, run, verdict, bench)
+        refined = yield from with_reference_drivers(sighting, simplest, run, verdict, bench)
         if refined is not sighting:
             yield from store.publish(store.rewritten(refined))
     return bool(differs) or not simplest.is_cut

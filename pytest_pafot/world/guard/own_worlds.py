@@ -207,7 +207,7 @@ class OwnWorld(BaseWorld):
         return bool(takes(rollout))
 
     @property
-    def can_last(self) -> bool:
+    def can_go_on(self) -> bool:
         """True if the world's class has ``lasting`` for its ``rollout``.
 
         A method that only an object of the class has is not used: it may be another world's.
