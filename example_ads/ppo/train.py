@@ -78,7 +78,7 @@ def train(steps: int, seed: int) -> Any:
 
 def untrained(plain: gym.Env[Any, Any], seed: int, **arguments: Any) -> Any:
     """Return a new stable-baselines3 PPO model, with more arguments, in an environment with scaled observations."""
-    import torch  # noqa: PLC0415 - the extra `train`
+    import torch  # noqa: PLC0415 - the extra `sb3`
     from stable_baselines3 import PPO  # noqa: PLC0415
 
     torch.set_num_threads(1)

@@ -43,7 +43,7 @@ OF_VEHICLES = ("acceleration", "braking", "lateral_acceleration")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpcLimits:
-    """Hard limits of every NPC that is not free; they hold at every tick of every trace.
+    """Hard limits of every NPC; they hold at every tick of every trace.
 
     A vehicle may have lower ones of its own.
 
