@@ -53,8 +53,8 @@ BENCHMARKS: Mapping[str, str] = {
     "margins": "margins --seeds {40|1} --runs {240|12} --workers WORKERS",
     "margins-of-others": "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} "
     "--workers WORKERS",
-    "distinctness": "distinctness --of second --seeds {10|1} --runs {400|30} --workers WORKERS",
-    "speed": "speed --rounds {9|1} --parts {engines ads npcs search start memory|npcs}",
+    "distinctness": "distinctness --seeds {10|1} --runs {400|30} --workers WORKERS",
+    "speed": "speed --rounds {9|1} --parts {engines ads search start memory|start}",
     "negative-control": "negative_control --seeds {10|1} --runs {400|8} --workers WORKERS",
 }
 """Arguments of the programs in tests/benchmarks."""

@@ -141,8 +141,6 @@ def test_phases_join_to_nearly_the_recorded_speed(steps, hz):
 FALSE = [
     ("The ego should have braked hard by 6.2 s. {deeds}", "due in time"),
     ("The ego should have braked hard by 1.7 s. {deeds}", "due as late as it helps"),
-    ("The ego should have braked harder by 5.7 s. {deeds}", "braking when it was due"),
-    ("The ego should have braked hard by 5.7 s but did not. {deeds}", "did not brake"),
     ("The ego should have waited but set off at 5.2 s. {deeds}", "set off"),
     ("The ego should not have sped up. It kept 20.0 m/s from 0.0 s on.", "speeds up"),
     ("The ego should have braked hard by 5.7 s. It kept 20.0 m/s from 0.0 s on.", "speed"),
@@ -151,17 +149,6 @@ FALSE = [
         "It drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 2.9 m/s^2, to 16.0 m/s. "
         "From 5.1 s it sped up to 18.1 m/s.",
         "braked up to",
-    ),
-    (
-        "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s at 0.0 s; from 4.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
-        "From 5.1 s it sped up to 18.1 m/s.",
-        "speed",
-    ),
-    (
-        "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s at 0.0 s; from 3.0 s it slowed to 16.0 m/s. From 5.1 s it kept 18.1 m/s.",
-        "kept",
     ),
     (
         "The ego should have braked hard by 5.7 s. "

@@ -1,12 +1,11 @@
 """Is each defect one finding, and each finding one defect?
 
     python -m tests.benchmarks.distinctness [--seeds 10] [--first-seed 0] [--runs 400] [--workers 2]
-        [--of second|development] [--policies NAME ...]
+        [--policies NAME ...]
 
 Searches policies whose defects are known, and decides for each failing run which defect is to blame: the one whose
-repair, without any other, makes the scenario pass. The policies are those of ``policies_with_defects_2``, which
-influenced nothing; or those of ``example_ads.defects``, and combinations of them, on which the rules that separate
-findings were developed.
+repair, without any other, makes the scenario pass. The policies are those of ``policies_with_defects_2``, which had no
+influence on the rules that separate findings.
 
 Prints for each policy the findings of each search, in how many searches each defect has its own finding, and in how
 many there is no other; the V-measure of its failing runs (Rosenberg and Hirschberg 2007; classes: defects, clusters:
@@ -27,7 +26,6 @@ from itertools import permutations
 from typing import Any
 
 import pytest_pafot as pafot
-from example_ads import defects
 from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.findings.finding import of_failure
@@ -36,17 +34,6 @@ from tests.benchmarks import policies_with_defects_2
 from tests.benchmarks.command import holds, in_processes, options, print_head, seeds_of
 
 NOT_RUN_COLLISION = Failure(kind="AssertionError", assertion="assert not run.collision")
-
-COMBINED = (
-    ("ignores-standing-vehicles", "looks-only-ahead"),
-    ("blind-beside-front-wheel", "trusts-any-gap-behind"),
-    ("ignores-standing-vehicles", "brakes-weakly"),
-    ("forgets-after-lane-change", "ignores-standing-vehicles"),
-    ("brakes-for-ghosts", "looks-only-ahead"),
-    ("sees-cut-ins-late", "ignores-standing-vehicles", "looks-only-ahead"),
-    ("brakes-for-ghosts", "stops-in-its-lane", "sees-cut-ins-late"),
-)
-"""Combinations of the policies of ``example_ads.defects``, in addition to the single policies."""
 
 Label = frozenset[str]
 """Defects, each of whose repairs makes a scenario pass."""
@@ -83,27 +70,15 @@ class Searched:
     runs: list[tuple[Signature, Label]]
 
 
-def combined(names: Sequence[str], repaired: Sequence[str]) -> type[Any]:
-    """Return a vehicle class with the unrepaired defects of several policies; the healthy one if none is left."""
-    left = [defects.make(name) for name in names if name not in repaired]
-    return type("Combined", tuple(left), {}) if left else defects.make("healthy")
-
-
-def subjects(of: str) -> dict[str, Subject]:
-    """Return the subjects by name."""
-    if of == "second":
-        policies: Any = policies_with_defects_2
-        return {
-            name: Subject(name, found, partial(policies.make, name)) for name, (_, found) in policies.POLICIES.items()
-        }
-    alone = [(name,) for name in defects.POLICIES if name not in ("healthy", *defects.COMBINED)]
-    every = [Subject("+".join(names), names, partial(combined, names)) for names in (*alone, *COMBINED)]
-    return {each.name: each for each in every}
+SUBJECTS = {
+    name: Subject(name, found, partial(policies_with_defects_2.make, name))
+    for name, (_, found) in policies_with_defects_2.POLICIES.items()
+}
 
 
 def searched(name: str, seed: int, options: argparse.Namespace) -> Searched:
     """Run a search and label its findings and failing runs."""
-    subject = subjects(options.of)[name]
+    subject = SUBJECTS[name]
     failing = {}
 
     def listen(event: object) -> None:
@@ -175,16 +150,14 @@ def told(signature: Signature) -> str:
 
 
 def main() -> None:
-    names = [name for of in ("second", "development") for name in subjects(of)]
-    given = options(__doc__, seeds=10, first_seed=0, runs=400, workers=2, of="second", policies=names)
-    every = subjects(given.of)
+    given = options(__doc__, seeds=10, first_seed=0, runs=400, workers=2, policies=SUBJECTS)
     print_head("policy", "defects", "findings", "by seed", "every defect found", "one finding each", "V-measure")
     done: dict[int, list[Searched]] = {}
     matrix = ""
-    chosen = [name for name in every if name in given.policies]
+    chosen = [name for name in SUBJECTS if name in given.policies]
     for name, searches in in_processes(given.workers, searched, chosen, seeds_of(given), given):
-        done.setdefault(len(every[name].defects), []).extend(searches)
-        print(row(every[name], searches), flush=True)
+        done.setdefault(len(SUBJECTS[name].defects), []).extend(searches)
+        print(row(SUBJECTS[name], searches), flush=True)
         matrix += f"{name}\n{confused(searches)}\n"
     print(matrix, end="")
     for number, searches in sorted(done.items()):

@@ -53,7 +53,6 @@ ARMS: Mapping[str, Mapping[str, Any]] = {
     "cells": {"instructions": "cells"},
     "lanes": {"instructions": "lanes"},
     "random-cells": {"algorithm": RandomSearch, "instructions": "cells"},
-    "manoeuvres": {"instructions": "manoeuvres"},
     "cars": {"vehicles": "car"},
 }
 """Further arguments of ``pafot.explore`` for each search; to add a search, add a line."""

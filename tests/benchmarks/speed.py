@@ -1,19 +1,15 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
     python -m tests.benchmarks.speed [--rounds 7]
-        [--parts engines ads npcs search roads start memory comparison]
+        [--parts engines ads search start memory]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
   one process, and their trajectories are compared by hash in that process.
 - ``ads``: policies of different cost, and the share of the time inside them.
-- ``npcs``: cost per vehicle and tick for 1 to 32 NPCs.
 - ``search``: the cost of searches in addition to their rollouts.
-- ``roads``: a simulated second of a trivial planner, of IDM and of a trivial policy on the roads of highway-env, beside
-  the same policy by ``env.step``.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
 - ``memory``: the memory of this process over 10,000 scenarios.
-- ``comparison``: searches as in the paper's comparison, IDM+MOBIL as the ego, in two processes.
 
 Times are processor time, so a noisy machine hardly changes ratios; nothing is asserted.
 """
@@ -26,9 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -36,21 +30,14 @@ from typing import Any
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot import Highway, PositionInstruction, Scenario, Trace, World, explore
-from pytest_pafot.campaign.request import drawn_space
-from pytest_pafot.model.trace import FloatArray, Outcome
+from pytest_pafot import Highway, PositionInstruction, Scenario, Trace, explore
+from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.searching import (
-    Evaluation,
-    PafotSearch,
-    RandomSearch,
     SearchSpace,
     sample,
 )
-from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import holds, options
-from tests.benchmarks.crowd import crowd
-from tests.helpers.campaigns import run_campaign
 from tests.helpers.gym_loop import drive, make_env, place, si_actions
 from tests.helpers.interpreted import InterpretedWorld
 
@@ -231,26 +218,6 @@ def ads_ladder(rounds: int) -> None:
     print(f"  {'IDM+MOBIL':22} {median_ms(lambda: world.rollout(SCENARIO, IDMVehicle), rounds, 20):9.3f} ms a run")
 
 
-def npcs(rounds: int) -> None:
-    """Run part ``npcs``: whole runs up to eight NPCs, and only the kernel's loop beyond the eight cells."""
-    print(f"\ncost per vehicle and tick, {KERNEL}, 60 s at 15 Hz")
-    road = Highway(lanes=6)
-    for count in (1, 2, 4, 8):
-        chains = [(PositionInstruction(cell, 22.0),) * 6 for cell in range(1, count + 1)]
-        scenario = Scenario(npcs=tuple(chains), ego_lane=2)
-        vehicle_ticks = road.rollout(scenario, idle).ticks * (count + 1)
-        each = median_ms(partial(road.rollout, scenario, idle), rounds, 20)
-        print(f"  {count:2} NPCs, rollout {each * 1e6 / vehicle_ticks:7.1f} ns")
-    for count in (1, 2, 4, 8, 16, 32):
-        times = []
-        for _ in range(rounds):
-            loop, driver, ticks = crowd(count)
-            started = time.process_time()
-            loop.run(driver, ticks)
-            times.append((time.process_time() - started) / ticks / (count + 1))
-        print(f"  {count:2} NPCs, loop    {statistics.median(times) * 1e9:7.1f} ns")
-
-
 @dataclass(frozen=True, kw_only=True)
 class TimedHighway(Highway):
     """A road that records how long its runs take."""
@@ -285,33 +252,6 @@ def search(rounds: int) -> None:
         print(f"  {ego:15} {arm:22} {runs} runs: {each}, {(total - rollouts) / rollouts:.2f} of it")
 
 
-def always(action: Any) -> Callable[[object], Any]:
-    """Return a policy that returns the same action at every decision."""
-    return lambda observation: action
-
-
-def roads(rounds: int) -> None:
-    """Run part ``roads``."""
-    for env_id in ("highway-v0", "merge-v1", "roundabout-v0", "intersection-v0", "racetrack-v0", "exit-v0"):
-        environment, in_si_units = World(env_id), World(env_id, planner_hz=5)
-        space = environment.action_space
-        action: Any = 1 if hasattr(space, "n") else np.zeros(space.shape, np.float32)
-        policy = partial(always, action)
-        kinds: dict[str, tuple[World, Any, bool]] = {
-            "planner": (in_si_units, idle, False),
-            "IDM": (environment, IDMVehicle, False),
-            "policy": (environment, policy, False),
-            "policy by env.step": (environment, policy, True),
-        }
-        for kind, (world, ads, is_gym) in kinds.items():
-            space = world.space(drawn_space(world, {}))
-            scenarios = [sample(space, np.random.default_rng(seed)) for seed in range(10)]
-            run = world.rollout_in_gym if is_gym else world.rollout
-            seconds = sum(run(scenario, ads).duration for scenario in scenarios)
-            took = median_ms(lambda: [run(scenario, ads) for scenario in scenarios], rounds)  # noqa: B023  (called here)
-            print(f"{env_id:16} {kind:20} {took / seconds:8.3f} ms a simulated second")
-
-
 def start(rounds: int) -> None:
     """Run part ``start``."""
     first_run = (
@@ -344,43 +284,8 @@ def memory(rounds: int) -> None:
             print(f"  after {count:6} scenarios {pages * 4096 / 2**20:7.1f} MB")
 
 
-TECHNIQUES: dict[str, dict[str, Any]] = {
-    "pafot": {},
-    "pafot without local fuzzer": {"local_generations": 0},
-    "random": {},
-}
-
-
-def comparison(rounds: int) -> None:
-    """Run part ``comparison``: three techniques, ten runs of 100 generations each."""
-    jobs = [(name, seed) for name in TECHNIQUES for seed in range(10)]
-    started = time.perf_counter()
-    with ProcessPoolExecutor(2) as pool:
-        runs = list(pool.map(_compared, jobs))
-    print(
-        f"\nthe paper's comparison, IDM+MOBIL, 2 processes: {sum(runs)} runs in {time.perf_counter() - started:.1f} s"
-    )
-
-
-def _compared(job: tuple[str, int]) -> int:
-    name, seed = job
-    world, fitness, runs = Highway(), resolve("default"), 0
-
-    def evaluate(scenario: Any) -> Evaluation:
-        nonlocal runs
-        runs += 1
-        trace = world.rollout(scenario, IDMVehicle)
-        return Evaluation.of(trace, fitness=fitness(trace), failing=trace.outcome is Outcome.COLLISION)
-
-    algorithm: Any = RandomSearch(SearchSpace()) if name == "random" else PafotSearch(SearchSpace(), **TECHNIQUES[name])
-    for _ in run_campaign(algorithm, evaluate, generations=100, seed=seed):
-        pass
-    return runs
-
-
 PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "npcs": npcs, "search": search, "roads": roads,
-    "start": start, "memory": memory, "comparison": comparison,
+    "engines": engines, "ads": ads_ladder, "search": search, "start": start, "memory": memory,
 }  # fmt: skip
 
 

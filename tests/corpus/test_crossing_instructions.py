@@ -3,19 +3,16 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError
-from tests.findings.builders import plain_finding, scenarios
+from tests.findings.builders import plain_finding
 from tests.helpers.mutations import misread
 from tests.helpers.tables import table
 
@@ -60,12 +57,6 @@ def test_instructions_are_written_one_per_line_without_defaults():
     assert "npc: 0, zone: crossing from the left, side: left," in TEXT
     assert "situation: {npc: 0, time: 4.2, npc_enters: 1.8, ego_enters: 2.0, ego_speed: 10.0, npc_speed: 8.6}" in TEXT
     assert misread(TEXT, parsed(PATH, TEXT.encode())) == []
-
-
-@given(scenarios(), st.sampled_from(ZONES))
-def test_what_is_written_is_read(scenario, zone):
-    finding = plain_finding(scenario=scenario, original=scenario)
-    assert parsed(Path(f"{finding.id}.pafot.yaml"), text_of(finding).encode()) == finding
 
 
 def test_redundant_act_is_read_without_error():

@@ -1,25 +1,16 @@
-"""Scenarios of Lane-Instructions are saved, read, shrunk and reported like those of Position-Instructions."""
-
-from pathlib import Path
+"""Scenarios of Lane-Instructions in files, and which of them are simpler."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.shrink import size_of, sort_key
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import SHIFTS, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import LaneInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
 
 PATH = "front-2-1f3a9c.pafot.yaml"
-
-instructions = st.builds(LaneInstruction, st.sampled_from(SHIFTS), st.integers(0, 268).map(lambda tenths: tenths / 10))
-positions = st.builds(PositionInstruction, st.sampled_from(Cell), st.integers(0, 268).map(lambda tenths: tenths / 10))
-chains = st.lists(st.lists(instructions, min_size=1, max_size=6).map(tuple), min_size=1, max_size=8).map(tuple)
 
 
 def scenario(*texts, **fields):
@@ -29,13 +20,6 @@ def scenario(*texts, **fields):
 
 
 BUSY = scenario("left@22.3 keep@24.1 right@7.7 right@7.7", "keep@21 left@3.4 left@26.8 keep@5")
-
-
-@given(chains, st.lists(st.lists(positions, min_size=1, max_size=4), min_size=1, max_size=3))
-def test_both_kinds_in_one_file_are_read(in_lanes, on_grid):
-    scenario = Scenario.repaired([*on_grid, *in_lanes[:5]], seed=1)
-    finding = plain_finding(scenario=scenario)
-    assert parsed(Path(PATH), text_of(finding).encode()) == finding
 
 
 def test_a_file_names_the_lane():

@@ -83,14 +83,6 @@ class Browser:
     def open(self, url="about:blank", *, width=1360, height=900, media=()):
         return Page(self, url, width=width, height=height, media=media)
 
-    def until_told(self, method, since=0, **parameters):
-        """Wait for an event with these parameters; earlier events count from number ``since`` on."""
-        deadline = time.monotonic() + self._timeout
-        while not any(
-            event["method"] == method and parameters.items() <= event["params"].items() for event in self.events[since:]
-        ):
-            self.events.append(self._message(deadline))
-
     def close(self):
         try:
             self.send("Browser.close")

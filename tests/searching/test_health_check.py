@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import Health, RandomSearch
+from pytest_pafot.searching import Health
 from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.space import SearchSpace, sample
-from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
 
@@ -193,14 +192,6 @@ def test_reused_evaluations_are_not_runs(make_evaluation):
     assert (health.evaluated, health.simulated, health.reused) == (2, 1, 1)
 
 
-def test_health_can_be_counted_from_campaign_events(cheap_world):
-    world = cheap_world()
-    events = list(run_campaign(RandomSearch(), world, generations=5, seed=1))
-    health = Health.of(events)
-    assert (health.evaluated, health.simulated) == (events[-1].evaluated, len(world.simulated))
-    assert 0 < health.failing <= health.valid == health.simulated
-
-
 @given(data=st.data())
 def test_the_health_of_the_parts_of_a_campaign_is_together_that_of_the_whole(make_evaluation, data):
     fields = st.fixed_dictionaries(
@@ -229,9 +220,3 @@ def test_the_health_of_the_parts_of_a_campaign_is_together_that_of_the_whole(mak
     assert (whole.evaluated, whole.simulated) == (len(runs), len(simulated))
     assert whole.invalid == sum(each["outcome"] is Outcome.INVALID for each in simulated)
     assert whole.goals.total() == sum(len(each["scenario"].npcs) for each in simulated)
-
-
-def test_adding_two_healths_changes_neither(make_evaluation):
-    one, other = health_of(make_evaluation, (2, {})), health_of(make_evaluation, (3, {"failing": True}))
-    assert (one + other).goals == {"cell": 5}
-    assert (one, other) == (health_of(make_evaluation, (2, {})), health_of(make_evaluation, (3, {"failing": True})))

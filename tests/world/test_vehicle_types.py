@@ -111,14 +111,21 @@ def test_the_plain_environment_agrees(env_id):
         assert first.sizes.tolist() == again.sizes.tolist()
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-@pytest.mark.parametrize("cell", [2, 4])
-def test_a_run_ends_exactly_when_the_boxes_touch(kind, cell):
-    def into_it():
-        return lambda seen: (3.0, 0.0) if cell == 2 else (0.0, 0.05)
+EGOS = tuple(kind for kind in KINDS if kind.braking >= 6.0)
 
-    still = Scenario(npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3], vehicles=(kind,))
-    trace = Highway().rollout(still, into_it)
+
+@pytest.mark.parametrize(
+    ("ego", "npc"), [*((CAR, kind) for kind in KINDS), *((kind, CAR) for kind in EGOS[1:])], ids=lambda kind: kind.name
+)
+@pytest.mark.parametrize("cell", [2, 4])
+def test_a_run_ends_exactly_when_the_boxes_touch(ego, npc, cell):
+    faster, steering = (3.0, 0.05) if ego is CAR else (1.0, 0.02)
+
+    def into_it():
+        return lambda seen: (faster, 0.0) if cell == 2 else (0.0, steering)
+
+    still = Scenario(npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3], vehicles=(npc,))
+    trace = Highway(ego=ego).rollout(still, into_it)
     touching = overlaps(Encounters(trace).pairs)[0]
     assert trace.outcome is Outcome.COLLISION
     assert touching.nonzero()[0].tolist() == [trace.ticks]
@@ -168,9 +175,6 @@ def test_a_planner_sees_how_large_a_vehicle_is():
     assert {(each.others[0].length, each.others[0].width) for each in seen} == {(12.0, 2.55)}
 
 
-EGOS = tuple(kind for kind in KINDS if kind.braking >= 6.0)
-
-
 def pedals(seen):
     """Return the acceleration and steering of a planner that asks for more than any vehicle can do."""
     return (9.0, 0.7) if seen.time < 4.0 else (-12.0, -0.7)
@@ -209,20 +213,6 @@ def test_an_ego_of_any_size_drives_on_every_road(env_id):
         assert first.sizes[0].tolist() == again.sizes[0].tolist() == [kind.length, kind.width]
         assert disagreement(Run(first), Run(again)) == ""
         assert [promise for is_kept, promise, _ in limits(world, first) if not is_kept] == []
-
-
-@pytest.mark.parametrize("kind", EGOS, ids=lambda kind: kind.name)
-@pytest.mark.parametrize("cell", [2, 4])
-def test_a_run_ends_exactly_when_the_egos_box_touches(kind, cell):
-    def into_it():
-        return lambda seen: (1.0, 0.0) if cell == 2 else (0.0, 0.02)
-
-    still = Scenario(npcs=[[PositionInstruction(cell, 12.0 if cell == 2 else 22.0)] * 3])
-    trace = Highway(ego=kind).rollout(still, into_it)
-    touching = overlaps(Encounters(trace).pairs)[0]
-    assert trace.outcome is Outcome.COLLISION
-    assert touching.nonzero()[0].tolist() == [trace.ticks]
-    assert trace.collision.side == ("front" if cell == 2 else "right")
 
 
 def test_starts_keep_their_gaps_to_an_ego_of_any_size():
