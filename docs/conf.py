@@ -103,7 +103,7 @@ def contributing(app: Sphinx, docname: str, content: list[str]) -> None:
     """Fill the contributors' page with the file from the root of the repository."""
     if docname == "maintain/contributing":
         text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-        content[0] = text.replace("](docs/", "](../").replace("](README.md#try-it)", "](../start/tutorial.md)")
+        content[0] = text.replace("](docs/", "](../")
 
 
 def skipped(app: Sphinx, what: str, name: str, thing: object, skip: bool, options: object) -> bool | None:

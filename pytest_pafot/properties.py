@@ -55,7 +55,10 @@ def rss_distance(run: Run, *, rules: RssRules = DISTANCES) -> None:
     along, across = frame.gap_along - frame.safe_along(rules), frame.gap_across - frame.safe_across(rules)
     beyond = np.where(frame.gap_along <= 0, across, np.where(across < 0, along, np.maximum(along, across))).T
     is_judged = (~(frame.ahead < 0) | (frame.gap_along.T <= 0)) & frame.is_on_way
-    _check_worst(run, np.where(is_judged, beyond, np.inf), name="gap minus safe distance", at_least=0.0)
+    values = np.where(is_judged, beyond, np.inf)
+    if values.size and not np.isposinf(values).all():
+        npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
+        check(values.min(axis=0), name="gap minus safe distance", at_least=0.0, unit="m", npc=npc, scale=NEAR)
 
 
 def comfort(
@@ -106,16 +109,6 @@ def _refuse_odd(name: str, **given: object) -> None:
     """Raise for an argument of a property that is not a finite number of at least 0."""
     for each, value in given.items():
         checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
-
-
-def _check_worst(run: Run, values: FloatArray, *, name: str, at_least: float) -> None:
-    """Check the smallest of all NPCs' values at each tick [m]; ``values`` has the shape [NPCs, ticks + 1].
-
-    Infinite values are not checked.
-    """
-    if values.size and not np.isposinf(values).all():
-        npc = int(np.where(np.isnan(values), -np.inf, values).min(axis=1).argmin())
-        check(values.min(axis=0), name=name, at_least=at_least, unit="m", npc=npc, scale=NEAR)
 
 
 def _change(values: FloatArray, seconds: float, hz: int) -> FloatArray:

@@ -59,7 +59,7 @@ class Exploration:
 
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
-        summary: the summary of the search: runs, coverage, warnings, notes.
+        summary: the summary of the search: runs, warnings, notes.
         seen: the events as the search reported them, one for several runs if another process has counted these.
         runs: a row for each scenario that was tried, with the columns of ``run_table.COLUMNS``, ready for
             ``pandas.DataFrame(...)``.

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.attribution.takeovers import Avoidance, avoidance, keeping_lane
 from pytest_pafot.campaign.request import AgainstError, Request
@@ -18,7 +18,7 @@ from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, referen
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
-from pytest_pafot.execution.scenario_pool import Cluster, ExecutionError, Job, trace_of
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
 from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.model.instructions import ScenarioError
@@ -33,6 +33,9 @@ from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.failure import exits, let_through
+
+if TYPE_CHECKING:
+    from pytest_pafot.execution.dask_cluster import Cluster
 
 # The reference of a search: a policy with which the tested one is compared, such as its version before a change.
 

@@ -168,18 +168,17 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
         yield from _filled("expect: ", entries)
         return
     yield "expect:"
-    yield from _block(entries, 2)
+    yield from _block(entries)
 
 
-def _block(entries: Mapping[str, Any], column: int) -> Iterator[str]:
+def _block(entries: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of a mapping without braces; a text of several lines is a block as well."""
-    room = " " * column
     for key, value in entries.items():
         if isinstance(value, str) and _fits_literal(value):
-            yield f"{room}{key}: |" if value.endswith("\n") else f"{room}{key}: |-"
-            yield from (f"{room}  {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
+            yield f"  {key}: |" if value.endswith("\n") else f"  {key}: |-"
+            yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
         else:
-            yield f"{room}{key}: {_flow(value)}"
+            yield f"  {key}: {_flow(value)}"
 
 
 def _has_lines(entries: Mapping[str, Any]) -> bool:

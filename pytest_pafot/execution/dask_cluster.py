@@ -24,7 +24,7 @@ from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, InGym, Job, LostRun, Timed
@@ -47,9 +47,7 @@ Task = Scenario | InGym
 
 
 @contextmanager
-def connected(
-    address: str, tell: Callable[[str], object], *, timeout: float = 10.0
-) -> Iterator[Callable[[Job], DaskPool]]:
+def connected(address: str, tell: Callable[[str], object], *, timeout: float = 10.0) -> Iterator[Cluster]:
     """Provide a function that makes pools of the workers of a scheduler, which must answer within ``timeout`` [s].
 
     A scheduler may begin without workers, and start some when there is work. ``tell`` receives what is waited for if
@@ -202,6 +200,10 @@ def _named(error: Exception) -> str:
 def _lost(task: Task, error: Exception) -> LostRun:
     scenario = task.scenario if isinstance(task, InGym) else task
     return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")
+
+
+Cluster: TypeAlias = Callable[[Job], DaskPool]
+"""A function that makes pools of the workers on other machines."""
 
 
 # What is sent.

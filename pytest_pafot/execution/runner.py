@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover
@@ -21,8 +21,6 @@ from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
     BlockTask,
-    Cluster,
-    ClusterPool,
     Digest,
     ExecutionError,
     InGym,
@@ -49,6 +47,9 @@ from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.shadow import ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
+
+if TYPE_CHECKING:
+    from pytest_pafot.execution.dask_cluster import Cluster, DaskPool
 
 ResultT = TypeVar("ResultT")
 
@@ -121,7 +122,7 @@ class Runner:
         self._cluster = cluster
         self._clock = clock
         self._held = ExitStack()
-        self._pool: ScenarioPool | ClusterPool | None = None
+        self._pool: ScenarioPool | DaskPool | None = None
         self._failure = ""
         self._is_measured = self._drives = False
         self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
@@ -189,7 +190,7 @@ class Runner:
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
-            return cast("ClusterPool", self._pool).notes
+            return cast("DaskPool", self._pool).notes
         option = flag("workers", self._workers)
         if self._runs_before:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self.job.remark}"
@@ -321,8 +322,8 @@ class Runner:
         except ExecutionError as error:
             self._failure = str(error)
 
-    def _begin(self) -> ScenarioPool | ClusterPool:
-        pool: ScenarioPool | ClusterPool
+    def _begin(self) -> ScenarioPool | DaskPool:
+        pool: ScenarioPool | DaskPool
         pool = pool_for(self.job, self._workers) if self._cluster is None else self._cluster(self.job)
         self._pool = pool
         pool.expect(self.announced)
@@ -374,7 +375,7 @@ class Isolated(Runner):
             )
         return answer
 
-    def _begun(self) -> ScenarioPool | ClusterPool:
+    def _begun(self) -> ScenarioPool | DaskPool:
         try:
             return self._pool or self._begin()
         except ExecutionError as error:

@@ -10,14 +10,14 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field, fields
 from functools import partial
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
@@ -182,38 +182,6 @@ Answer: TypeAlias = Timed | Exception
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 """Its tasks are scenarios, also :class:`InGym`, with an :data:`Answer`, or a :class:`BlockTask`, of which it says
 several :data:`Timed`."""
-
-
-class ClusterPool(Protocol):
-    """A pool that makes runs on other machines, with the same tasks and answers."""
-
-    recovered: list[LostRun]
-    failure: str
-    unable: list[Exception]
-    """The exceptions of workers for scenarios that this process has to run."""
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes for the user on the workers, and on runs that they could not make."""
-
-    def expect(self, tasks: Iterable[Any]) -> None:
-        """Start to run some scenarios; earlier scenarios that were not fetched are dropped."""
-
-    def add_all(self, tasks: Iterable[Any]) -> None:
-        """Start to run some more scenarios."""
-
-    def fetch(self, task: Any) -> Answer:
-        """Wait for the answer to a scenario and return it; each answer can be fetched once."""
-
-    def arrived(self, task: Any) -> Answer | None:
-        """Return the answer to a scenario, which can still be fetched; None if there is none yet."""
-
-    def close(self, *, at_once: bool = False) -> None:
-        """Cancel the current tasks."""
-
-
-Cluster: TypeAlias = "Callable[[Job], ClusterPool]"
-"""A function that makes pools of the workers on other machines."""
 
 
 def read_nothing(said: object) -> None:

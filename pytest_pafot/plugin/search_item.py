@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -40,7 +40,7 @@ from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution.crash_records import records_of
-from pytest_pafot.execution.scenario_pool import Cluster, ExecutionError
+from pytest_pafot.execution.scenario_pool import ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.labels import Label
@@ -61,6 +61,9 @@ from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
+
+if TYPE_CHECKING:
+    from pytest_pafot.execution.dask_cluster import Cluster
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""

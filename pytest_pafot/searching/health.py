@@ -104,7 +104,7 @@ class Health:
             immediate=sum([each.duration < IMMEDIATE for each in hits]),
             off_at_once=sum([each.outcome is Outcome.OFF_ROAD and each.duration <= IMMEDIATE for each in driven]),
             over=Counter([each.ended for each in driven if each.ended and each.duration <= IMMEDIATE]),
-            goals=Counter([npc[0].goal_kind for each in runs for npc in each.scenario.npcs if npc[0].goal_kind]),
+            goals=Counter([npc[0].goal_kind for each in runs for npc in each.scenario.npcs]),
         )
 
     def counted(self, evaluation: Evaluation, *, reused: bool = False) -> Health:

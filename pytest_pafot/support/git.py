@@ -14,8 +14,8 @@ from pytest_pafot.support.text import visible
 OF_A_CALLER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_PREFIX", "GIT_NAMESPACE")
 """Variables that a git hook or alias sets. They are removed, since git would use the user's index because of them."""
 
-OFFLINE = {"GIT_ALLOW_PROTOCOL": "", "GIT_LFS_SKIP_SMUDGE": "1", "GIT_TERMINAL_PROMPT": "0"}
-"""Variables with which git fetches nothing: no objects that a partial clone lacks, and no files of Git LFS."""
+OFFLINE = {"GIT_ALLOW_PROTOCOL": ""}
+"""The variable with which git fetches nothing, such as objects that a partial clone lacks."""
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 """The beginning of a file in place of one that Git LFS stores."""
@@ -31,7 +31,7 @@ def git(folder: Path, *arguments: str) -> str:
         RequestError: if git fails; the message is git's own.
     """
     quiet = ("--no-optional-locks", "--literal-pathspecs", "-c", f"core.hooksPath={os.devnull}")
-    command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false", "-c", "core.sparseCheckout=false"]
+    command = ["git", "-C", str(folder), *quiet, "-c", "core.fsmonitor=false"]
     own = {name: value for name, value in os.environ.items() if name not in OF_A_CALLER}
     try:
         done = subprocess.run(  # noqa: S603  (no shell)

@@ -65,8 +65,8 @@ class Instruction(Pasteable, ABC):
     has no duration."""
     least_speed: ClassVar[float] = 0.0
     """The lowest target speed [m/s]."""
-    goal_kind: ClassVar[str] = ""
-    """The kind of places that its instructions name: ``cell``, ``lane`` or ``zone``; empty if they name none."""
+    goal_kind: ClassVar[str]
+    """The kind of places that its instructions name: ``cell``, ``lane`` or ``zone``."""
 
     speed: float
     cell: Cell
