@@ -73,11 +73,6 @@ What the script itself asks of Python needs no installed packages: without them 
 
 
 @pytest.fixture
-def summary(tmp_path):
-    return tmp_path / "summary.md"
-
-
-@pytest.fixture
 def copied():
     """Return variables with which sessions are copies of this process."""
     with copies() as variables:

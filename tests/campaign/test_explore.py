@@ -279,15 +279,6 @@ def test_finding_that_differs_because_of_rewards_names_them(burning):
     assert finding.flaky.endswith(f"; {BURNS}")
 
 
-class Braked(gymnasium.Wrapper):
-    """A wrapper whose reset lets the ego stop."""
-
-    def reset(self, **options):
-        first = self.env.reset(**options)
-        self.unwrapped.vehicle.target_speeds = np.array([0, 10, 20])
-        return first
-
-
 FIRST = {"stop_after": 1, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
 """A search that ends with the first finding of an environment's policy."""
 
@@ -305,18 +296,6 @@ def test_lowest_speed_is_told_where_braking_avoids_the_collision(action, braking
     assert finding.expect.avoided_by.braking == braking
     is_told = any("actions keep 20 m/s or more" in note for note in exploration.summary.notes)
     assert is_told == (braking is not None)
-
-
-def test_lowest_speed_is_not_told_of_an_ego_that_drives_slower():
-    def slows_down():
-        actions = iter([4, 4])
-        return lambda observation: next(actions, 1)
-
-    world = pafot.World("highway-v0", {"policy_frequency": 5}, wrappers=[Braked])
-    exploration = pafot.explore(slows_down, world=world, holds=never_collides, blame="ego", seed=3, **FIRST)
-    (finding,) = exploration.findings
-    assert "avoids" in finding.expect.reference_drivers.values()
-    assert not any("actions keep" in note for note in exploration.summary.notes)
 
 
 def test_setup_error_is_raised_unchanged():

@@ -282,10 +282,6 @@ def test_state_of_other_settings_names_both_values(search, begun, options, match
     assert begun.read_text() == before
 
 
-def test_a_state_of_the_same_settings_goes_on(search, begun):
-    assert search(runs=1).summary.runs == 8
-
-
 POLICY = "from core_of_resumed import STEERING\n\n\ndef make():\n    return lambda observation: (0.0, STEERING)\n"
 
 

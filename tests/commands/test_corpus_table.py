@@ -155,16 +155,6 @@ def test_a_file_counts_from_its_renaming_and_may_have_an_odd_name(repository, ca
     assert days(listed(capsys, code=1)) == told
 
 
-def test_a_file_that_was_added_again_counts_since_then(repository, capsys, monkeypatch):
-    monkeypatch.setenv("GIT_COMMITTER_DATE", "2026-10-04T12:00:00Z")
-    git(repository, "rm", "-q", "pafot_corpus/test_it/test_x/a.pafot.yaml")
-    git(repository, "commit", "-qm", "remove")
-    save(repository, finding("a"))
-    git(repository, "add", ".")
-    git(repository, "commit", "-qm", "again")
-    assert days(listed(capsys)) == {"a": "2026-10-04", "b": "2026-10-02"}
-
-
 def test_since_is_empty_where_git_does_not_know_it(repository, capsys, monkeypatch, tmp_path):
     shallow = tmp_path / "shallow"
     git(repository, "clone", "-q", "--depth=1", f"file://{repository}", str(shallow))

@@ -223,14 +223,6 @@ def test_pass_without_its_situation_is_driven_on_too(saved):
     replay(saved, "slow").stdout.fnmatch_lines(["*1 still failing"])
 
 
-def test_flaky_file_stays_flaky(saved):
-    path = saved.only_file
-    path.write_text(
-        path.read_text().replace("# xfail: {reason, until}", 'flaky: "running it again gave a different run"')
-    )
-    replay(saved, "slow").stdout.fnmatch_lines(["*1 flaky"])
-
-
 def test_check_that_fails_after_the_end_still_fails(project):
     check = "run.ego.speed, name='speed', at_most=24.0"
     project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", f"pafot.check({check})"))

@@ -13,7 +13,6 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import text_of
 from tests.helpers.hostile import WORST, obeyed
-from tests.plugin.conftest import CONFTEST
 
 TEST = """
 import pathlib
@@ -82,7 +81,7 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     records = json.loads((saved.path / "session.json").read_text())["findings"]
     assert len(records) == count
     assert any(record["id"] == f"name {WORST}" and record["file"].endswith(f"{WORST}.pafot.yaml") for record in records)
-    assert any(record["xfail"] == {"reason": WORST, "until": None, "flaky": False} for record in records)
+    assert any(record["xfail"] == {"reason": WORST, "until": "2027-01-31"} for record in records)
     for name in ("accepted", "over", "flaky", "value", "nested", "key", "scalar"):  # files without differences by style
         next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
     for style in ("native", "line", "long", "--full-trace"):
@@ -90,38 +89,16 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
         assert obeyed(saved.run(*options, "-l", "--color=no", generations=0).stdout.str()) == []
 
 
-SENDS = """
-from types import SimpleNamespace
-
-import execnet
-from pytest_pafot.plugin.session import Worker
-
-def pytest_configure(config):
-    global CONFIG
-    CONFIG = config
-
-def pytest_runtest_logreport(report):
-    execnet.dumps(CONFIG.hook.pytest_report_to_serializable(config=CONFIG, report=report))
-
-def pytest_sessionfinish():
-    config = SimpleNamespace(stash=CONFIG.stash, workeroutput={})
-    Worker().pytest_sessionfinish(SimpleNamespace(config=config))
-    execnet.dumps(config.workeroutput)
-"""
-"""A conftest in which pytest-xdist packs what a worker would send."""
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
-@pytest.mark.parametrize("workers", [[], pytest.param(["-n1"], marks=pytest.mark.processes)], ids=["alone", "a worker"])
-def test_workers_accept_file_names_that_are_not_text(saved, workers):
+@pytest.mark.processes
+def test_workers_accept_file_names_that_are_not_text(saved):
     """The names are an item's file, an orphan and a stray file: a worker unable to send them was replaced forever."""
-    saved.pytester.makeconftest(CONFTEST if workers else CONFTEST + SENDS)
     saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
     (test,) = saved.path.glob("pafot_corpus/*/*")
     for folder in (test, test.with_name(os.fsdecode(b"\xffgone")), saved.path):
         folder.mkdir(exist_ok=True)
         (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 2\n")
-    result = saved.run(*workers, "--pafot-json=session.json", generations=0, apart=bool(workers))
+    result = saved.run("-n1", "--pafot-json=session.json", generations=0, apart=True)
     assert "crashed" not in result.stdout.str()
     result.stdout.fnmatch_lines(
         [r"orphaned: 1 saved scenario without a test in *\udcffgone", r"not run: \udcff.pafot.yaml: it is in no *"]

@@ -166,10 +166,6 @@ def test_the_marks_select_and_deselect_under_strict_markers(failing):
     failing.run("--strict-markers", "-m", "not pafot").assert_outcomes(passed=1, deselected=2)
 
 
-def test_durations_and_summaries_know_nothing_of_messages(failing):
-    failing.run("--durations=0", "-rA").stdout.no_fnmatch_line("*s pafot *")
-
-
 def test_other_plugins_randomness_changes_nothing(project):
     pytest.importorskip("pytest_randomly")
     project.write(

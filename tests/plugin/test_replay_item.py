@@ -5,7 +5,6 @@ import re
 
 import pytest
 
-from pytest_pafot.corpus.reader import load
 from tests.helpers.sessions import section
 
 KNOWN = """
@@ -106,15 +105,6 @@ def test_xfail_is_valid_through_its_last_day(saved):
     next_day.stdout.fnmatch_lines([OVER])
 
 
-@pytest.mark.processes
-def test_workers_use_the_date_of_the_controller(saved):
-    edited(saved, "# xfail: {reason, until}", UNTIL)
-    saved.run("-n1", "--pafot-today=2027-01-31", generations=0).assert_outcomes(xfailed=1, skipped=1)
-    next_day = saved.run("-n1", "--pafot-today=2027-02-01", generations=0)
-    next_day.assert_outcomes(failed=1, skipped=1)
-    next_day.stdout.fnmatch_lines([OVER])
-
-
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
     edited(saved, "# xfail: {reason, until}", UNTIL)
     saved.write(PASSES)
@@ -131,29 +121,12 @@ def test_last_xfail_day_is_compared_with_the_calendar(saved):
     saved.run(generations=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_a_wrong_last_day_fails_its_one_item(saved):
-    edited(saved, "# xfail: {reason, until}", UNTIL.replace("2027-01-31", "2027-02-30"))
-    result = saved.run(generations=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["*: xfail.until: expected a day of the calendar, *; write it as 2027-01-31"])
-
-
 def test_invalid_today_on_command_line_is_refused(saved):
     result = saved.run("--pafot-today=31.1.2027", generations=0)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(
         ["*--pafot-today: expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"]
     )
-
-
-def test_failure_whose_saved_files_pass_is_new_again(saved):
-    first, scenario = saved.only_id, load(saved.only_file).scenario
-    # The same assertion fails in the same way, but not for the saved scenario.
-    saved.write(FAILS.replace("run.collision:", f"run.collision or run.scenario.id == '{scenario.id}':"))
-    result = saved.run(generations=5)
-    result.stdout.fnmatch_lines(["1 new finding in *"])
-    assert len(saved.files) == 2
-    assert any(first in name for name in saved.files)
 
 
 def test_passing_replay_under_other_versions_has_drifted(saved):
@@ -332,14 +305,6 @@ def test_replay_says_that_the_test_names_other_traffic(saved):
     assert f"still failing, run in the traffic of the file, which is not the test's: {named}" in shown
     saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
     assert "in the traffic of the file" not in saved.run(generations=0).stdout.str()
-
-
-def test_replay_in_another_kind_of_world_says_so(saved):
-    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
-    saved.write(text.replace("@pafot.search(", "@pafot.search(world=pafot.World('highway-v0', planner_hz=5), "))
-    result = saved.run(generations=0)
-    shown = " ".join(result.stdout.str().split())
-    assert "which is not the test's: world.kind 'highway' in the file, 'gym' now, " in shown
 
 
 CHANCE = """

@@ -72,14 +72,6 @@ def test_the_page_has_the_find_and_its_search(failing, page):
     result.stdout.fnmatch_lines(["report: report.html (1 finding)"])
 
 
-def test_page_contains_saved_scenarios_that_still_fail(saved, page):
-    saved.run("--pafot-report=report.html", generations=0)
-    text, (finding,), searches = read_page(page)
-    assert (finding.id, finding.label) == (saved.only_id, "still failing")
-    assert searches == []
-    assert "1 saved scenario: 1 still failing" in text
-
-
 def test_page_counts_runs_of_new_and_known_findings(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
     for label in ("new", "still failing"):
@@ -97,14 +89,6 @@ def test_accepted_failure_is_shown_with_its_reason(saved, page):
     assert [finding.label for finding in read_page(page)[1]] == [
         "still failing, accepted: planner issue 12, until 9999-12-31"
     ]
-
-
-def test_a_fixed_scenario_is_counted_and_not_shown(saved, page):
-    saved.write("@pafot.search(SHORT)\ndef test_fails(run):\n    pass\n")
-    saved.run("--pafot-report=report.html", generations=0)
-    text, findings, _ = read_page(page)
-    assert findings == []
-    assert "1 saved scenario: 1 passes" in text
 
 
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):

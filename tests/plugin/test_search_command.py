@@ -337,17 +337,13 @@ def test_session_of_a_search_that_is_killed_ends(here):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["a_planner:Nobody"], "search: ADS: expected a factory in the module a_planner"),
         (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, idle, keeps_moving"),
-        (["a_planner.py:Planner"], "search: ADS: expected a module that can be imported"),
         (["a_planner.py:Planner"], "; give a_planner:Planner"),
-        (["broken:Planner"], "received 'broken:Planner', which raises ValueError: no gpu ("),
         (["broken:Planner"], "broken.py:1); correct it"),
         (
             ["a_planner:Planner", "--check", "foo"],
             "search: --check: expected the name module:function of a function of a run",
         ),
-        (["no_such_module:Nobody"], "search: ADS: expected a module that can be imported"),
         (
             ["a_planner:Planner", "--check", "a_planner:nothing"],
             "search: --check: expected a function of a run in the module a_planner",

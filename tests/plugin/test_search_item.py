@@ -6,20 +6,15 @@ import re
 import pytest
 
 
-def test_search_fails_and_reports_findings_by_replay_id(failing):
+def test_search_fails_reports_its_finding_by_replay_id_and_saves_it_near_its_test(failing):
     result = failing.run_once()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
     result.stdout.fnmatch_lines(["FAILED test_it.py::test_fails[[]search[]]*"])
-
-
-def test_the_search_lists_its_finds(failing):
-    result = failing.run_once()
     result.stdout.fnmatch_lines(["1 new finding in 1 run, reported below", f"  {failing.only_id} (1 run)"])
-
-
-def test_finding_is_a_readable_file_near_its_test(failing):
-    failing.run_once()
+    result.stdout.fnmatch_lines(
+        ["    assert run.duration < 1", "E   assert * < 1", "E    +  where * = <Run *>.duration"]
+    )
     assert re.fullmatch(r"pafot_corpus/test_it/test_fails/[a-z0-9-]+\.pafot\.yaml", failing.files[0])
     assert "test: test_it.py::test_fails\n" in failing.only_file.read_text()
 
@@ -104,14 +99,6 @@ def test_first_collision_has_the_sentences_of_its_verdict(project):
     assert "collision after" not in told
 
 
-def test_command_of_the_first_finding_replays_it(project):
-    project.write(TWO_KINDS)
-    first, *_ = announced(project.run_once("--pafot-shrink-rollouts=0", generations=10, seed=2))
-    name = first[-1].rpartition(" ")[2]
-    result = project.run(name, generations=None)
-    result.assert_outcomes(failed=1)
-
-
 def test_quiet_session_tells_only_the_first_finding_in_short(project):
     project.write(TWO_KINDS)
     result = project.run_once("-q", "--pafot-shrink-rollouts=0", generations=10, seed=2)
@@ -136,13 +123,6 @@ def test_search_without_findings_passes_with_a_summary(project):
     (begin,) = [number for number, line in enumerate(result.outlines) if line.strip("= ") == "pafot"]
     assert len(result.outlines[begin:]) <= 11  # a dozen lines with the one that names the seed before the search
     assert project.files == []
-
-
-def test_assertions_in_the_test_are_explained_by_pytest(failing):
-    result = failing.run_once()
-    result.stdout.fnmatch_lines(
-        ["    assert run.duration < 1", "E   assert * < 1", "E    +  where * = <Run *>.duration"]
-    )
 
 
 def test_fixtures_run_once_per_item_ads_per_scenario(project):
@@ -284,18 +264,6 @@ def test_max_time_zero_still_makes_one_run(project):
     result = project.run("--pafot-max-time=0", generations=50)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["  1 run in *", "*--pafot-max-time", "*note: cut by --pafot-max-time*"])
-
-
-def test_same_seed_gives_same_files_another_seed_others(project):
-    project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
-    project.run(generations=3)
-    first = project.contents
-    project.forget()
-    project.run(generations=3)
-    assert project.contents == first
-    project.forget()
-    project.run(generations=3, seed=2)
-    assert project.contents != first
 
 
 def test_corpus_file_as_argument_runs_only_its_item(saved):

@@ -237,17 +237,6 @@ def test_workers_record_the_same_text_as_one_process(project):
     assert len(json.loads(texts[1])["findings"]) == len(json.loads(texts[0])["findings"]) > 1
 
 
-@pytest.mark.processes
-def test_workers_give_their_properties_to_junit(project):
-    pytest.importorskip("xdist")
-    project.write(TWO)
-    project.run("-n1", "--junitxml=junit.xml")
-    found = properties(project)
-    assert found["test_first[search]"]["pafot_base_seed"] == "1"
-    saved = [found[f"test_{name.split('/')[2][5:]}[saved-{load(project.path / name).id}]"] for name in project.files]
-    assert [each["pafot_file"] for each in saved] == project.files
-
-
 def test_junit_properties_identify_search_finding_and_replay(failing):
     failing.run("--junitxml=junit.xml")
     find = load(failing.only_file)

@@ -284,29 +284,6 @@ def test_drives(run):
     )
 
 
-def test_finding_absent_in_plain_environment_is_flaky(project, in_highway_env):
-    project.write(
-        """
-import sys
-
-def ads():
-    frame, names = sys._getframe(), []
-    while frame is not None:
-        names.append(frame.f_globals["__name__"])
-        frame = frame.f_back
-    brake = 0.0 if "pytest_pafot.world.engines.gym_replay" in names else -3.0
-    return lambda observation: (brake, 0.0)
-
-@pafot.search(SHORT, ads=ads)  # stop_after=1
-def test_brakes(run):
-    assert run.hardest_brake < 1
-"""
-    )
-    result = run(project)
-    assert load(project.only_file).flaky.startswith("in highway-env's own environment: ")
-    result.stdout.fnmatch_lines(["  * is flaky, so it is never reported as fixed: *"])
-
-
 def test_a_flaky_file_that_passes_is_called_flaky(collides):
     run(collides)
     file = collides.only_file

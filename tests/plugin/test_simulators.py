@@ -67,19 +67,22 @@ def session(project, *options, made=99, close="pass"):
     return result, made, closed
 
 
+ENDS, INTERRUPTED = pytest.ExitCode.OK, pytest.ExitCode.INTERRUPTED
+
+
 @pytest.mark.parametrize(
-    ("options", "processes"), [((), 1), ((WORKERS,), 3), (("--pafot-isolate", WORKERS), 3), (("-n1",), 1)]
+    ("options", "processes", "code"),
+    [
+        *[((), 1, each) for each in (ENDS, INTERRUPTED)],
+        *[((WORKERS,), 3, each) for each in (ENDS, INTERRUPTED)],
+        (("--pafot-isolate", WORKERS), 3, ENDS),
+        (("--pafot-isolate",), 2, INTERRUPTED),
+        (("-n1",), 1, ENDS),
+    ],
 )
-def test_each_simulator_is_closed_once_at_the_end(project, options, processes):
-    result, made, closed = session(project, *options)
-    assert result.ret == 0
-    assert (len(made), closed) == (processes, made)
-
-
-@pytest.mark.parametrize(("options", "processes"), [((), 1), ((WORKERS,), 3), (("--pafot-isolate",), 2)])
-def test_each_simulator_is_closed_once_after_an_interrupt(project, options, processes):
-    result, made, closed = session(project, *options, made=processes)
-    assert result.ret == pytest.ExitCode.INTERRUPTED
+def test_each_simulator_is_closed_once_at_the_end_or_after_an_interrupt(project, options, processes, code):
+    result, made, closed = session(project, *options, made=processes if code == INTERRUPTED else 99)
+    assert result.ret == code
     assert (len(made), closed) == (processes, made)
 
 

@@ -46,7 +46,9 @@ def test_xdist_workers_give_same_results_as_one_process(project):
     assert [len(part) for part in shown] == [len(serial), 2]
     result.stdout.fnmatch_lines([f"report: report.html ({len(serial)} findings)"])
     text = (project.path / "junit.xml").read_text()
+    assert text.count('name="pafot_base_seed" value="1"') >= 2
     for name in serial:
+        assert f'name="pafot_file" value="{name}"' in text
         test, file = name.split("/")[2:]
         assert text.count(f'name="{test}[saved-{file.removesuffix(".pafot.yaml")}]"') == 1
 

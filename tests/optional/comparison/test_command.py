@@ -261,19 +261,14 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
             ["--algorithms", "av-fuzzer@soon"],
             "--algorithms: expected seconds or paper after the @, as in av-fuzzer@15, received",
         ),
-        (["--algorithms", "rand"], "algorithm: expected .* received 'rand'; did you mean 'random'"),
         (
             ["--ads", "constant_speedd"],
             "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, junctions, ppo, or "
             "module:factory for your own policy, received 'constant_speedd'; did you mean 'constant_speed'",
         ),
         (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
-        (["--ads", "example_ads.ppo:train_me"], "--ads: expected a factory in the module example_ads.ppo"),
-        (["--ads", "a:b:c:d"], "--ads: expected a module that can be imported, received 'a:b"),
         (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
-        (["--generations", "0"], "--generations: expected a whole number, at least 1, received 0"),
         (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
-        (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
         (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
         (["--clearance", "-1"], "clearance: expected .* received -1"),
         (["--world", "nowhere-v0"], "nowhere-v0"),
@@ -440,15 +435,3 @@ def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
 def test_what_a_world_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
     assert compare_in("Road", tmp_path, "constant_speed", *options) == BAD_USE
     assert told in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_ego_on_curved_road_starts_as_in_environment(tmp_path, monkeypatch):
-    (tmp_path / "idle.py").write_text("def make():\n    return lambda observation: 1\n")
-    arguments = ["--ads", "idle:make", "--world", "merge-v1", "--runs", "1", "--generations", "1", "--workers", "1"]
-    monkeypatch.syspath_prepend(tmp_path)
-    assert main(["compare", *arguments, "--algorithms=random", "--out", str(tmp_path / "out")]) == 0
-    space = json.loads((tmp_path / "out" / "comparison.json").read_text())["plan"]["space"]
-    assert (space["ego_lane"], space["ego_speed"], space["speed_limit"]) == (1, 30.0, 30.0)
-    assert space["genes"] == 3
-    assert space["gene_seconds"] == pytest.approx(430 / 30 / 3, abs=0.1)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.benchmarks import planted_defects, policies_with_defects
-from tests.benchmarks.planted_defects import Searched, draw, grouped, loaded, overall_rows, saved, searched
+from tests.benchmarks.planted_defects import Searched, grouped, overall_rows, searched
 
 BROKEN = partial(policies_with_defects.make, "OneNudge")
 SOUND = partial(policies_with_defects.make, "OneNudge", repaired=("nudge-unchecked",))
@@ -44,18 +44,6 @@ def test_failures_shared_with_the_twin_do_not_count(plant):
     assert search.shared >= 1
 
 
-def test_a_search_ends_after_its_seconds(plant):
-    plant(BROKEN)
-    assert searched("nudges", "random", 0, 10_000, 0.05).runs < 10_000
-
-
-def test_what_is_saved_is_loaded_once(tmp_path):
-    path = str(tmp_path / "searches.jsonl")
-    searches = [made_up("default", seed, 10 + seed) for seed in range(2)]
-    assert list(saved(searches, path)) == searches
-    assert loaded([path, path]) == searches
-
-
 @pytest.mark.oracle
 def test_ratios_use_only_seeds_of_both_searches(monkeypatch):
     few = partial(planted_defects.ratio_interval, draws=100)  # all are the same here
@@ -65,10 +53,3 @@ def test_ratios_use_only_seeds_of_both_searches(monkeypatch):
     first, second, *_ = overall_rows("tuning", grouped(searches, ["nudges"], ["default", "random"]))
     assert first.startswith("| tuning | default | 3 of 3 | 0.00 | runs | 20 (10 to -) | 20 (to 1000) |")
     assert second.endswith("| 2 (2 to 2) | 2 (2 to 2) |")
-
-
-def test_pictures_are_drawn_also_where_nothing_is_found(tmp_path):
-    searches = [made_up("default", 0, 10), made_up("pafot", 0, 20, found=False)]
-    group = grouped(searches, ["nudges"], ["default", "random", "pafot"])
-    draw(str(tmp_path / "curves.png"), {"tuning": group}, {"nudges": group})
-    assert {each.name for each in tmp_path.iterdir()} == {"curves.png", "curves-of-each.png"}

@@ -294,13 +294,6 @@ def test_a_changed_policy_or_fitness_is_refused_by_file_name(tmp_path, quick, qu
         run_all(plan, tmp_path / "out", workers=1, stream=quiet, clock=clock)
 
 
-def test_other_seeds_give_other_runs(tmp_path, quick, quiet, whole):
-    run_all(quick(seed=1, runs=1), tmp_path, workers=1, stream=quiet, clock=clock)
-    other = contents(tmp_path)
-    assert len(other) == 4
-    assert all(other[name] != whole[name] for name in other)
-
-
 class TestProgressLine:
     def test_progress_has_runs_share_and_remaining_time(self):
         now = [100.0]

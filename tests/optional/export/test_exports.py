@@ -14,7 +14,7 @@ import pytest
 
 from pytest_pafot import VehicleType
 from pytest_pafot.export.exporter import centre_line, exporter
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, X, Y
+from pytest_pafot.model.trace import HEADING, SPEED, Lane, X, Y
 from tests.helpers.tables import table
 from tests.helpers.traces import straight_lanes, trace_of, vehicle
 
@@ -311,12 +311,6 @@ def test_commonroad_checker_finds_collision_at_the_same_tick(exported, tmp_path)
         if any(ego.obstacle_at_time(tick).collide(other.obstacle_at_time(tick)) for other in others)
     ]
     assert touching[:1] == ([] if trace.collision is None else [trace.collision.tick])
-
-
-def test_lane_off_the_road_is_minus_one(exported):
-    _, trace = exported
-    rows = list(csv.DictReader(exporter("csv")(*exported).popitem()[1].decode().splitlines()))
-    assert {int(row["lane"]) for row in rows} == set(trace.states[..., LANE].astype(int).ravel().tolist())
 
 
 @table(
