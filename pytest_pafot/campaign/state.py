@@ -173,7 +173,6 @@ class State:
     done_before: tuple[int, int] | None = field(init=False, default=None)
     # ids of findings that still must be shrunk, but not in this session, which has no time left for them
     postponed: set[str] = field(init=False, default_factory=set)
-    # ids of findings of earlier sessions beyond the number that a search saves
 
     @property
     def runs(self) -> int:

@@ -1,4 +1,4 @@
-"""The observations of highway-env's policies, computed from plain numbers: tables, grids, and times to collision.
+"""The Kinematics observation of highway-env's policies, computed from plain numbers.
 
 The equations are highway-env's, operation by operation, and so are the names of options. Vehicles are highway-env's
 objects, or any others with the same attributes.
@@ -19,12 +19,6 @@ FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 )  # fmt: skip
 """What highway-env describes a vehicle by, in the order of :attr:`Features.values`."""
-ON_ROAD, EMPTY = -1, -2
-"""In place of the number of a feature: the layer of a grid that shows lanes, or stays empty."""
-LANE_REACH = 100.0
-"""The distance along a lane, from the place of the ego, up to which a grid shows it [m]."""
-SLOWEST = 0.01
-"""The lower limit of the speed at which vehicles approach each other in a prediction [m/s]."""
 HALF_TURN = math.pi
 """Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 
@@ -115,14 +109,6 @@ class Features:
                 value = 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
         return value
 
-    def rounded(self, feature: int) -> float:
-        """Return a value after it was scaled and scaled back, which rounds it."""
-        value = self.scaled(feature)
-        if self._is_scaled[feature]:
-            low = self._low[feature]
-            value = low + (value + 1.0) * (self._high[feature] - low) / 2.0
-        return value
-
 
 class Table:
     """The Kinematics observation: the features of the ego and of the others that are nearest along its lane.
@@ -190,126 +176,3 @@ class Table:
                     found.append((abs(ahead), index, other))
         found.sort()
         return found[: self._count - 1] if self._count > 1 else found  # for highway-env, a count of 0 is no limit
-
-
-class Grid:
-    """The OccupancyGrid observation: one layer of cells around the ego for each feature.
-
-    Args:
-        features: the features of vehicles.
-        options: highway-env's observation, whose options are attributes.
-    """
-
-    def __init__(self, features: Features, options: Any) -> None:
-        self._features = features
-        numbers = {"on_road": ON_ROAD, **{feature: number for number, feature in enumerate(FEATURES)}}
-        self._layers = array("i", [numbers.get(feature, EMPTY) for feature in options.features])
-        self._is_turned: bool = options.align_to_vehicle_axes
-        self._left, self._top = float(options.grid_size[0, 0]), float(options.grid_size[1, 0])
-        self._step_x, self._step_y = float(options.grid_step[0]), float(options.grid_step[1])
-        self._cos, self._sin = 1.0, 0.0
-
-    def fill(self, grid: Any, ego: Any, vehicles: list[Any]) -> None:
-        """Write the features of vehicles and the lanes into a grid of shape [layers, cells along x, cells along y]."""
-        features, values = self._features, self._features.values
-        features.read(ego, False)
-        x, y, vx, vy = values[1], values[2], values[3], values[4]
-        self._cos, self._sin = values[6], values[7]
-        for index in range(len(vehicles) - 1, -1, -1):  # of vehicles in the same cell, the first is seen
-            features.read(vehicles[index], False)
-            features.subtract(x, y, vx, vy)
-            at_x, at_y = features.rounded(1), features.rounded(2)
-            for layer in range(len(self._layers)):
-                if self._layers[layer] >= 0:
-                    self._mark(grid, layer, at_x, at_y, features.scaled(self._layers[layer]))
-        for layer in range(len(self._layers)):
-            if self._layers[layer] == ON_ROAD:
-                self._mark_lanes(grid, layer, x, y)
-
-    def _mark(self, grid: Any, layer: int, x: float, y: float, value: float) -> None:
-        """Write a value into the cell at a place that is relative to the ego, if it is in the grid."""
-        if self._is_turned:
-            x, y = self._cos * x + self._sin * y, -self._sin * x + self._cos * y
-        right, down = (x - self._left) / self._step_x, (y - self._top) / self._step_y
-        if 0.0 <= right < grid.shape[1] and 0.0 <= down < grid.shape[2]:
-            row, column = int(right), int(down)
-            grid[layer, row, column] = value
-
-    def _mark_lanes(self, grid: Any, layer: int, x: float, y: float) -> None:
-        """Write 1 into the cells of points along all lanes, which are as near to each other as cells."""
-        network, spacing = self._features.network, min(self._step_x, self._step_y)
-        for lane in range(network.count):
-            network.locate(lane, x, y)
-            first, length, before = network.along - LANE_REACH, network.length(lane), -1.0
-            step = (first + spacing) - first  # numpy's arange computes its step from its first two numbers
-            for index in range(int(math.ceil((network.along + LANE_REACH - first) / spacing))):  # noqa: RUF046
-                along = min(max(first + index * step, 0.0), length)
-                if along != before:
-                    network.position(lane, along, 0.0)
-                    self._mark(grid, layer, network.x - x, network.y - y, 1.0)
-                    before = along
-
-
-class Collisions:
-    """The TimeToCollision observation: the costs of predicted collisions at three speeds in three lanes.
-
-    Args:
-        network: the road's lanes.
-        lanes: the number in ``network`` of each of highway-env's lanes.
-    """
-
-    def __init__(self, network: Network, lanes: dict[Any, int]) -> None:
-        self._network = network
-        self._lanes = lanes
-
-    def observe(self, ego: Any, vehicles: list[Any], roads: Any, period: float, cells: int) -> Any:
-        """Return the observation as float32 of shape [3 speeds, 3 lanes, cells].
-
-        Args:
-            ego: the vehicle that observes, a ``MDPVehicle`` of highway-env.
-            vehicles: the vehicles on the road.
-            roads: highway-env's network of the lanes.
-            period: the time between cells [s].
-            cells: the number of cells.
-        """
-        made = np.zeros((3, 3, cells), dtype=np.float32)
-        costs = made  # typed as a memoryview in the .pxd, so compiled code writes directly
-        road, network, number = ego.lane_index, self._network, self._lanes[ego.lane]
-        count, left = len(roads.all_side_lanes(road)), road[2] - 1
-        for lane in range(3):
-            if not 0 <= left + lane < count:
-                made[:, lane] = 1.0
-        x, y = ego.position.tolist()
-        network.locate(number, x, y)
-        here, cos, sin = network.along, math.cos(ego.heading), math.sin(ego.heading)
-        for other in vehicles:
-            if other is ego or not roads.is_connected_road(road, other.lane_index, route=ego.route, depth=3):
-                continue
-            # Where the number of lanes changes, the other may be in any lane.
-            is_anywhere = len(roads.all_side_lanes(other.lane_index)) != count
-            its_lane, heading, speed = other.lane_index[2], other.heading, other.speed
-            x, y = other.position.tolist()
-            network.locate(number, x, y)
-            margin = other.LENGTH / 2.0 + ego.LENGTH / 2.0
-            projected = speed * (math.cos(heading) * cos + math.sin(heading) * sin)
-            for row in range(3):
-                wanted = ego.target_speeds[min(max(ego.speed_index - 1 + row, 0), len(ego.target_speeds) - 1)]
-                if wanted == speed:
-                    continue
-                closing = wanted - projected
-                if abs(closing) <= SLOWEST:
-                    closing = SLOWEST if closing >= 0.0 else -SLOWEST
-                for point in range(3):
-                    time = (network.along - here + (point - 1) * margin) / closing
-                    if time < 0.0:
-                        continue
-                    cost = 1.0 if point == 1 else 0.5
-                    for side in range(2):
-                        cells_ahead = time / period if side == 0 else math.ceil(time / period)
-                        if cells_ahead >= cells:
-                            continue
-                        cell = int(cells_ahead)
-                        for lane in range(3):
-                            if left + lane == its_lane or is_anywhere:
-                                costs[row, lane, cell] = max(costs[row, lane, cell], cost)
-        return made
