@@ -404,11 +404,11 @@ def test_what_a_session_that_was_killed_has_left_is_known_if_it_is_accepted(
     end_when_something_is_saved_early(signal.SIGKILL, lambda: searched("parts", **given), monkeypatch)
     before = {path.name: path for path in (tmp_path / "parts").rglob("*.yaml")}
     (left,) = before.keys() - {*alone["files"]}
-    before[left].write_text(before[left].read_text() + "xfail: known\n")
+    before[left].write_text(before[left].read_text() + "xfail: {reason: known, until: 2999-12-31}\n")
     rest, _ = searched("parts", **given)
     kind = left.rpartition("-")[0]
     assert [name for name in rest["files"] if name.startswith(kind)] == [left]
-    assert "xfail: known" in rest["files"][left]
+    assert "xfail: {reason: known, until: 2999-12-31}" in rest["files"][left]
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])

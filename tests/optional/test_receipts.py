@@ -1,4 +1,4 @@
-"""A command of an extra ends with 0 only if it came to its end, whatever the policy does; a signal ends all of it."""
+"""A command ends with 0 only if it came to its end, whatever the policy does; a signal ends all of it."""
 
 import os
 import signal

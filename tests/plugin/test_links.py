@@ -111,11 +111,10 @@ def test_relative_output_is_not_written_through_linked_folder(failing, elsewhere
     (elsewhere / "o.json").write_text("KEEP")
     (failing.path / "out").symlink_to(elsewhere)
     before = all_in(elsewhere)
-    for report in ("out/page.html", "out/"):
-        result = failing.run(f"--pafot-report={report}", "--pafot-json=out/o.json")
-        why = f"not written: expected a folder, received the link {failing.path / 'out'}, *"
-        result.stdout.fnmatch_lines_random([f"*--pafot-report={report}: {why}", f"*--pafot-json=out/o.json: {why}"])
-        assert all_in(elsewhere) == before
+    result = failing.run("--pafot-report=out/page.html", "--pafot-json=out/o.json")
+    why = f"not written: expected a folder, received the link {failing.path / 'out'}, *"
+    result.stdout.fnmatch_lines_random([f"*--pafot-report=out/page.html: {why}", f"*--pafot-json=out/o.json: {why}"])
+    assert all_in(elsewhere) == before
     failing.run(f"--pafot-json={failing.path / 'out' / 'o.json'}")
     assert all_in(elsewhere) != before
 

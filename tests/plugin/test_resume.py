@@ -153,7 +153,7 @@ def test_killed_shrinking_goes_on_and_leaves_the_same_files(project, monkeypatch
     monkeypatch.setenv("KILL_AT", "800")  # each run takes some 50 decisions, so this is while a finding is shrunk
     assert night(project, runs=8, apart=True).ret == -9
     (state,) = project.path.glob("states/*.json")
-    _, _, _, finds, *_ = json.loads(state.read_text())["counts"]
+    _, _, finds, *_ = json.loads(state.read_text())["counts"]
     assert any(len(answers) > 3 for *_, answers in finds)
     monkeypatch.delenv("KILL_AT")
     night(project, runs=1)

@@ -173,7 +173,7 @@ def test_infinite_and_nan_numbers_are_stored_as_text(text, number):
 @given(findings(), texts)
 def test_a_sighting_is_read_as_it_was_sent_without_what_stays_in_its_process(finding, text):
     seen = Sighting(finding=replace(finding, trace=None), node_id=text, sentences=(text,))
-    here = replace(seen, exception=ValueError(text), origin=text, number=3)
+    here = replace(seen, exception=ValueError(text), number=3)
     assert unpacked(Sighting, packed(here)) == seen
     assert packed(here).isascii()
     assert unpacked(Sighting, packed(here)).unwritten == ""

@@ -3,7 +3,6 @@
 import gc
 import os
 import re
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -325,18 +324,6 @@ def test_program_ends_with_its_process_despite_a_fork(tmp_path):
     pid = int(subprocess.check_output([sys.executable, "-W", "error", "-c", IN_TWO_PROCESSES, *command]))
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
-
-
-@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
-def test_the_planner_in_c_of_the_documents_drives(tmp_path):
-    text = (Path(__file__).parents[3] / "docs" / "guide" / "networks.md").read_text(encoding="utf-8")
-    (source,) = re.findall(r"```text\n/\* planner.c \*/\n(.*?)```", text, re.DOTALL)
-    (tmp_path / "planner.c").write_text(source)
-    (command,) = re.findall(r"^\$ (cc .*)$", text, re.MULTILINE)
-    subprocess.run(command.split(), check=True, cwd=tmp_path)
-    trace = ROAD.rollout(CUT_IN, pafot.policies.process([str(tmp_path / "planner")]))
-    assert trace.error is None
-    assert min(acceleration for acceleration, _ in trace.actions) < -1
 
 
 def test_program_that_ends_after_its_run_is_started_again(tmp_path):

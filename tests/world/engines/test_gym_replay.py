@@ -41,7 +41,7 @@ def ending(world, ads, outcome, seed=0):
     """Return the first of many scenarios that has a given outcome."""
     return next(
         each
-        for each in scenarios(seed, 400, npcs=5 if outcome is Outcome.INVALID else 2)
+        for each in scenarios(seed, 400, npcs=6 if outcome is Outcome.INVALID else 2)
         if world.rollout(each, ads).outcome is outcome
     )
 
