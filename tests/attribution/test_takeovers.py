@@ -56,12 +56,6 @@ def test_latest_decision_that_avoids_the_collision_counts():
     assert tried == [27, 24, 21, 18, 15, 12]
 
 
-def test_between_two_decisions_nobody_takes_over():
-    found, tried = scanned(crash(), {13, 14})
-    assert found is None
-    assert tried == [27, 24, 21, 18, 15, 12, 9, 6, 3, 0]
-
-
 def test_search_stops_ten_seconds_before_the_impact():
     found, tried = scanned(crash(ticks=300), {147})
     assert found is None

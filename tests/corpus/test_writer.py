@@ -127,15 +127,10 @@ def test_finding_already_saved_retains_its_path(path):
     assert free_path(path.parent, plain_finding())[0] == path
 
 
-def test_finding_with_a_shrunk_file_retains_its_path(path):
+def test_finding_with_a_shrunk_file_retains_its_path_unless_that_passes(path):
     simpler = plain_finding().scenario.truncated(1)
     write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
     assert free_path(path.parent, plain_finding())[0] == path
-
-
-def test_finding_whose_shrunk_file_passes_gets_new_path(path):
-    simpler = plain_finding().scenario.truncated(1)
-    write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
     assert free_path(path.parent, plain_finding(), passed=[path])[0] != path
 
 

@@ -87,10 +87,6 @@ class TestGap:
     def test_counts_from_bumper_to_bumper(self):
         assert of_one_npc(criticality.gap, vehicle(0), vehicle(25)) == pytest.approx(20)
 
-    def test_minimum_is_over_all_ticks_and_npcs(self):
-        trace = trace_of(vehicle([0, 0, 0]), vehicle([30, 20, 25]), vehicle([-40, -12, -40]))
-        assert criticality.min_gap(trace) == pytest.approx(7)
-
     def test_uses_each_vehicle_s_own_size(self):
         sizes = [(5, 2), (12, 2.5)]
         assert of_one_npc(criticality.gap, vehicle(0), vehicle(20), sizes=sizes) == pytest.approx(20 - 2.5 - 6)
@@ -99,10 +95,6 @@ class TestGap:
 class TestCentreDistance:
     def test_is_euclidean(self):
         assert of_one_npc(criticality.centre_distance, vehicle(1, 2, heading=0.4), vehicle(4, 6)) == pytest.approx(5)
-
-    def test_minimum_is_over_all_ticks_and_npcs(self):
-        trace = trace_of(vehicle([0, 0]), vehicle([30, 20]), vehicle([-11, -40]))
-        assert criticality.min_centre_distance(trace) == pytest.approx(11)
 
 
 class TestTtc:
@@ -119,10 +111,6 @@ class TestTtc:
 
     def test_is_zero_at_overlap_even_when_parting(self):
         assert of_one_npc(criticality.ttc, vehicle(0, speed=10), vehicle(4, speed=30)) == 0
-
-    def test_minimum_is_over_all_ticks_and_npcs(self):
-        trace = trace_of(vehicle([0, 0], speed=20), vehicle([25, 15], speed=10), vehicle([-90, -80], speed=10))
-        assert criticality.min_ttc(trace) == pytest.approx(1)
 
 
 class TestEttc:
@@ -155,11 +143,6 @@ class TestEttc:
         ego, npc = vehicle(x1, y1, heading=heading, speed=15), vehicle(x2, y2, heading=other, speed=5)
         assert of_one_npc(criticality.ettc, ego, npc) == pytest.approx(expected)
 
-    def test_mettc_is_minimum_over_all_ticks_and_npcs(self):
-        crossing = vehicle([30, 25], -20, heading=math.pi / 2, speed=10)
-        trace = trace_of(vehicle([0, 0], speed=10), vehicle([9, 9], 4, speed=10), crossing)
-        assert criticality.mettc(trace) == pytest.approx(2.5)
-
 
 class TestSafetyDistance:
     def test_safety_distance_is_ego_gain_in_three_seconds(self):
@@ -185,42 +168,48 @@ class TestSafetyDistance:
         assert ego_follows(trace_of(vehicle(0, lane=0), npc, lanes=lanes))[0, 0]
         assert not ego_follows(trace_of(vehicle(0, lane=1), npc, lanes=lanes))[0, 0]
 
-    def test_minimum_is_the_signed_one(self):
-        trace = trace_of(vehicle([0, 0], speed=20), vehicle([50, 50], speed=[15, 25]))
-        assert criticality.min_safety_distance(trace) == pytest.approx(-15)
-
 
 class TestSafetyShortfall:
-    def test_is_the_missing_share_of_the_safety_distance(self):
-        # SD = 30 m, gap = 20 m.
-        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(25, speed=10)) == pytest.approx(1 / 3)
+    @table(
+        ("npc", "expected"),
+        [
+            (vehicle(25, speed=10), 1 / 3),  # of the safety distance of 30 m, 20 m are there
+            (vehicle(36, speed=10), 0),
+            (vehicle(6, speed=25), 0),  # none is needed
+            (vehicle(7, 4, speed=10), 0),  # in another lane
+            (vehicle(4, speed=10), 1),  # at contact
+        ],
+    )
+    def test_is_the_missing_share_of_the_safety_distance(self, npc, expected):
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), npc) == pytest.approx(expected)
 
-    def test_is_zero_when_the_distance_is_kept(self):
-        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(36, speed=10)) == 0
-        assert of_one_npc(safety_shortfall, vehicle(0, speed=1e-308), vehicle(36)) == 0
-
-    def test_is_zero_when_none_is_needed(self):
-        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(6, speed=25)) == 0
-
-    def test_is_zero_in_another_lane(self):
-        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(7, 4, speed=10)) == 0
-
-    def test_is_zero_when_both_are_off_the_road(self):
+    def test_is_zero_off_the_road_and_beside_a_distance_of_nearly_zero(self):
         ego, npc = vehicle(0, speed=20, lane=-1), vehicle(7, speed=10, lane=-1)
         assert of_one_npc(safety_shortfall, ego, npc) == 0
-
-    def test_is_one_at_contact(self):
-        assert of_one_npc(safety_shortfall, vehicle(0, speed=20), vehicle(4, speed=10)) == 1
-
-    def test_maximum_is_over_all_ticks_and_npcs(self):
-        trace = trace_of(vehicle([0, 0], speed=20), vehicle([25, 35], speed=10), vehicle([90, 90]))
-        assert criticality.max_safety_shortfall(trace) == pytest.approx(1 / 3)
+        assert of_one_npc(safety_shortfall, vehicle(0, speed=1e-308), vehicle(36)) == 0
 
     @given(seeds)
     def test_lies_between_zero_and_one(self, seed):
         shortfall = safety_shortfall(random_trace(seed))
         assert (shortfall >= 0).all()
         assert (shortfall <= 1).all()
+
+
+@table(
+    ("extreme", "vehicles", "expected"),
+    [
+        (criticality.min_gap, (vehicle([0, 0, 0]), vehicle([30, 20, 25]), vehicle([-40, -12, -40])), 7),
+        (criticality.min_centre_distance, (vehicle([0, 0]), vehicle([30, 20]), vehicle([-11, -40])), 11),
+        (criticality.min_ttc, (vehicle([0, 0], speed=20), vehicle([25, 15], speed=10), vehicle([-90, -80])), 1),
+        (criticality.mettc, (vehicle([0, 0], speed=10), vehicle([9, 9], 4, speed=10),
+                             vehicle([30, 25], -20, heading=math.pi / 2, speed=10)), 2.5),
+        (criticality.min_safety_distance, (vehicle([0, 0], speed=20), vehicle([50, 50], speed=[15, 25])), -15),
+        (criticality.max_safety_shortfall, (vehicle([0, 0], speed=20), vehicle([25, 35], speed=10), vehicle([90, 90])),
+         1 / 3),
+    ],
+)  # fmt: skip
+def test_extremes_are_those_of_all_ticks_and_npcs(extreme, vehicles, expected):
+    assert extreme(trace_of(*vehicles)) == pytest.approx(expected)
 
 
 class TestHardestBrake:

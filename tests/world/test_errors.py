@@ -256,15 +256,6 @@ def test_suggested_environment_is_one_that_a_world_accepts():
         ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
         ({"manual_control": True}, "config.manual_control: expected False, because the policy drives, received True"),
         ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
-    ])  # fmt: skip
-def test_wrong_configuration_is_named_with_what_was_expected(config, message):
-    with raises(message):
-        World("highway-v0", config=config).check()
-
-
-@table(
-    ("config", "message"),
-    [
         ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
          "config.observation: expected options of highway-env, received vehicle_count; did you mean 'v"),
         ({"observation": {"type": "Kinematics", "normalise": False}}, "did you mean 'normalize'?"),
@@ -278,7 +269,7 @@ def test_wrong_configuration_is_named_with_what_was_expected(config, message):
         ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
          "config.action.action_config: expected options of highway-env, received laterl; did you mean 'l"),
     ])  # fmt: skip
-def test_misspelt_observation_or_action_option_is_named(config, message):
+def test_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
 

@@ -228,18 +228,21 @@ def test_braking_after_decisions_equals_the_braking_driver():
 
 
 @table(
-    ("take_over", "error"),
+    ("method", "given", "error"),
     [
-        (lambda self, trace, tick, name: {}[name], "KeyError: 'careful-human'"),
-        (lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
+        ("take_over", lambda self, trace, tick, name: {}[name], "KeyError: 'careful-human'"),
+        ("take_over", lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
+        ("lasting", lambda self, seconds: {}[seconds], "KeyError: 14.0"),
+        ("lasting", lambda self, seconds: None, "TypeError: expected a world, received None"),
     ],
 )
-def test_error_of_a_world_names_class_and_driver(take_over, error):
-    world = type("Broken", (Declares,), {"take_over": take_over})()
+def test_error_of_a_world_names_its_class_and_what_it_could_not_do(method, given, error):
+    world = type("Broken", (Declares,), {method: given})()
     trace = HIGHWAY.rollout(BRAKES, weaving)
-    expected = f"^the world Broken could not run take_over with the driver 'careful-human': {error}$"
-    with pytest.raises(DriverError, match=expected):
-        base_world(world).taking_over(trace)(trace, 3, "careful-human")
+    what = "take_over with the driver 'careful-human'" if method == "take_over" else "lasting"
+    take_over = base_world(world).taking_over(trace)
+    with pytest.raises(DriverError, match=f"^the world Broken could not run {what}: {error}$"):
+        take_over(trace, 3, "careful-human") if method == "take_over" else take_over.lasting(14.0)
 
 
 def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
@@ -252,17 +255,3 @@ def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
         assert (usual.duration, longer.duration) == (2.0, 14.0)
         assert longer.states[: len(usual.states)].tobytes() == usual.states.tobytes()
     assert base_world(Declares()).taking_over(trace).lasting(14.0) is None
-
-
-@table(
-    ("lasting", "error"),
-    [
-        (lambda self, seconds: {}[seconds], "KeyError: 14.0"),
-        (lambda self, seconds: None, "TypeError: expected a world, received None"),
-    ],
-)
-def test_error_of_a_world_that_cannot_go_on_names_its_class(lasting, error):
-    world = type("Broken", (Declares,), {"lasting": lasting})()
-    trace = HIGHWAY.rollout(BRAKES, weaving)
-    with pytest.raises(DriverError, match=f"^the world Broken could not run lasting: {error}$"):
-        base_world(world).taking_over(trace).lasting(14.0)

@@ -206,37 +206,6 @@ def test_vehicle_that_describes_itself_is_left_to_highway_env(env):
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(6, 20.0)]], gene_seconds=4.0)
 
 
-@pytest.mark.parametrize(
-    ("observation", "shape"),
-    [
-        ({"type": "Kinematics"}, (5, 5)),
-        ({"type": "Kinematics", "vehicles_count": 15, "features": list(FEATURES)}, (15, 13)),
-        ({"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}, (3, 5)),
-        ({"type": "OccupancyGrid"}, (4, 11, 11)),
-        ({"type": "TimeToCollision", "horizon": 10}, (3, 3, 10)),
-        ({"type": "LidarObservation", "cells": 16}, (16, 2)),
-    ],
-    ids=lambda value: value["type"] if isinstance(value, dict) else "",
-)
-def test_policy_observations_match_their_space_and_repeat(observation, shape):
-    world = World("highway-v0", config={"observation": observation})
-
-    def rollout():
-        seen = []
-
-        def policy(received):
-            seen.append(np.array(received))
-            return 1
-
-        world.rollout(SCENARIO, lambda: policy)
-        return seen
-
-    first, second = rollout(), rollout()
-    assert {array.shape for array in first} == {shape}
-    assert [array.tobytes() for array in first] == [array.tobytes() for array in second]
-    assert len({array.tobytes() for array in first}) > 1
-
-
 def test_policy_may_change_its_own_observation():
     world = World("highway-v0")
     seen = []

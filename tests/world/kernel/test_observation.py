@@ -10,7 +10,6 @@ import pytest
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway, Observation, VehicleState
-from tests.helpers.c_library import c_library
 from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
@@ -20,11 +19,6 @@ def seen_in(rollout):
     seen = []
     rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.5, 0.002))
     return seen
-
-
-def test_env_step_shows_the_same_after_the_run():
-    with c_library():
-        assert seen_in(Highway().rollout) == seen_in(Highway().rollout_in_gym)
 
 
 def test_observation_matches_last_tick_of_the_trace():
