@@ -81,14 +81,6 @@ def test_what_is_named_is_there():
     assert [f"{path}:{name}" for path, name in mentions() if not is_there(path, name)] == []
 
 
-def test_missing_files_and_names_are_not_found():
-    assert is_there("campaign/", "")
-    assert is_there("findings/shrink.py", "shrink")
-    assert not is_there("findings/absent.py", "")
-    assert not is_there("findings/shrink.py", "absent")
-    assert not is_there("findings/shrink.py", "shrink.absent")
-
-
 def entries():
     """Return the rows of the tables of rules, and the paragraphs about how to add something."""
     places = section("Where it is in the code", EXPLANATION).partition("\n# ")[0]

@@ -1,17 +1,13 @@
 """The commands for contributors exist, and are the same everywhere."""
 
 import ast
-import importlib.util
 import re
 import shlex
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import pytest_pafot
 from tests.helpers.sessions import command_in_a_copy
@@ -116,24 +112,3 @@ def test_citation_matches_version_and_paper():
     address = f"https://doi.org/{paper['doi']}"
     assert PROJECT["urls"]["Paper"] == address
     assert address in (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
-
-
-def test_hypothesis_examples_do_not_depend_on_imports(tmp_path, monkeypatch):
-    if not settings.default.derandomize:
-        pytest.skip("another profile, which is to try others")
-
-    def drawn():
-        examples = []
-
-        @given(st.integers(), st.text())
-        def drawing(number, text):
-            examples.append((number, text))
-
-        drawing()
-        return examples
-
-    before = drawn()
-    (tmp_path / "own.py").write_text("VALUES = [" + ", ".join(f"{n}, 'no. {n}'" for n in range(1000, 1100)) + "]\n")
-    spec = importlib.util.spec_from_file_location("own", tmp_path / "own.py")
-    monkeypatch.setitem(sys.modules, "own", importlib.util.module_from_spec(spec))
-    assert drawn() == before

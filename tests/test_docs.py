@@ -407,40 +407,6 @@ def test_tables_of_comparisons_agree_with_their_files():
         assert f"<!-- measured: {name} -->\n{table}<!-- end of measured -->" in page
 
 
-REPORT = """
-## How many collisions
-
-|  | scenarios | paper | share |
-| --- | --- | --- | --- |
-| pafot | 12 | 4945 | 50.0 % |
-| random | 20 |  | 5.0 % |
-
-## Statistics
-
-| measure | at equal |  |  | median | median | A12 [95 %] | p | p, Holm | test |
-| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
-| share | seconds | pafot | random | 0.5 | 0.05 | 1.00 [0.80, 1.00] | 0.00018 | 0.0057 | Mann-Whitney U |
-"""
-
-
-def test_values_of_a_report_replace_its_rows_in_the_files(tmp_path):
-    figures = tool("figures")
-    head, path = ["report", "search", "measure", "value"], tmp_path / "searches.csv"
-    rows = [["idm", "pafot", "scenarios", "7"], ["paper", "pafot", "scenarios", "1"]]
-    figures.write_rows(path, head, rows)
-    figures.replace_report(path, head, "paper", figures.searches_of("paper", REPORT))
-    assert figures.rows_of(path) == [
-        ["paper", "pafot", "scenarios", "12"],
-        ["paper", "pafot", "scenarios, paper", "4945"],
-        ["paper", "pafot", "share", "50.0 %"],
-        ["paper", "random", "scenarios", "20"],
-        ["paper", "random", "share", "5.0 %"],
-        ["idm", "pafot", "scenarios", "7"],
-    ]
-    (test,) = figures.statistics_of("paper", REPORT)
-    assert dict(zip(figures.STATISTICS_COLUMNS.split(","), test, strict=True))["Holm's p"] == "0.0057"
-
-
 def test_reference_has_a_row_for_every_option():
     rows = generator().sections()["options"].splitlines()[2:]
     assert len(rows) == len(OPTIONS)
@@ -540,17 +506,6 @@ def test_every_link_inside_of_the_repository_leads_somewhere():
     assert [
         f"{place(document)}: {target}" for document, target in links() if not leads_somewhere(document, target)
     ] == []
-
-
-def test_links_to_missing_pages_or_sections_are_detected():
-    readme = ROOT / "README.md"
-    assert leads_somewhere(readme, "docs/index.md")
-    assert leads_somewhere(readme, "#try-it")
-    assert not leads_somewhere(readme, "absent.md")
-    assert not leads_somewhere(readme, "#absent")
-    assert not leads_somewhere(readme, "docs/index.md#absent")
-    assert leads_somewhere(readme, "docs/reference/options.md#pafot-runs")
-    assert not leads_somewhere(readme, "docs/reference/options.md#pafot-absent")
 
 
 def test_every_option_in_the_documents_exists():

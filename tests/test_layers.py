@@ -245,16 +245,6 @@ def test_pure_rooms_use_no_clock_or_global_randomness():
             assert not {name.split(".")[0] for name in imported_names(path)} & forbidden, path
 
 
-def test_a_call_climbs_if_it_enters_a_module_above_unless_as_a_hook():
-    floor = floors({"low": set(), "middle": {"low"}, "high": {"low", "middle"}})
-    assert floor == {"low": 1, "middle": 2, "high": 3}
-    calls = [
-        ("", "high", "run"), ("high", "low", "f"), ("low", "high", "g"), ("low", "high", "h"), ("middle", "low", "f"),
-        ("low", "middle", "pytest_sessionfinish"),
-    ]  # fmt: skip
-    assert climbs(calls, floor) == {"low -> high": {"g", "h"}}
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="each route is followed in a fork")
 def test_no_route_climbs_more_often_than_before(tmp_path):
     done = subprocess.run(

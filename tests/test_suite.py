@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.sessions import Copy, in_a_copy
-from tests.helpers.tables import table
 from tests.test_layers import MODULES, ROOMS
 
 ROOT = Path(__file__).parents[1]
@@ -118,17 +117,3 @@ def test_listed_long_tests_exist():
 def test_folders_of_tests_are_named_after_rooms():
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("test_*.py"))}
     assert folders <= {*ROOMS, "optional", "example_ads"}
-
-
-def test_table_runs_every_row_and_names_failures():
-    seen = []
-
-    @table(("one", "other"), [(1, 1), (1, 2), (3, 4)])
-    def equal(one, other):
-        seen.append(one)
-        assert one == other
-
-    with pytest.raises(BaseExceptionGroup, match="2 of 3 rows fail") as caught:
-        equal()
-    assert seen == [1, 1, 3]
-    assert [error.__notes__ for error in caught.value.exceptions] == [["with one=1, other=2"], ["with one=3, other=4"]]

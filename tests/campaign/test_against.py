@@ -111,22 +111,6 @@ def test_reference_runs_only_where_the_policy_fails():
     assert summary.against == "the reference"
 
 
-@pytest.mark.processes
-def test_findings_are_the_same_in_other_processes():
-    here, apart = (
-        pafot.explore(
-            constant_speed.make,
-            against=CAREFUL,
-            holds=never_collides,
-            isolate=isolate,
-            stop_after=1,
-            **SHORT | {"shrink_rollouts": 4},
-        ).findings
-        for isolate in (False, True)
-    )
-    assert here == apart != ()
-
-
 def test_reference_failing_on_repeat_makes_finding_flaky():
     told = []
     summary = pafot.explore(
@@ -149,14 +133,6 @@ def test_reference_passes_wherever_the_test_would_pass(kind):
 def test_failing_or_silent_reference_makes_failure_common(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
     assert (verdict.kind, verdict.failed) == ("common", False)
-
-
-def test_test_function_error_is_raised_despite_the_reference():
-    def misspelt(run):
-        assert not run.colision
-
-    with pytest.raises(AttributeError, match="did you mean"):
-        pafot.explore(constant_speed.make, against=CAREFUL, holds=misspelt, **SHORT)
 
 
 @table(

@@ -81,12 +81,6 @@ def test_waiting_before_the_situation_counts_as_drifted(found):
             assert replay_label(each, run, None, each.found.versions) == "drifted"
 
 
-@pytest.mark.processes
-def test_neither_processes_nor_a_missing_corpus_change_what_is_found(found):
-    again = pafot.explore(Steady, holds=holds, world=world_of("intersection-v0"), workers=2, **RUNS)
-    assert again.findings == found.findings
-
-
 def test_paper_search_stays_on_the_grid():
     kinds = set()
 

@@ -72,6 +72,12 @@ def test_npc_count_is_below_cells_of_its_lane(world, given, most):
     assert space_of(world, **given).most_npcs == most
 
 
+def test_av_fuzzer_uses_its_own_fitness_by_default():
+    given = ({"algorithm": "av-fuzzer"}, {"algorithm": "av-fuzzer", "fitness": "default"}, {"algorithm": "random"}, {})
+    found = [request_of({"ads": IDMVehicle, **each}).fitness for each in given]
+    assert found == ["av-fuzzer", "default", "default", "default"]
+
+
 def test_lane_that_is_a_float_is_refused():
     with pytest.raises(RequestError, match=r"ego_lane=1\.0\): ego_lane: expected a whole number from 0 to 1000"):
         space_of(Highway(), ego_lane=1.0)

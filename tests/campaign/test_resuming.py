@@ -8,7 +8,6 @@ import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import pytest
 
@@ -16,8 +15,8 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import state_file
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.searching import Checkpoint, GenerationalSearch, GenerationState, from_plain, plain, sample
-from pytest_pafot.searching.events import CampaignFinished, Evaluated, GenerationFinished, NewBest
+from pytest_pafot.searching import GenerationalSearch, GenerationState, from_plain, plain, sample
+from pytest_pafot.searching.events import Evaluated, GenerationFinished, NewBest
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.stages import mostly_oracle
 
@@ -486,29 +485,3 @@ def test_function_parameter_of_algorithm_works_across_processes(search, tmp_path
     search(runs=4, algorithm=Guided)
     told = json.loads(state_of(tmp_path).read_text())["settings"]["algorithm"]["guide"]
     assert told == "example_ads.constant_speed:make"
-
-
-@pytest.mark.parametrize("seconds", [0.0, 0.25])  # the time to put a run into words, which is done once
-def test_state_is_written_only_when_it_costs_little(tmp_path, monkeypatch, seconds):
-    class Stored:
-        def stored(self, state):
-            nonlocal now
-            now += 1.0  # the time that writing takes
-            written.append(now)
-
-    def slowly(value):
-        nonlocal now
-        now += seconds if value in runs else 0.0
-        return plain(value)
-
-    now, written, runs = 0.0, [], []
-    monkeypatch.setattr(state_file, "plain", slowly)
-    file = state_file.StateFile(path=tmp_path / "it.json", settings={}, algorithm=Stored(), clock=lambda: now)
-    sums = CampaignFinished(reason="runs", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
-    for number in range(1000):
-        runs.append((None, (number,)))
-        if file.is_due:
-            file.write(Checkpoint(state=None, sums=sums, remembered=tuple(runs)), None)
-        now += 0.5
-    assert written[0] == 1.0 + seconds
-    assert {b - a for a, b in pairwise(written)} == {state_file.SHARE * (1 + 2 * seconds) + 1.0}

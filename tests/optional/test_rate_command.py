@@ -137,14 +137,6 @@ def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
     assert "constant_speed in test" in capsys.readouterr().out
 
 
-def test_rate_drives_in_an_environment_that_a_module_registers(tmp_path, capsys, monkeypatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    kwargs = 'entry_point="highway_env.envs.highway_env:HighwayEnvFast", kwargs={"config": {"duration": 3}}'
-    (tmp_path / "envs_of_mine.py").write_text(f"import gymnasium\n\ngymnasium.register('mine-v3', {kwargs})\n")
-    assert rated_in("envs_of_mine:mine-v3", "--config", '{"duration": 2}') == 0
-    assert "idm_mobil in envs_of_mine:mine-v3: " in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

@@ -117,16 +117,3 @@ def test_missing_algorithm_class_fails_only_its_item(project, given, message):
     result = project.run(f"--pafot-algorithm={given}")
     result.assert_outcomes(passed=1, errors=1)
     result.stdout.fnmatch_lines([f"*{message.replace('[', '[[]')}*"])
-
-
-def test_av_fuzzer_uses_its_own_fitness_by_default(project):
-    project.write(
-        "from pytest_pafot.plugin.option_sources import request_of_mark\n"
-        "def test_it(pytestconfig):\n"
-        "    def fitness(**arguments):\n"
-        "        return request_of_mark(pytestconfig, arguments).fitness\n"
-        "    assert fitness(algorithm='av-fuzzer') == 'av-fuzzer'\n"
-        "    assert fitness(algorithm='av-fuzzer', fitness='default') == 'default'\n"
-        "    assert fitness(algorithm='random') == fitness() == 'default'\n"
-    )
-    project.run().assert_outcomes(passed=1)

@@ -110,26 +110,6 @@ def test_half_written_leftovers_disappear_in_the_next_session(saved):
     assert not leftover.exists()
 
 
-def test_file_copied_to_another_parametrisation_retains_its_id(project):
-    project.write(
-        """
-@pytest.mark.parametrize("limit", [1, 2])
-@pafot.search(SHORT)  # stop_after=1
-def test_short(run, limit):
-    assert run.duration < limit
-"""
-    )
-    project.run("-k", "1-")
-    id_ = project.only_id
-    other = project.only_file.parent.with_name("test_short@2")
-    other.mkdir()
-    (other / project.only_file.name).write_text(project.only_file.read_text())
-    result = project.run("-v", generations=0)
-    result.assert_outcomes(failed=2, skipped=2)
-    for limit in (1, 2):
-        result.stdout.fnmatch_lines([f"test_it.py::test_short[[]{limit}-saved-{id_}[]] FAILED*"])
-
-
 def test_failure_saved_meanwhile_by_another_session_still_fails(saved):
     """The file covers it, but came too late for an item that would fail for it."""
     file, id_, elsewhere = saved.only_file, saved.only_id, saved.path / "late"

@@ -211,11 +211,6 @@ def test_failure_by_chance_after_the_end_is_flaky(saved):
     assert told in " ".join(section(result, "test_gap[saved-leader-unanswered-f0cc96]").split())
 
 
-@pytest.mark.parametrize("how", ["--pafot-isolate", "--pafot-strict-drift"])
-def test_options_do_not_change_the_label(saved, how):
-    replay(saved, "slow", how).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
-
-
 def test_pass_without_its_situation_is_driven_on_too(saved):
     path = saved.only_file
     path.write_text(path.read_text().replace("ego_speed: ", "ego_speed: 9"))  # it was far faster than the NPC

@@ -448,15 +448,6 @@ def test_marked_test_without_the_name_of_a_test_fails_a_ci_session(project, monk
     result.stdout.fnmatch_lines(["not run: *::never_at_fault: *collects, see python_functions in its settings"])
 
 
-def test_a_misnamed_file_in_a_shared_corpus_fails_a_ci_session(saved, ci):
-    shared = saved.path / "all"
-    name = saved.only_file.name
-    shutil.move(saved.path / "pafot_corpus", shared)
-    folder = shared / "test_it" / "test_fails"
-    (folder / name).rename(folder / "a.yml")
-    assert is_red(replay(saved, f"--pafot-corpus={shared}"))
-
-
 def test_a_shared_corpus_may_have_fewer_folders_above_it_than_the_tests(saved, ci):
     deep, shared = saved.path / "a" / "b" / "c", saved.path / "all"
     deep.mkdir(parents=True)

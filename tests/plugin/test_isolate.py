@@ -138,17 +138,6 @@ def test_exception_of_another_process_is_not_retried_here(isolated):
     assert f"pid-{os.getpid()}" not in {path.name for path in project.path.glob("pid-*")}
 
 
-def test_under_xdist_as_well(isolated):
-    pytest.importorskip("xdist")
-    project = isolated("drive", DIES)
-    project.run("--pafot-isolate", *QUICK, generations=2, apart=True)
-    contents = project.contents
-    project.forget()
-    result = project.run("--pafot-isolate", "-n1", *QUICK, generations=2, apart=True)
-    assert project.contents == contents
-    result.assert_outcomes(failed=1 + len(contents), passed=1)
-
-
 LONE = """
 def drive(observation):
     if len(observation.others) == 1:

@@ -16,25 +16,6 @@ VEHICLES = {
         def test_vehicle(run):
             assert run.duration < 1
     """,
-    "fixture": """
-        from highway_env.vehicle.behavior import IDMVehicle
-
-        @pytest.fixture
-        def idm():
-            return IDMVehicle
-
-        @pafot.search(SHORT, ads="idm")  # stop_after=1
-        def test_vehicle(run):
-            assert run.duration < 1
-    """,
-    "partial": """
-        import functools
-        from highway_env.vehicle.behavior import IDMVehicle
-
-        @pafot.search(SHORT, ads=functools.partial(IDMVehicle, enable_lane_change=False))  # stop_after=1
-        def test_vehicle(run):
-            assert run.duration < 1
-    """,
     "world": """
         from highway_env.vehicle.behavior import IDMVehicle
 

@@ -408,24 +408,6 @@ def test_hangs(run):
     result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
 
 
-def test_timeout_in_an_ads_decision_is_no_finding(project):
-    project.write(
-        """
-import signal
-
-def slow():
-    return lambda observation: signal.raise_signal(signal.SIGALRM)
-
-@pytest.mark.timeout(3600, method="signal")
-@pafot.search(SHORT, ads=slow)
-def test_hangs(run):
-    pass
-"""
-    )
-    project.run(plugins=("timeout",)).assert_outcomes(failed=1)
-    assert project.files == []
-
-
 def test_interrupt_preserves_and_reports_earlier_findings(project):
     project.write(
         """
@@ -445,24 +427,3 @@ def test_interrupted(run):
     result.stdout.fnmatch_lines(
         [f"pafot: found test_it.py::test_interrupted[[]saved-{project.only_id}[]]", "*interrupted"]
     )
-
-
-def test_interrupt_during_simulation_preserves_the_findings(project):
-    project.write(
-        """
-made = []
-
-def ads():
-    made.append(1)
-    if len(made) > 3:
-        raise KeyboardInterrupt
-    return lambda observation: (0.0, 0.0)
-
-@pafot.search(SHORT, ads=ads)
-def test_interrupted(run):
-    assert run.scenario.id == ""
-"""
-    )
-    result = project.run(no_reraise_ctrlc=True)
-    assert result.ret == pytest.ExitCode.INTERRUPTED
-    assert project.files

@@ -226,11 +226,9 @@ def copies_that_differ(project, edits):
 def test_invalid_world_or_scenario_fails_item_with_line(saved):
     edits = [
         ("lanes: 4", "lanes: 40", "3: world.lanes: expected a whole number from 3 to 6, received 40; correct it, or *"),
-        ("braking: 8.0", "braking: 1.0e-300", "5: world.limits.braking: expected a number from 0.1 to 100, received *"),
         ("overspeed: 1.1", "overspeed: 2.0", "3: world.speed_limit: expected at most 20.0 m/s, because *"),
         ("lane: 1, speed", "lane: 9, speed", "9: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
         ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
-        ("gene_seconds: 5.0", "gene_seconds: 1.0e+9", "10: scenario.gene_seconds: expected seconds, more than 0 and *"),
         ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
     ]
     for number, lines in enumerate(copies_that_differ(saved, edits)):
@@ -243,7 +241,6 @@ def test_environment_creation_failure_is_reported_with_line(project):
     edits = [
         ("lanes_count: 3", "lanes_count: many", "4: world.config: expected a configuration that the environment *"),
         ("lanes_count: 3", "lanes_cound: 3", "4: world.config: expected options of highway-fast-v0, received lanes_c*"),
-        ("policy_frequency: 1", "policy_frequency: 0", "5: world.config.policy_frequency: expected a whole number *"),
         ("highway-fast-v0", "highway-slow-v0", "3: world.env_id: expected a registered environment, received *"),
     ]
     for number, lines in enumerate(copies_that_differ(project, edits)):

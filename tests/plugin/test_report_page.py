@@ -159,27 +159,6 @@ def test_page_shows_errors_first_and_claims_no_success(project, page):
     result.stdout.fnmatch_lines([f"report: report.html ({len(NOT_KEPT)} errors, 0 findings)"])
 
 
-def test_error_after_a_finding_is_shown_with_it(project, page):
-    project.write(
-        """
-seen = []
-
-def fitness(trace):
-    seen.append(trace)
-    return 0.0 if len(seen) < 3 else "x"
-
-@pafot.search(SHORT, fitness=fitness)
-def test_drive(run):
-    assert run.duration < 1
-"""
-    )
-    project.run("--pafot-report=report.html")
-    text, findings, (search,) = read_page(page)
-    assert "new" in [finding.label for finding in findings]
-    assert "ended with an error" in search
-    assert "The search ended with an error." in text
-
-
 def test_fixture_error_appears_on_the_page_of_others(project, page):
     project.write(
         "@pytest.fixture\ndef lost():\n    raise OSError('no map')\n\n"

@@ -1,13 +1,11 @@
 """Errors at the end of a session appear in its summary, together with the texts of all failures."""
 
-import errno
 import importlib
 import json
 import os
 import signal
 import sys
 from datetime import date
-from pathlib import Path
 
 import pytest
 
@@ -73,23 +71,6 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = text_of(result)
     assert "problem: report of what test_it.py::test_fails[search] found: ZeroDivisionError: division by zero" in text
-
-
-def test_unreadable_folder_of_records_is_one_summary_line(project, monkeypatch):
-    listed = Path.iterdir
-
-    def refuse(path):
-        if path.parent.name.startswith("pytest-pafot"):
-            raise PermissionError(errno.EACCES, "Permission denied")
-        return listed(path)
-
-    project.write(FAILS)
-    project.leave_behind("test_old.py::test_dies")
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    result = project.run()
-    assert is_whole(result)
-    text = text_of(result)
-    assert ": expected a folder that can be read and written, received: Permission denied;" in text
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")

@@ -192,24 +192,6 @@ def test_it(run):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(
-    ("seconds", "generations", "note"),
-    [(0.0, 100, "in use after *"), (0.001, 1, "in use after 1 run *")],
-    ids=["whole blocks", "one generation"],
-)
-def test_record_is_the_same_for_any_number_of_workers(project, seconds, generations, note):
-    project.write(SLOW_ADS.format(seconds=seconds))
-    texts = []
-    for workers in (1, 2):
-        options = "--pafot-json=pafot.json", f"--pafot-workers={workers}", "--pafot-save=none"
-        result = project.run(*options, generations=generations)
-        texts.append((project.path / "pafot.json").read_text())
-    result.stdout.fnmatch_lines([f"*note: --pafot-workers=2: {note}"])
-    assert texts[0] == texts[1]
-    assert json.loads(texts[0])["findings"]
-
-
-@pytest.mark.processes
 def test_lost_process_is_recorded_alike(project):
     project.write(SLOW_ADS.format(seconds=0.02).replace("0.02 and time.sleep(0.02)", "import os; os.abort()"))
     texts = []

@@ -82,14 +82,6 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         assert project.contents == contents
         assert len(contents) == 1
 
-    def test_which_no_saved_scenario_is_said_to_cover(self, project):
-        project.write(BROKEN.replace("BROKEN", "return 0.0, 0.0").replace("pass", "assert run.duration < 1"))
-        project.run("--pafot-shrink-rollouts=0")
-        project.write(BROKEN.replace("BROKEN", "return None"))
-        result = project.run()
-        result.stdout.fnmatch_lines(["*4 runs in *, 4 failing", "*ended: error"])
-        result.stdout.no_fnmatch_line("*known: *")
-
 
 class TestNothingThatWasFoundIsLost:
     SOME = """
@@ -404,12 +396,6 @@ class TestAReplayWithAFaultOfTheSetUp:
         result = project.run(generations=0)
         result.assert_outcomes(failed=1, skipped=1)
         result.stdout.fnmatch_lines(["the ADS failed: ValueError: alone*", "replayed 1 saved scenario: 1 drifted"])
-
-    def test_ads_that_raises_in_every_scenario_of_its_test_drives_not(self, project):
-        project.write(drives().replace("SHORT", "npcs=1"))
-        project.run("--pafot-runs=1", generations=None)
-        project.write(drives(ALONE).replace("SHORT", "npcs=1"))
-        project.run(generations=0).stdout.fnmatch_lines(["This happened in this replay and 10 random scenarios*"])
 
     def test_an_accepted_failure_does_not_excuse_it(self, two):
         for path in two.path.rglob("*.pafot.yaml"):

@@ -86,15 +86,6 @@ def test_shrunk_file_retains_name_and_original_scenario(collides):
     assert 0 < finding.shrunk.rollouts <= 300
 
 
-def test_finding_stays_unchanged_without_shrink_rollouts(collides):
-    result = run(collides, "--pafot-shrink-rollouts=0")
-    result.assert_outcomes(failed=2)
-    finding = load(collides.only_file)
-    assert finding.original is None
-    assert finding.shrunk is None
-    assert "shrunk" not in result.stdout.str()
-
-
 def test_report_shows_shrunk_run_and_both_sizes(collides):
     result = run(collides, "-v")
     finding = load(collides.only_file)

@@ -81,10 +81,12 @@ def session(project, workers, *args, **options):
 
 def test_number_of_workers_does_not_change_the_results(dear):
     project = dear()
-    alone, contents = session(project, 1, generations=3)
+    alone, contents = session(project, 1, "--pafot-json=out.json", generations=3)
+    record = (project.path / "out.json").read_text()
     assert len(contents) > 1
     for workers in (2, 3):
-        several, same = session(project, workers, generations=3)
+        several, same = session(project, workers, "--pafot-json=out.json", generations=3)
+        assert (project.path / "out.json").read_text() == record
         several.stdout.fnmatch_lines([IN_USE.replace("2", str(workers))])
         assert same == contents
         assert summary(several) == summary(alone)

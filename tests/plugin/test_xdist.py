@@ -124,12 +124,6 @@ def test_two_simultaneous_sessions_write_one_file_per_finding(project):
     assert names == [name.rpartition("/")[2] for name in project.files]
 
 
-def test_workers_run_a_corpus_file_alone(project):
-    project.write(TWO)
-    project.run_once("--pafot-stop-after=1")
-    project.run("-n1", project.files[0]).assert_outcomes(failed=1)
-
-
 def test_load_groups_do_not_change_finding_ids(project):
     project.write('@pytest.mark.xdist_group("research")\n' + TWO.strip() + "\n")
     result = project.run("-n1", "--dist=loadgroup")

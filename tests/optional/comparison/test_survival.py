@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.benchmarks.survival import Sample, common_limit, ratio, ratio_interval
+from tests.benchmarks.survival import Sample, common_limit, ratio_interval
 
 
 def curve(times, found=None):
@@ -63,12 +63,6 @@ def test_means_end_where_the_first_unfinished_curve_does():
 
 
 class TestRatio:
-    def test_medians_that_are_not_reached(self):
-        assert ratio(4, 2) == 2
-        assert ratio(math.inf, 2) == math.inf
-        assert ratio(2, math.inf) == 0
-        assert math.isnan(ratio(math.inf, math.inf))
-
     def test_constant_factor_gives_exact_ratio_of_paired_samples(self):
         times = np.random.default_rng(1).integers(1, 100, 40).astype(float)
         found = [True] * 40
@@ -83,9 +77,3 @@ class TestRatio:
         assert ratio_interval(lambda each: each.mean(10), first, second, strata, draws=50) == pytest.approx((2.5, 2.5))
         low, high = ratio_interval(lambda each: each.mean(10), first, second, [0] * 6, draws=50)
         assert low < 2.5 < high
-
-    def test_ratio_is_open_if_medians_are_rarely_reached(self):
-        none = Sample.of([10.0] * 4, [False] * 4)
-        assert ratio_interval(median, none, none, [0] * 4, draws=50) == (0, math.inf)
-        soon = Sample.of([1.0] * 4, [True] * 4)
-        assert ratio_interval(median, none, soon, [0] * 4, draws=50) == (math.inf, math.inf)
