@@ -47,11 +47,6 @@ def test_vehicles_are_one_readable_line_and_read_back(path):
     assert load(path).scenario == scenario
 
 
-def test_file_with_cars_alone_says_nothing_of_vehicles(path):
-    write(path, plain_finding())
-    assert "vehicles" not in path.read_text()
-
-
 def test_who_comes_second_changes_nothing(path):
     write(path, plain_finding())
     assert not write(path, plain_finding(scenario=other_scenario()))

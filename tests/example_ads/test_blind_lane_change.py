@@ -3,7 +3,6 @@
 import math
 
 from example_ads import blind_lane_change
-from example_ads.blind_lane_change import SECONDS_PER_LANE
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from tests.helpers.tables import table
 
@@ -34,19 +33,6 @@ def drive(seconds, *, lane=1, lanes=4, hz=15):
         ego = ego._replace(lane=min(max(round(ego.y / 4.0), 0), lanes - 1))
         track.append((ego.y, ego.speed))
     return track
-
-
-def test_driver_stays_in_lane_for_eight_seconds():
-    ads = blind_lane_change.make()
-    ads(view())
-    assert ads(view(time=SECONDS_PER_LANE - 0.2))[1] == 0.0
-
-
-def test_driver_steers_right_into_vehicle_after_eight_seconds():
-    ads = blind_lane_change.make()
-    ads(view())
-    beside = vehicle(lane=2)
-    assert ads(view(beside, time=SECONDS_PER_LANE))[1] > 0.0
 
 
 def test_what_is_in_the_other_lanes_changes_nothing():

@@ -62,8 +62,3 @@ def test_road_continues_beyond_the_short_map(monkeypatch):
     distance = drive(14, ego=vehicle(speed=26.8))[-1][0].x - 100.0
     assert distance > fiss.MAP_BEHIND + fiss.MAP_AHEAD
     assert distance == pytest.approx(14 * 26.8, rel=0.01)
-
-
-def test_the_same_traffic_gives_the_same_actions():
-    traffic = (vehicle(x=150.0, speed=12.0), vehicle(x=110.0, lane=2, speed=20.0))
-    assert drive(3, *traffic) == drive(3, *traffic)

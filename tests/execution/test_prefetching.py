@@ -1,6 +1,5 @@
 """Runs made in advance, in other processes: when that happens, and that the results stay the same."""
 
-import numpy as np
 import pytest
 
 from pytest_pafot.execution import runner as execution_runner
@@ -112,14 +111,6 @@ class TestProcesses:
         world.seconds = 0.02
         assert [runner.run(each, announced=True).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
         assert world.ran == [0, 1]
-
-    @pytest.mark.parametrize("seconds", [0.0, 0.02])
-    @pytest.mark.parametrize("workers", [1, 2, 3])
-    def test_runs_are_the_same_in_every_process(self, runner_of, workers, seconds):
-        runner = runner_of(World(seconds), Pool(), workers)
-        runner.announce(SCENARIOS)
-        for each in SCENARIOS:
-            assert np.array_equal(runner.run(each, announced=True).states, trace_of(each).states)
 
     def test_one_worker_is_this_process_and_says_nothing(self, runner_of):
         world = World(1.0)

@@ -8,13 +8,12 @@ from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pytest_pafot import Highway, strategies
+from pytest_pafot import Highway
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, Outcome, Y
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample, space_on
-from pytest_pafot.world.kernel.director import Director
 from tests.helpers.road_cases import violations, world_of
 from tests.helpers.world_cases import TRAFFICS
 
@@ -66,20 +65,6 @@ def test_npcs_in_lanes_respect_limits_and_stay_on_lanes_in_bends(name):
         traffic = TRAFFICS[number % len(TRAFFICS)]
         trace = world.rollout(sample(space_in(world, npcs=2, traffic=traffic, instructions="lanes"), rng), idm)
         assert violations(trace, world) == [], trace.scenario.canonical()
-
-
-@given(strategies.scenarios(max_npcs=5), st.sampled_from([3, 4, 5]))
-def test_npcs_start_in_distinct_cells_that_exist(scenario, lanes):
-    world = Highway(lanes=lanes, duration=0.2)
-    if scenario.ego_lane >= lanes or len(scenario.npcs) > len(world.road.cells(scenario.ego_lane)):
-        return
-    director = world.rules.director(scenario, 5.0)
-    assert isinstance(director, Director)
-    cells = director.first_cells()
-    assert len(set(cells)) == len(scenario.npcs)
-    assert set(cells) <= world.road.cells(scenario.ego_lane)
-    start = world.rollout(scenario, idm).npcs[0]
-    assert start[:, LANE].tolist() == [scenario.ego_lane + cell.column for cell in cells]
 
 
 def test_npc_in_lanes_takes_the_first_cell_that_the_grid_leaves():

@@ -211,14 +211,6 @@ def test_episode_of_own_traffic_ends_as_a_hang(clock):
         drive_episode(world, idle, 3)
 
 
-def test_hang_outside_of_the_main_thread_is_interrupted(clock):
-    traces = []
-    thread = threading.Thread(target=lambda: traces.append(by_policy(wrapped(Slow))))
-    thread.start()
-    thread.join()
-    assert (traces[0].outcome, traces[0].error.message.split()[0]) == (Outcome.HANG, "Slow.step")
-
-
 def test_interrupt_that_a_wrapper_catches_ends_the_run():
     class Catching(gymnasium.Wrapper):
         def step(self, action):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot import Highway, PositionInstruction, Scenario
+from pytest_pafot import PositionInstruction, Scenario
 from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.searching import sample
@@ -83,10 +82,3 @@ def test_every_kernel_module_has_types_for_compiler():
     folder = Path(kernel.__file__).parent
     names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
     assert names == set(kernel.MODULES) == {path.stem for path in folder.glob("*.pxd")}
-
-
-def test_road_and_lanes_can_be_pickled():
-    world = Highway()
-    again = pickle.loads(pickle.dumps(world.rules))
-    assert again == world.rules
-    assert (again.road.grid.count, again.road.grid.width) == (4, 4.0)

@@ -24,7 +24,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
-from pytest_pafot.world import NpcLimits, World, WorldError
+from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.roads.straight import StraightRoad
 from tests.helpers.road_cases import ROADS, OwnEnvironment, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle, oracle
@@ -92,13 +92,6 @@ def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
     assert violations(trace, world) == []
 
 
-def test_npc_at_bend_end_starts_with_turning_speed():
-    world = World("racetrack-v1", limits=NpcLimits(lateral_acceleration=2.0), duration=2.0)
-    trace = world.rollout(hold(world, 6), idm)
-    assert violations(trace, world) == []
-    assert trace.npcs[0, 0, SPEED] < trace.ego[0, SPEED]
-
-
 def test_cells_exist_only_on_lanes_in_ego_direction():
     roundabout = world_of("roundabout-v1").road
     assert roundabout.start_lanes == (1,)
@@ -145,17 +138,6 @@ def test_ring_steps_skip_cells_that_do_not_exist():
     assert trace.driven == ((2, 6),)
     assert trace.executed.npcs == (tuple(chain),)  # no chain steps from 2 to 6
     assert [gene.cell for gene in trace.chains[0]] == [2, 6]
-
-
-def test_npcs_never_exceed_what_bends_allow():
-    """The outer bend of the racetrack has a radius of 20 m: 4 m/s^2 allow 8.9 m/s, while the ego drives 10 m/s."""
-    world = world_of("racetrack-v1", duration=20.0)
-    trace = world.rollout(hold(world, 2, speed=10.0), idm)
-    speeds = trace.npcs[:-1, 0, SPEED]
-    turning = abs(np.diff(np.unwrap(trace.npcs[:, 0, HEADING]))) * trace.physics_hz
-    in_the_bend = speeds[turning > speeds / 25]
-    assert len(in_the_bend) > 60
-    assert 5.0 < in_the_bend.max() < 8.95
 
 
 @pytest.mark.parametrize(
