@@ -7,8 +7,8 @@ an ego has depends on the ADS:
 - a planner, which returns acceleration and steering: ``PlannerDriver`` of the kernel;
 - highway-env's IDM, on lanes that the kernel knows: ``ModelDriver`` of the kernel;
 - any other vehicle class: ``ObjectDriver`` (``driving/object_driver.py``), which calls the class's own code;
-- a policy with an environment's actions: ``ModelPolicyDriver`` (``driving/policy_driver.py``), and where the kernel
-  does not know the lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
+- a policy with an environment's actions: ``ModelPolicyDriver`` of the same file, and where the kernel does not know the
+  lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
 
 In a :class:`pytest_pafot.SimulatorWorld`, a simulator of the user's moves all vehicles of the same loop
 (``engines/simulation.py``). Only environments with wrappers, or with a step function of their own, are driven by

@@ -14,10 +14,10 @@ from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.ads import AdsFactory, give_route
+from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
 from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.observations import observe_fast
 from pytest_pafot.world.driving.policy import Ads, Policy
-from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import ImperfectSensor, hidden_from_policy
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle

@@ -26,9 +26,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
+from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
 from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
 from pytest_pafot.world.driving.policy import Ads, Policy
-from pytest_pafot.world.driving.policy_driver import View, check_action_space, checked_action
 from pytest_pafot.world.driving.seeing import HiddenVehicle, hidden_from_policy
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of

@@ -20,10 +20,10 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
+from pytest_pafot.world.driving.environment_actions import View, copies_on
 from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.object_driver import ObjectDriver
+from pytest_pafot.world.driving.object_driver import ModelPolicyDriver, ObjectDriver, PolicyDriver
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.driving.policy_driver import ModelPolicyDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.seeing import hidden_from_policy
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.engines.egos import built_as, vehicle_of

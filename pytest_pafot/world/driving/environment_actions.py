@@ -1,10 +1,9 @@
-"""ADSs that use an environment's own observations and actions, and the environment in which they may simulate."""
+"""The actions of ADSs that act as an environment defines, and the environment in which they may simulate."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -12,117 +11,8 @@ from gymnasium import spaces
 
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
-from pytest_pafot.world.driving.object_driver import ObjectDriver
-from pytest_pafot.world.driving.observations import observer
-from pytest_pafot.world.driving.seeing import HiddenVehicle
-from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.kernel.action import hint_at
-from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.roads.straight import StraightRoad
 from pytest_pafot.world.stock import Road, class_from_path
-
-
-class PolicyDriver(ObjectDriver):
-    """A driver that passes an environment's observation to an ADS, and applies the action that it returns.
-
-    Args:
-        ads: the ADS.
-        env: the environment with the road and the ego of the run.
-        guard: the guard of the ADS's decisions.
-        every: the number of physics ticks between decisions.
-        view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
-            decision.
-        hidden: what hides a vehicle from the ADS, in both environments; None if it sees all.
-        ego: the ego in the loop; by default a body that follows the environment's vehicle.
-    """
-
-    def __init__(
-        self,
-        ads: Any,
-        env: Any,
-        guard: HangGuard,
-        every: int,
-        view: View | None = None,
-        hidden: HiddenVehicle | None = None,
-        ego: Body | None = None,
-    ) -> None:
-        check_action_space(env.action_space)
-        super().__init__(env.vehicle, env.road, guard, every, ego)
-        self.env = env
-        self._ads = ads
-        self._observe = observer(env)
-        self._view = view
-        self._hidden = hidden
-
-    def decided(self, tick: int) -> Any:
-        """Observe, call the ADS, and check and apply its action."""
-        return self._applied(self._ads(self.observe(tick)))
-
-    def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
-        env = self.env
-        env.steps = tick
-        env.time = tick / env.config["simulation_frequency"]
-        with nullcontext() if self._hidden is None else self._hidden.shown():
-            if self._view is not None:
-                self._view.show(tick)
-            return self._observe()
-
-    def _applied(self, action: Any) -> Any:
-        """Check an action, apply it, and return the checked action."""
-        checked = checked_action(action, self.env.action_space)
-        self.env.action_type.act(checked)
-        return checked
-
-    def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles."""
-        self.vehicle.act()
-
-
-class ModelPolicyDriver(PolicyDriver):
-    """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
-
-    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision.
-    """
-
-    def __init__(
-        self,
-        ads: Any,
-        env: Any,
-        guard: HangGuard,
-        every: int,
-        view: View | None,
-        hidden: HiddenVehicle | None,
-        lanes: StraightRoad | Network,
-    ) -> None:
-        self._compiled = CompiledRoad(env.road, lanes)
-        self._model = self._compiled.vehicle(env.vehicle)
-        super().__init__(ads, env, guard, every, view, hidden, self._model)
-
-    def show_ego(self) -> None:
-        """Let the environment's vehicle be where the ego is."""
-        self._compiled.show(self.vehicle, self._model)
-
-    def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
-        self.show_ego()
-        return super().observe(tick)
-
-    def _applied(self, action: Any) -> Any:
-        """Check an action, let the environment interpret it, and return the checked action."""
-        checked = super()._applied(action)
-        self._compiled.take(self.vehicle, self._model)
-        return checked
-
-    def actuate(self) -> None:
-        """Set the controls of a tick."""
-        self._model.act([])
-
-    def step(self, dt: float) -> None:
-        """Move the ego for one tick [s]."""
-        self._model.step(dt)
 
 
 def check_action_space(space: Any, wrappers: Sequence[str] = ()) -> None:
