@@ -333,19 +333,6 @@ def test_pytest_sample_ends_with_summary_matching_exit_status(rest, code, holds)
         check_end(Block((), "console", "$ pytest", rest), SimpleNamespace(ret=code))
 
 
-def test_refreshing_updates_numbers_and_file_names_everywhere(tmp_path, monkeypatch):
-    monkeypatch.setenv(REFRESH, "1")
-    document = tmp_path / "document.md"
-    document.write_text(f"See front-d175c6.\n{SAMPLE}")
-    (block,) = blocks_of(SAMPLE)
-    Folder(SimpleNamespace(path=tmp_path), document).compare(
-        block, PRINTED.replace("6.3", "6.4").replace("75c6", "75c7")
-    )
-    text = document.read_text()
-    assert text.startswith("See front-d175c7.")
-    assert "after 6.4 s in cell 2, took 0.125 s\n\n20 runs in 12.5 s\n...\nsaved as front-d175c7\n" in text
-
-
 def test_every_block_says_its_language():
     languages = [(place(document), block.language) for document in DOCUMENTS for block in blocks_of(text_of(document))]
     assert [each for each in languages if each[1] not in RUN | NOT_RUN] == []

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.plugin import orphans
 from tests.helpers.hostile import unlisted
 from tests.helpers.tables import table
 from tests.plugin.conftest import FAILING
@@ -708,17 +707,6 @@ def test_saved_scenarios_that_a_checkout_leaves_out_fail_a_ci_session(saved, ci)
     result.stdout.fnmatch_lines([f"not run: {file}: git tracks it, but it is not in this checkout; restore it*"])
     git("rm", "-q", "--cached", "--sparse", file)
     assert replay(saved).ret == 0
-
-
-def test_git_is_asked_about_an_empty_corpus_only_in_a_repository(saved, monkeypatch):
-    asked = []
-    monkeypatch.setattr(orphans, "git", lambda *arguments: asked.append(arguments) or "")
-    shutil.rmtree(saved.path / "pafot_corpus")
-    replay(saved)
-    assert not asked
-    (saved.path / ".git").mkdir()
-    replay(saved)
-    assert asked
 
 
 @pytest.mark.parametrize("place", ["pafot_corpus", "pafot_corpus/test_it", "pafot_corpus/test_it/test_fails"])

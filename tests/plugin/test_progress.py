@@ -51,8 +51,3 @@ def test_a_session_with_finds_ends_at_100_percent(failing):
     result = failing.run_once()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["FF *[[]100%[]]"])
-
-
-def test_without_a_terminal_reporter_progress_goes_nowhere(project, impatient):
-    project.write(PASSES)
-    assert project.run("-p", "no:terminal", generations=2).ret == 0

@@ -51,16 +51,12 @@ def replayed(project):
     return result
 
 
-def records(project):
-    return project.records
-
-
 def left_in_the_end(project, count):
     """Return whether this many records remain after the processes of a dead session have ended."""
     until = time.monotonic() + 30
-    while len(records(project)) != count and time.monotonic() < until:
+    while len(project.records) != count and time.monotonic() < until:
         time.sleep(0.01)
-    return len(records(project)) == count
+    return len(project.records) == count
 
 
 @forks
@@ -70,7 +66,7 @@ def test_retried_scenario_that_completes_is_reported_but_unsaved(project):
     result = replayed(project)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines([INNOCENT])
-    assert (project.files, records(project)) == ([], [])
+    assert (project.files, project.records) == ([], [])
     assert "died" not in replayed(project).stdout.str()
 
 
@@ -87,9 +83,9 @@ def test_it(run):
 """
     write(project, "None", killed_once)
     assert project.run(apart=True).ret == -signal.SIGKILL
-    assert len(records(project)) == 1
+    assert len(project.records) == 1
     replayed(project).stdout.fnmatch_lines([INNOCENT])
-    assert (project.files, records(project)) == ([], [])
+    assert (project.files, project.records) == ([], [])
 
 
 @forks
@@ -109,7 +105,7 @@ def killed_once():
     assert project.run(apart=True).ret == -signal.SIGKILL
     assert left_in_the_end(project, 2), "of the session before and of the process that ran its scenario again"
     replayed(project).stdout.fnmatch_lines([INNOCENT])
-    assert (project.files, records(project)) == ([], [])
+    assert (project.files, project.records) == ([], [])
 
 
 @forks
@@ -147,7 +143,7 @@ def test_it(run, tmp_path):  # with a fixture, the session judges all runs
     assert left_in_the_end(project, 2), "of both sessions"
     replayed(project).stdout.fnmatch_lines(["*something that builds up from run to run*"])
     assert project.only_id.startswith("crash-")
-    assert records(project) == []
+    assert project.records == []
 
 
 @forks
@@ -164,7 +160,7 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
     finding = load(project.only_file)
     assert finding.id.startswith("crash-")
     assert finding.expect.message == f"the process that ran this scenario {how}"
-    assert records(project) == []
+    assert project.records == []
 
 
 @forks
@@ -199,7 +195,7 @@ def test_record_with_impossible_world_is_reported_only(project):
     result.stdout.fnmatch_lines(
         ["*note: a process (pid *) died while it ran * in a world that cannot be made here now*"]
     )
-    assert (project.files, records(project)) == ([], [])
+    assert (project.files, project.records) == ([], [])
 
 
 @forks

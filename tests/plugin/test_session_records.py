@@ -71,7 +71,7 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert (record.exit, record.problems) == (pytest.ExitCode.TESTS_FAILED, [])
     assert (search.node_id, search.result, search.finds) == ("test_it.py::test_fails[search]", "failed", [saved.id])
     assert (search.base_seed, search.seed) == (1, saved.found.seed)
-    assert search.message == f"Failed: 1 new finding in {search.runs} run, reported below"
+    assert search.message == f"1 new finding in {search.runs} run, reported below"
     assert (find.node_id, find.status, find.result) == (f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed")
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.text, saved.expect.responsibility)
