@@ -5,11 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-import os
 import pkgutil
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -179,20 +176,6 @@ def config_of(text: str | None) -> dict[str, Any] | None:
 def _refuse(constant: str) -> None:
     """Refuse NaN and Infinity, which Python reads and JSON does not have."""
     raise ValueError(f"received {constant}")
-
-
-@contextmanager
-def printing_elsewhere() -> Iterator[None]:
-    """Let what this process and its children print go to the standard error, for a command that prints JSON."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    try:
-        os.dup2(2, 1)
-        with redirect_stdout(sys.stderr):
-            yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 def worker_count(given: int | None) -> int:

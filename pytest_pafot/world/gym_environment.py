@@ -229,10 +229,6 @@ class GymEnvironment:
             expected = "an environment whose methods return"
             raise WorldError(field="env_id", expected=expected, received=str(error), fix=fix) from error
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what another process needs, which makes an environment with traffic itself."""
-        return {name: value for name, value in vars(self).items() if name != "_stock_with_traffic"}
-
     def make(self, *, has_traffic: bool = False) -> Any:
         """Make a fresh environment in all its wrappers, with or without random traffic.
 
@@ -331,19 +327,6 @@ class GymEnvironment:
                     fix="it counts its resets, or draws from random numbers without the seed: let an option of config= "
                     "say what differs, and give each test its own",
                 )
-
-    def with_traffic(self) -> Any:
-        """Return an environment with its random traffic, in all its wrappers; the caller must reset it with a seed.
-
-        highway-env's own environments rebuild everything in a reset, so the same environment is returned every time.
-        Other environments may retain state, so every call makes a new one.
-        """
-        is_stock = self.wrappers is None and type(self.unwrapped).__module__.startswith("highway_env.")
-        return self._stock_with_traffic if is_stock else self.make(has_traffic=True)
-
-    @cached_property
-    def _stock_with_traffic(self) -> Any:
-        return self.make(has_traffic=True)
 
     @property
     def wrapper_names(self) -> list[str]:
