@@ -406,7 +406,6 @@ def _stated(simulator: Any) -> _Stated:
     if not isinstance(simulator.headings, str) or simulator.headings not in HEADINGS:
         expected, received = f"one of {', '.join(map(repr, HEADINGS))}", f"{simulator.headings!r:.100}"
         raise WorldError(field=f"{name}.headings", expected=expected, received=received)
-    is_on("one_at_a_time")
     for each in several("packages", "names of packages"):
         if not isinstance(each, str):
             raise WorldError(field=f"{name}.packages", expected="names of packages", received=f"{each!r:.100}")

@@ -742,14 +742,13 @@ def test_file_names_the_class_of_a_simulator_and_what_it_states():
         named(data, TOY)
 
 
-class Alone(Bicycle):
-    """A simulator of which a process has one only, and whose runs depend on a package."""
+class Packaged(Bicycle):
+    """A simulator whose runs depend on a package."""
 
-    one_at_a_time = True
     packages = ("pytest",)
 
 
 def test_the_packages_of_a_simulator_are_among_the_versions():
     assert SimulatorWorld(Bicycle).packages == ()
-    assert SimulatorWorld(partial(Alone)).packages == ("pytest",)
-    assert installed_versions(SimulatorWorld(Alone).packages)["pytest"] == pytest.__version__
+    assert SimulatorWorld(partial(Packaged)).packages == ("pytest",)
+    assert installed_versions(SimulatorWorld(Packaged).packages)["pytest"] == pytest.__version__

@@ -107,7 +107,6 @@ class Simulator(ABC):
         metres: the length of the simulator's unit of length [m].
         metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
         moves_ego_only: True if :meth:`step` puts all NPCs in the states of their controls.
-        one_at_a_time: True if a process can have one simulation only.
         packages: names of installed packages whose versions change runs, for saved files.
     """
 
@@ -127,7 +126,6 @@ class Simulator(ABC):
     metres: ClassVar[float] = 1.0
     metres_per_second: ClassVar[float] = 1.0
     moves_ego_only: bool = False
-    one_at_a_time: ClassVar[bool] = False
     packages: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
