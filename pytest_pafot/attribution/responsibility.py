@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Pursuit
 from pytest_pafot.attribution.manoeuvres import (
@@ -55,7 +56,6 @@ from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sente
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.sight import BoolArray
 from pytest_pafot.model.trace import ALONG, HEADING, LANE, SPEED, Trace, X, Y
 
 # Right of way where the NPC's way meets the ego's: which vehicle did not give way, and which entered a taken zone.
@@ -612,7 +612,7 @@ class Conflict:
         self._before = max(self._start - 1, 0)  # the last safe tick; responses count from here
         self._side = 1.0 if frame.right[npc, max(self._onset - 1, 0)] >= 0 else -1.0
 
-    def _one_track_since(self, is_apart: BoolArray) -> int:
+    def _one_track_since(self, is_apart: npt.NDArray[np.bool_]) -> int:
         """Return the tick from which on the two were in one track.
 
         A motorcycle that swerves in the lane of the other does not leave that track, even where the boxes do not

@@ -3,39 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import listed
 
-BoolArray = npt.NDArray[np.bool_]
-
 NOISES = {"position": "m", "speed": "m/s"}
 """The kinds of noise and their units."""
 
 
-class Glimpse(NamedTuple):
-    """The errors with which the ego sees one other vehicle in a decision.
-
-    Attributes:
-        other: index of the vehicle among all vehicles except the ego, from 0.
-        x, y: errors that are added to the vehicle's position [m].
-        speed: error that is added to the vehicle's speed [m/s].
-    """
-
-    other: int
-    x: float = 0.0
-    y: float = 0.0
-    speed: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Sight:
     """The limits and errors with which an ADS sees other vehicles; by default there are none.
 
@@ -52,7 +34,7 @@ class Sight:
 
     range: float | None = None
     latency: float = 0.0
-    noise: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict, hash=False)
     dropout: float = 0.0
 
     def __post_init__(self) -> None:
@@ -60,24 +42,17 @@ class Sight:
             expected = 'a mapping of "position" [m] and "speed" [m/s], one of them or both'
             raise FieldError(field="noise", expected=expected, received=f"{self.noise!r:.100}")
         noise = {key: float(_number(f"noise.{key}", value, NOISES[key])) for key, value in self.noise.items()}
-        checked = {
-            "range": None if self.range is None else _number("range", self.range, "m"),
-            "latency": _number("latency", self.latency, "s"),
-            "noise": {key: value for key, value in noise.items() if value},
-            "dropout": _number("dropout", self.dropout, "", 1.0),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "noise", {key: value for key, value in noise.items() if value})
+        object.__setattr__(self, "latency", _number("latency", self.latency, "s"))
+        object.__setattr__(self, "dropout", _number("dropout", self.dropout, "", 1.0))
+        if self.range is not None:
+            object.__setattr__(self, "range", _number("range", self.range, "m"))
 
     @property
     def imperfections(self) -> dict[str, Any]:
         """The attributes that limit or disturb the sight, as plain data."""
-        return {each.name: getattr(self, each.name) for each in fields(Sight) if self.is_imperfect(each.name)}
-
-    def is_imperfect(self, name: str) -> bool:
-        """Return whether one attribute limits or disturbs the sight."""
-        value = getattr(self, name)
-        return value is not None if name == "range" else bool(value)
+        values = {each.name: getattr(self, each.name) for each in fields(Sight)}
+        return {name: value for name, value in values.items() if value or (name == "range" and value is not None)}
 
     @property
     def is_drawn(self) -> bool:
@@ -99,48 +74,34 @@ class Sight:
         """Return the latency in ticks, rounded up, for ``hz`` ticks per second."""
         return math.ceil(self.latency * hz - 1e-9)
 
-    def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
-        """Yield one glimpse for each other vehicle that the ego sees in the decision at a tick.
+    def glimpses(self, states: FloatArray, seed: int, tick: int) -> list[tuple[int, float, float, float]]:
+        """Return what the ego sees of the other vehicles in the decision at a tick.
 
         Args:
             states: states of all vehicles when they were measured, shape [vehicles, 7], the ego first; columns as in
                 :class:`pytest_pafot.VehicleState`.
             seed: seed of all random numbers in the run. Those of a decision depend only on the seed and the tick.
             tick: tick of the decision.
+
+        Returns:
+            For each vehicle that is seen, its index among all vehicles except the ego, and the errors that are added to
+            its x [m], its y [m] and its speed [m/s].
         """
         others = len(states) - 1
-        seen = np.ones(others, dtype=bool)
+        errors, seen = np.zeros((others, 3)), np.ones(others, dtype=bool)
         if self.range is not None:
-            seen &= np.hypot(*(states[1:, :2] - states[0, :2]).T) <= self.range
-        errors = np.zeros((others, 3))
+            seen = np.hypot(*(states[1:, :2] - states[0, :2]).T) <= self.range
         if self.is_drawn:
             random = np.random.default_rng([seed, tick])
             seen &= random.random(others) >= self.dropout
             deviations = [self.noise.get(name, 0.0) for name in ("position", "position", "speed")]
             errors = random.standard_normal((others, 3)) * deviations
-        for index in np.flatnonzero(seen).tolist():
-            yield Glimpse(index, *errors[index].tolist())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SightWithout(Sight):
-    """A sight in which, in addition, one NPC is never seen.
-
-    Attributes:
-        npc: the NPC's index in the scenario.
-    """
-
-    npc: int
-
-    def glimpses(self, states: FloatArray, seed: int, tick: int) -> Iterator[Glimpse]:
-        """Yield the glimpses of :meth:`Sight.glimpses` without those of the hidden NPC."""
-        return (each for each in Sight.glimpses(self, states, seed, tick) if each.other != self.npc)
+        return [(index, *errors[index].tolist()) for index in np.flatnonzero(seen).tolist()]
 
 
 def _number(name: str, value: object, unit: str, most: float = math.inf) -> float:
     number = plain_number(value)
     if number is None or not 0 <= number <= most:
-        of = f" [{unit}]" if unit else ""
-        expected = f"a finite number from 0{of}" if most == math.inf else f"a number from 0 to {most:g}{of}"
+        expected = f"a finite number from 0 [{unit}]" if unit else f"a number from 0 to {most:g}"
         raise FieldError(field=name, expected=expected, received=f"{value!r:.100}")
     return number

@@ -21,8 +21,7 @@ from pytest_pafot.findings.decisions import (
     vehicle_of,
 )
 from pytest_pafot.findings.finding import Bounded, Expect
-from pytest_pafot.world.driving.perception import without
-from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
+from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed, without
 from pytest_pafot.world.kernel.action import checked_si_action
 from tests.helpers.situations import lane_change
 
@@ -205,8 +204,9 @@ def test_hiding_a_vehicle_changes_no_other_vehicle_of_an_imperfect_sight():
             assert here == (changed(there, npc, None) if npc in there.ids else there)
 
 
-def test_an_environments_observation_is_without_the_vehicle():
-    world, seen = pafot.World("highway-v0"), []
+@pytest.mark.parametrize("wrappers", [None, []], ids=["kernel", "env.step"])
+def test_an_environments_observation_is_without_the_vehicle(wrappers):
+    world, seen = pafot.World("highway-v0", wrappers=wrappers), []
 
     def make():
         return lambda observation: seen.append(int(observation[1:, 0].sum())) or 1

@@ -20,7 +20,7 @@ def states(*places):
 
 
 def seen(sight, *places, seed=1, tick=0):
-    return [glimpse.other for glimpse in sight.glimpses(states(*places), seed, tick)]
+    return [glimpse[0] for glimpse in sight.glimpses(states(*places), seed, tick)]
 
 
 def test_vehicles_are_seen_up_to_the_range():

@@ -36,10 +36,8 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.conditions import Conditions, Parted, differing, parting, shown
-from pytest_pafot.world.driving.perception import without
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.driving.seeing import with_others
-from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed
+from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed, without
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
 from pytest_pafot.world.kernel.observation import Observation
@@ -147,7 +145,7 @@ def _nudged(seen: Observation, npc: int) -> Observation:
         each._replace(**{name: getattr(each, name) + NUDGE for name in places}) if each.id == npc else each
         for each in seen.crossing
     ]
-    return with_others(seen, seen.others, seen.ids, seen.lateral_velocities, crossing=crossing)
+    return seen.replace(crossing=tuple(crossing))
 
 
 def _compared(moment: Moment, changes: Sequence[Change]) -> Change:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from types import FunctionType
 from typing import Any
 
+from pytest_pafot.model.sight import Sight
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.text import shown
-from pytest_pafot.world.driving.seeing import SeeingAds
 from pytest_pafot.world.guard.hang_guard import one_process, unending
 
 PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
@@ -64,8 +64,8 @@ def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
                 "each run makes its own vehicle."
             )
         raise
-    if isinstance(ads, SeeingAds):
-        _check_sight_is_told(factory, ads)
+    if isinstance(getattr(ads, "sight", None), Sight):
+        _check_sight_is_told(factory, ads.sight)
     if is_vehicle_class(ads):
         return _checked_vehicle_class(ads)
     if callable(ads):
@@ -95,13 +95,13 @@ def _checked_vehicle_class(vehicle_class: Any) -> Any:
     return vehicle_class
 
 
-def _check_sight_is_told(factory: AdsFactory, ads: SeeingAds) -> None:
+def _check_sight_is_told(factory: AdsFactory, sight: Sight) -> None:
     """Refuse an imperfect sight that only the ADS has, because a reader of the factory would assume perfect sight."""
-    seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == ads.sight)
-    if getattr(seeing, "sight", None) != ads.sight:
+    seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == sight)
+    if getattr(seeing, "sight", None) != sight:
         raise AdsFactoryError(
             f"ads: expected a pafot.Perception as the factory itself, received a pafot.Perception that "
-            f"{shown(factory)} makes and calls, so findings would not state the imperfect sight; write "
+            f"{shown(factory)} makes, so findings would not state the imperfect sight; write "
             "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return that from the fixture"
         )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
 from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
-from pytest_pafot.world.driving.observations import observer
-from pytest_pafot.world.driving.seeing import HiddenVehicle
+from pytest_pafot.world.driving.observations import hide, observer
+from pytest_pafot.world.driving.shadow import Unseeing
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.guard.failure import UNFIT, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
@@ -118,7 +117,6 @@ class PolicyDriver(ObjectDriver):
         every: the number of physics ticks between decisions.
         view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
             decision.
-        hidden: what hides a vehicle from the ADS, in both environments; None if it sees all.
         ego: the ego in the loop; by default a body that follows the environment's vehicle.
     """
 
@@ -129,16 +127,14 @@ class PolicyDriver(ObjectDriver):
         guard: HangGuard,
         every: int,
         view: View | None = None,
-        hidden: HiddenVehicle | None = None,
         ego: Body | None = None,
     ) -> None:
         check_action_space(env.action_space)
         super().__init__(env.vehicle, env.road, guard, every, ego)
         self.env = env
         self._ads = ads
-        self._observe = observer(env)
+        self._observe = hide(env, ads.npc) if isinstance(ads, Unseeing) else observer(env)
         self._view = view
-        self._hidden = hidden
 
     def decided(self, tick: int) -> Any:
         """Observe, call the ADS, and check and apply its action."""
@@ -149,10 +145,9 @@ class PolicyDriver(ObjectDriver):
         env = self.env
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
-        with nullcontext() if self._hidden is None else self._hidden.shown():
-            if self._view is not None:
-                self._view.show(tick)
-            return self._observe()
+        if self._view is not None:
+            self._view.show(tick)
+        return self._observe()
 
     def _applied(self, action: Any) -> Any:
         """Check an action, apply it, and return the checked action."""
@@ -178,12 +173,11 @@ class ModelPolicyDriver(PolicyDriver):
         guard: HangGuard,
         every: int,
         view: View | None,
-        hidden: HiddenVehicle | None,
         lanes: StraightRoad | Network,
     ) -> None:
         self._compiled = CompiledRoad(env.road, lanes)
         self._model = self._compiled.vehicle(env.vehicle)
-        super().__init__(ads, env, guard, every, view, hidden, self._model)
+        super().__init__(ads, env, guard, every, view, self._model)
 
     def show_ego(self) -> None:
         """Let the environment's vehicle be where the ego is."""

@@ -6,10 +6,12 @@ are left to highway-env.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property, lru_cache
 from types import MethodType
 from typing import Any
 
+from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import compiled_network
 from pytest_pafot.world.kernel.features import FEATURES, Features, Table
 from pytest_pafot.world.kernel.lane_network import Network
@@ -24,6 +26,9 @@ _REPLACED = {
 }  # fmt: skip
 """What highway-env's observations read of each class, but the compiled code does not."""
 
+OF_THE_ROAD = ("KinematicObservation", "OccupancyGridObservation", "TimeToCollisionObservation", "LidarObservation")
+"""The observation classes of highway-env that are computed only from a road's vehicles."""
+
 
 def observer(env: Any) -> Any:
     """Return a function for an environment's observation, faster than the environment's own function if possible."""
@@ -32,14 +37,39 @@ def observer(env: Any) -> Any:
     return _slow(stock) if network is None else FastTable(env, stock, network)
 
 
-def observe_fast(env: Any) -> None:
-    """Replace an environment's function for its observation by that of :func:`observer`, also after resets."""
+def observe_by(env: Any, observe: Callable[[], Any]) -> None:
+    """Replace an environment's function for its observation, also after resets."""
 
     def define_spaces() -> None:
         type(env).define_spaces(env)
-        env.observation_type.observe = lambda: observer(env)()  # noqa: PLW0108  (a reset makes the road only later)
+        env.observation_type.observe = observe
 
     env.define_spaces = define_spaces
+    env.observation_type.observe = observe
+
+
+def hide(env: Any, npc: int) -> Callable[[], Any]:
+    """Let an environment observe as if an NPC was not on its road, and return its function for that.
+
+    Raises:
+        WorldError: for an observation that is not computed only from the vehicles on the road.
+    """
+    kinds = [each.__name__ for each in type(env.observation_type).__mro__]
+    if not {*kinds}.intersection(OF_THE_ROAD):
+        expected = f"an observation of the vehicles on the road, one of {', '.join(OF_THE_ROAD)}"
+        raise WorldError(field="config.observation", expected=expected, received=kinds[0])
+
+    def observe() -> Any:
+        road, vehicles = env.road, env.road.vehicles
+        hidden = [each for each in vehicles if each is not env.vehicle][npc]
+        road.vehicles = [each for each in vehicles if each is not hidden]
+        try:
+            return observer(env)()
+        finally:
+            road.vehicles = vehicles
+
+    observe_by(env, observe)
+    return observe
 
 
 def _is_fit(stock: Any) -> bool:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.support.errors import refused_policy
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, takes_nothing
 from pytest_pafot.world.driving.perception import ads_and_sight, sight_of
 
@@ -27,6 +28,19 @@ class Ads:
     decides: Any
     sight: Sight | None
     drives_itself: bool
+
+    @property
+    def policy(self) -> Any:
+        """What decides, if it receives the observations of an environment.
+
+        Raises:
+            AdsFactoryError: for an imperfect sight, which only planners in SI units can have.
+        """
+        if self.sight is not None and self.sight.imperfections:
+            received = "a policy for the observations of an environment"
+            fix = "give it a wrapper of your own that changes these observations"
+            raise refused_policy("a planner in SI units in a pafot.Perception", received, fix)
+        return self.decides
 
 
 @dataclass(frozen=True, eq=False)

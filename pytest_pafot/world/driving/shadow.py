@@ -14,8 +14,7 @@ from typing import Any
 
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.conditions import Conditions, Evaluated
-from pytest_pafot.world.driving.perception import deciding
-from pytest_pafot.world.driving.seeing import SeeingAds, lane_nearest, with_others
+from pytest_pafot.world.driving.perception import rewrapped
 from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.kernel.observation import Observation
 
@@ -115,6 +114,29 @@ class _Ending(Around):
         return self._ads(observation)
 
 
+class Unseeing(Around):
+    """An ADS that does not see one NPC of a scenario.
+
+    It takes the NPC from a planner's observations. Those of an environment are made without it, see :func:`hide`.
+    """
+
+    def __init__(self, ads: Any, npc: int) -> None:
+        super().__init__(ads)
+        self.npc = npc
+
+    def __call__(self, seen: Any) -> Any:
+        """Decide without the NPC."""
+        if isinstance(seen, Observation):
+            seen = changed(seen, self.npc, None) if self.npc in seen.ids else seen
+            seen = seen.replace(crossing=tuple([each for each in seen.crossing if each.id != self.npc]))
+        return self._ads(seen)
+
+
+def without(factory: AdsFactory, npc: int) -> AdsFactory:
+    """Return a factory of the same ADSs, from which one NPC is hidden."""
+    return wrapped(factory, lambda ads: Unseeing(ads, npc))
+
+
 def ending_after(factory: AdsFactory, decisions: int) -> AdsFactory:
     """Return a factory of ADSs that raise an error after a number of decisions."""
     return wrapped(factory, lambda ads: _Ending(ads, decisions))
@@ -133,8 +155,7 @@ def wrapped(factory: AdsFactory, wrap: Callable[[Any], Any]) -> AdsFactory:
     """
 
     def make(*observations: Any, **arguments: Any) -> Any:
-        ads, sight = deciding(factory(*observations, **arguments))
-        return wrap(ads) if sight is None else SeeingAds(wrap(ads), sight)
+        return rewrapped(factory(*observations, **arguments), wrap)
 
     return functools.wraps(factory, updated=())(make)
 
@@ -150,6 +171,6 @@ def changed(observation: Observation, npc: int, by: tuple[float, float, float] |
         del others[place], ids[place], lateral[place + 1]
     else:
         was, (x, y, speed) = others[place], by
-        lane = lane_nearest(observation.lane_centres, was.y + y)
-        others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=lane)
-    return with_others(observation, others, ids, lateral)
+        aside = [abs(centre - (was.y + y)) for centre in observation.lane_centres]
+        others[place] = was._replace(x=was.x + x, y=was.y + y, speed=was.speed + speed, lane=aside.index(min(aside)))
+    return observation.replace(others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral))

@@ -15,9 +15,9 @@ from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.ads import AdsFactory, give_route
 from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
 from pytest_pafot.world.driving.object_driver import body_of
-from pytest_pafot.world.driving.observations import observe_fast
+from pytest_pafot.world.driving.observations import observe_by, observer
+from pytest_pafot.world.driving.perception import ImperfectSensor
 from pytest_pafot.world.driving.policy import Ads, Policy
-from pytest_pafot.world.driving.seeing import ImperfectSensor, hidden_from_policy
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
@@ -66,19 +66,20 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
     environment.unwrapped  # noqa: B018  (it imports the user's module, whose changes to classes are not undone)
     with vehicle_classes_kept(), HangGuard(limit) as guard, EnvironmentGuard(limit) as around:
         outer = environment.make(has_traffic=True)
-        observe_fast(outer.unwrapped)
+        env = outer.unwrapped
+        observe_by(env, lambda: observer(env)())  # noqa: PLW0108  (a reset makes the road only later)
         try:
             with around.call():
                 seen, _ = outer.reset(seed=seed)
         except Exception as wrong:
             expected = f"that {environment.env_id}, in its wrappers, can be reset with the seed {seed}"
             raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
-        view = View(environment.make().unwrapped, outer.unwrapped) if policy.simulates else None
+        view = View(environment.make().unwrapped, env) if policy.simulates else None
         try:
             made = policy.make(**({} if view is None else {"env": view.env}))
             with closing(made.given, limit):
                 if made.drives_itself or is_planner:
-                    return _driven_beside(outer.unwrapped, made, seed, guard, around)
+                    return _driven_beside(env, made, seed, guard, around)
                 return _driven_by_actions(outer, made, seed, guard, around, seen, view)
         except (AdsFactoryError, WorldError):
             raise
@@ -90,16 +91,15 @@ def _driven_by_actions(
     outer: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None
 ) -> Episode:
     """Drive an episode with a policy that receives the environment's observations and returns its actions."""
-    env = outer.unwrapped
+    env, policy = outer.unwrapped, made.policy
     check_action_space(outer.action_space)
-    hidden_from_policy(env, made.sight)
     every = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
     for step in range(_steps(outer)):
         if view is not None:
             view.show(step * every)
         guard.decision_starts()
         try:
-            action = made.decides(seen)
+            action = policy(seen)
         finally:
             guard.decision_ends()
         guard.raise_swallowed()
@@ -153,9 +153,8 @@ def _planned(
     vehicles = [ego, *(each for each in env.road.vehicles if each is not ego)]
     row, sizes = len(vehicles) * COLUMNS, [(each.LENGTH, each.WIDTH) for each in vehicles]
     record = array("d", bytes(8 * row * math.ceil((_duration(env) + 2) * hz)))
-    sensor: Sensor = Observer(record, sizes, road.grid, road.speed_limit, hz, every)
-    if made.sight is not None:
-        sensor = ImperfectSensor(sensor, made.sight, seed, road.grid, hz)
+    exact = Observer(record, sizes, road.grid, road.speed_limit, hz, every)
+    sensor: Sensor = exact if made.sight is None else ImperfectSensor(exact, made.sight, seed)
     body, lanes = Body(ego.LENGTH, ego.WIDTH), {"lanes": road.lane_count, "lane_width": road.lane_width}
     driver = PlannerDriver(made.decides, guard, (), body, body, sensor, dt=1 / hz, every=every, **lanes)
     ticks = itertools.count()

@@ -28,8 +28,9 @@ from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
 from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
+from pytest_pafot.world.driving.observations import hide
 from pytest_pafot.world.driving.policy import Ads, Policy
-from pytest_pafot.world.driving.seeing import HiddenVehicle, hidden_from_policy
+from pytest_pafot.world.driving.shadow import Unseeing
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
@@ -104,7 +105,6 @@ class StockPolicy(GuardedDriver):
         every: int,
         guard: HangGuard,
         view: View | None,
-        hidden: HiddenVehicle | None,
     ) -> None:
         plain = outer.unwrapped
         check_action_space(plain.action_space)
@@ -118,9 +118,8 @@ class StockPolicy(GuardedDriver):
         self._ads = ads
         self.outer = outer
         self._view = view
-        self._hidden = hidden
-        if hidden is not None:
-            hidden.observe_through()
+        if isinstance(ads, Unseeing):
+            hide(outer.unwrapped, ads.npc)
 
     def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any]) -> None:
         """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
@@ -138,8 +137,7 @@ class StockPolicy(GuardedDriver):
         if self.failure is not None:
             raise self.failure
         if self._view is not None:
-            with nullcontext() if self._hidden is None else self._hidden.shown():
-                self._view.show(tick)
+            self._view.show(tick)
         self._action = checked_action(self._ads(self._seen), self.outer.action_space)
         return self._action
 
@@ -254,8 +252,7 @@ def replay_environment(
             body_of(env.vehicle),
             HangGuard(rules.hang_limit),
         )
-        every, hidden = rules.physics_hz // rules.ads_hz, hidden_from_policy(env, ads.sight)
-        driver = StockPolicy(ads.decides, seen, ego, every, guard, view, hidden)
+        driver = StockPolicy(ads.policy, seen, ego, rules.physics_hz // rules.ads_hz, guard, view)
         limit = environment.step_limit if environment.wrappers is None else None  # else wrappers count themselves
         return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects, limit).run()
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
@@ -24,7 +23,6 @@ from pytest_pafot.world.driving.environment_actions import View, copies_on
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ModelPolicyDriver, ObjectDriver, PolicyDriver
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.driving.seeing import hidden_from_policy
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.engines.egos import built_as, vehicle_of
 from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun
@@ -87,7 +85,7 @@ def rollout(
             run = SteppedRun(vehicles, model_driver, guard)
             run.ends = own_ends(rules, scenario, vehicles, guard)
             return run.finish()
-        driver = _policy_driver(environment, rules, scenario, ads.decides, env, guard, view, ads.sight)
+        driver = _policy_driver(environment, rules, scenario, ads.policy, env, guard, view)
         return _begun(rules, scenario, driver, guard, env).finish()
 
 
@@ -133,15 +131,13 @@ def _policy_driver(
     env: Any,
     guard: HangGuard,
     view: View | None,
-    sight: Sight | None,
 ) -> PolicyDriver:
     """Return the driver of a policy's ego, which the kernel moves if it knows the class of the ego and the road."""
-    hidden, every = hidden_from_policy(env, sight), rules.physics_hz // rules.ads_hz
-    lanes = environment.compiled_lanes
+    every, lanes = rules.physics_hz // rules.ads_hz, environment.compiled_lanes
     is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
     if is_known and lanes is not None:
-        return ModelPolicyDriver(ads, env, guard, every, view, hidden, lanes)
-    return PolicyDriver(ads, env, guard, every, view, hidden)
+        return ModelPolicyDriver(ads, env, guard, every, view, lanes)
+    return PolicyDriver(ads, env, guard, every, view)
 
 
 def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard, env: Any) -> SteppedRun:

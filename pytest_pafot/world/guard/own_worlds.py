@@ -18,7 +18,7 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld, FirstDecision, RoadStart
 from pytest_pafot.world.built_in import BuiltInWorld
 from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
-from pytest_pafot.world.driving.seeing import SeeingAds
+from pytest_pafot.world.driving.perception import rewrapped
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import error_of
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world, unending
@@ -338,9 +338,7 @@ class _Watch:
                 ads = factory(*arguments, **named)
             if is_vehicle_class(ads) or not callable(ads):
                 return ads
-            return (
-                replace(ads, ads=_GuardedAds(ads.ads, self)) if isinstance(ads, SeeingAds) else _GuardedAds(ads, self)
-            )
+            return rewrapped(ads, lambda inner: _GuardedAds(inner, self))
 
         return make
 

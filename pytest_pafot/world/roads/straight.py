@@ -11,7 +11,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
-from pytest_pafot.world.driving.seeing import ImperfectSensor
+from pytest_pafot.world.driving.perception import ImperfectSensor
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.director import Director
 from pytest_pafot.world.kernel.lanes import Lanes
@@ -147,4 +147,4 @@ class StraightRoad(Road):
         """Make the maker of a planner's observations."""
         sizes = [(each.length, each.width) for each in places.vehicles]
         observer = Observer(record, sizes, self.grid, self.speed_limit, *rates, *self._origin)
-        return observer if sight is None else ImperfectSensor(observer, sight, scenario.seed, self.grid, rates[0])
+        return observer if sight is None else ImperfectSensor(observer, sight, scenario.seed)
