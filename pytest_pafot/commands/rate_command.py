@@ -26,8 +26,6 @@ SHOWN = 10
 """The largest number of seeds in a line of text."""
 CHUNK = 10
 """The number of episodes that a process drives at a time. A policy that fails in all of the first ones is refused."""
-TOLD_EVERY = 10.0
-"""The interval between reports of progress [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +185,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     for (name, _), episodes in driven(given, tasks):
         found.setdefault(name, []).extend(episodes)
         done, total = sum(map(len, found.values())), given.episodes * len(names)
-        if done == total or time.monotonic() - told > TOLD_EVERY:
+        if done == total or time.monotonic() - told > 10.0:  # a report every ten seconds
             told = time.monotonic()
             sys.stderr.write(f"rate: {done} of {total} episodes\n")
     rates = [Rate(name, tuple(sorted(found[name], key=lambda each: each.seed))) for name in names]

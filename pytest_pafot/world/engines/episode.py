@@ -69,8 +69,10 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
         env = outer.unwrapped
         observe_by(env, lambda: observer(env)())  # noqa: PLW0108  (a reset makes the road only later)
         try:
-            with around.call():
+            with environment.in_time():
                 seen, _ = outer.reset(seed=seed)
+        except WorldError:
+            raise
         except Exception as wrong:
             expected = f"that {environment.env_id}, in its wrappers, can be reset with the seed {seed}"
             raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
@@ -169,8 +171,7 @@ def _planned(
         body.place(*record[tick * row : tick * row + 4])
         if tick % every == 0 and not errors:
             with around.paused():
-                error = driver.decide(tick)
-            errors.extend([] if error is None else [error])
+                errors.extend(filter(None, [driver.decide(tick)]))
         driver.actuate()
         ego.control(body.acceleration, body.steering)
 
