@@ -10,17 +10,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot import properties, strategies
+    from pytest_pafot import policies, properties, strategies
     from pytest_pafot.campaign.explore import Exploration, explore
     from pytest_pafot.campaign.saved_scenario import SavedScenario, load
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
     from pytest_pafot.model.grid import Cell
-    from pytest_pafot.model.instructions import (
-        CrossingInstruction,
-        LaneInstruction,
-        PositionInstruction,
-        ScenarioError,
-    )
+    from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction, ScenarioError
     from pytest_pafot.model.scenario import Chromosome, Scenario
     from pytest_pafot.model.trace import Collision, Outcome, Trace
     from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
@@ -40,6 +35,7 @@ if TYPE_CHECKING:
         WorldError,
         WorldLike,
     )
+    from pytest_pafot.world.sumo import sumo
 
 __version__ = "0.1.0"
 
@@ -73,12 +69,14 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return import_module(f"pytest_pafot.{name}")
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)
+if not TYPE_CHECKING:  # type checkers know every name
+
+    def __getattr__(name: str) -> Any:
+        if name in _MODULES:
+            return import_module(f"pytest_pafot.{name}")
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"pytest_pafot.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -14,12 +14,16 @@ speeds.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.model.driving_style import STYLES, Style
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
-from pytest_pafot.model.vehicle_type import CAR, VehicleType, named_vehicles
+from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType, named_vehicles
+
+if TYPE_CHECKING:
+    from pytest_pafot.searching.space import Instructions
 
 
 def _register() -> None:
@@ -50,7 +54,7 @@ def chromosomes(
     max_speed: float = PAPER_SPEED_LIMIT,
     min_genes: int = 1,
     max_genes: int = 6,
-    instructions: str = "cells",
+    instructions: Instructions = "cells",
 ) -> SearchStrategy[Chromosome]:
     """Return a strategy for one NPC's chain: each cell equals the previous one or is its neighbour on the ring.
 
@@ -87,9 +91,9 @@ def scenarios(
     ego_lane: int | None = None,
     ego_speed: float = EGO_SPEED,
     gene_seconds: float = GENE_SECONDS,
-    traffic: str = "hostile",
-    instructions: str = "both",
-    vehicles: Iterable[str | VehicleType] = (CAR,),
+    traffic: Style = "hostile",
+    instructions: Instructions = "both",
+    vehicles: Iterable[VehicleName | VehicleType] = (CAR,),
 ) -> SearchStrategy[Scenario]:
     """Return a strategy for whole scenarios on a straight road, in which NPCs never share a cell in the same gene.
 

@@ -28,6 +28,7 @@ import os
 import re
 import runpy
 import shlex
+import subprocess
 import sys
 import tomllib
 from contextlib import nullcontext
@@ -46,6 +47,7 @@ import pytest_pafot.plugin.replay_item
 import pytest_pafot.plugin.search_item
 import pytest_pafot.strategies
 import pytest_pafot.world.engines.policies
+from pytest_pafot import __main__
 from pytest_pafot.campaign.options import OPTIONS
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.world import Highway, from_dict
@@ -278,6 +280,28 @@ def test_samples_work_as_printed(story, folder):
             folder.show(block)
 
 
+@pytest.mark.stories
+def test_samples_have_the_right_types(tmp_path):
+    """Each story is a package, and so is each of its states in which a file has a new version."""
+    for number, (_, story) in enumerate(each.values for each in stories()):
+        files, version = {}, 0
+        for block in [each for each in blocks_of(story) if each.language == "python"]:
+            name = block.first.removeprefix("# ")
+            version += name in files
+            files[name] = block.rest
+            own = "|".join(path.removesuffix(".py") for path in files)
+            for path, text in files.items():
+                file = tmp_path / f"story_{number}_{version}" / path
+                file.parent.mkdir(parents=True, exist_ok=True)
+                inside = re.sub(rf"^from ({own}) import", r"from .\1 import", text, flags=re.MULTILINE)
+                file.write_text(re.sub(rf"^import ({own})$", r"from . import \1", inside, flags=re.MULTILINE), "utf-8")
+    options = ["--check-untyped-defs", "--ignore-missing-imports", "--explicit-package-bases", "--config-file="]
+    command = [sys.executable, "-m", "mypy", *options, f"--cache-dir={os.devnull}", "."]
+    environ = {**os.environ, "MYPYPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 SAMPLE = """
 <!-- varies: took 0.030 s -->
 ```console
@@ -404,14 +428,11 @@ def test_reference_has_a_row_for_every_option():
         assert option.flag in row
 
 
-def test_help_of_every_option_leads_to_its_row():
-    for option in OPTIONS:
-        page, _, place = option.link.partition("#")
-        (row,) = [line for line in text_of(ROOT / page).splitlines() if f'<a id="{place}"></a>' in line]
-        assert row.startswith(f'| <a id="{place}"></a>`{option.flag}')
-        assert leads_somewhere(ROOT / "README.md", option.link)
-        assert option.help.endswith(".")
-        assert ". " not in option.help, "the terminal has one sentence; write what else there is into the details"
+@pytest.mark.parametrize("command", ["", *__main__.COMMANDS, "corpus list", "corpus accept"])
+def test_no_help_names_a_file_of_the_documentation(command, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        __main__.main([*command.split(), "--help"])
+    assert not re.search(r"\bdocs/|\.md\b", capsys.readouterr().out)
 
 
 def test_example_of_a_corpus_file_can_be_read():
@@ -441,6 +462,8 @@ def test_every_page_that_code_names_exists():
     named = {name for path in code for name in re.findall(r"\bdocs/[\w/-]+\.md\b", text_of(path))}
     assert named
     assert {name for name in named if not (ROOT / name).is_file()} == set()
+    titles = {text_of(document).partition("\n")[0].removeprefix("# ") for document in DOCUMENTS}
+    assert {title for path in code for title in re.findall(r'\bpage "([^"{]+)"', text_of(path))} <= titles
 
 
 def test_every_page_is_listed_in_one_index():

@@ -1,4 +1,4 @@
-"""What messages name as a way out: each command, option, package and page exists, and commands do what is said."""
+"""What messages name as a way out: each command, option and package exists, and commands do what is said."""
 
 import argparse
 import ast
@@ -19,7 +19,7 @@ from pytest_pafot.__main__ import COMMANDS, main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.export import exporter
-from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, page, rerun
+from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, rerun
 from tests.helpers.sessions import command_in_a_copy
 
 ROOT = Path(__file__).parents[1]
@@ -131,15 +131,12 @@ def test_every_option_that_a_command_names_is_its_own(name, capsys):
     assert named - set(re.findall(r"--[a-z-]*[a-z]", told)) <= OF_PYTEST
 
 
-def test_every_package_and_page_that_messages_name_exists():
+def test_every_package_that_messages_name_exists():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = [name for _, name in calls("install") if name is not None] + list(exporter.EXTRAS.values())
     assert named
     assert set(named) <= extras.keys()
     assert install("dask") == "pip install 'pytest-pafot[dask]'"
-    pages = [name for _, name in calls("page") if name is not None]
-    assert pages
-    assert [name for name in pages if not (ROOT / page(name)).is_file()] == []
 
 
 def test_rerun_repeats_what_has_started_the_session():

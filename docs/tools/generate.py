@@ -73,7 +73,9 @@ ROAD = ("lanes", "speed_limit", "clearance")
 """The arguments of the mark about the road."""
 OF_SEARCH = ("traffic", "vehicles", "blame", "runs", "seed", "against")
 """The options of ``search`` that are arguments of the mark."""
-_WORLD = re.compile(r"the world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL)
+_WORLD = re.compile(
+    r"drive in this world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL
+)
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
@@ -368,7 +370,8 @@ def _option_default(option: Option) -> str:
 def _marker_table() -> str:
     texts = {**dict(_attributes(SearchSpace)), **dict(_attributes(Highway)), **MARKER_TEXTS}
     defaults = {**_defaults(Request), **_defaults(Highway), **_defaults(SearchSpace), **MARKER_DEFAULTS}
-    names = [name for name in SearchArguments.__annotations__ if name not in (*BY_NAME, *ROAD)]
+    given = sorted(SearchArguments.__annotations__, key=lambda name: name not in ("world", "ads"))
+    names = [name for name in given if name not in (*BY_NAME, *ROAD)]
     rows = [[_code(name), defaults[name].replace("'", '"'), _capital(texts[name])] for name in names]
     rows.append([_code(", ".join(ROAD)), "as in `Highway`", "[Of the fixture's `pafot.Highway`](worlds.md)."])
     return _table(["Argument", "Default", "Meaning"], rows)
@@ -483,7 +486,7 @@ def _command_table(add: Callable[[argparse.ArgumentParser], None], as_in_mark: S
         )
         value = "" if action.nargs == 0 else value
         text = _WORLD.sub(
-            r"the world ([all forms](../guide/own-world.md#in-every-command); \1",
+            r"drive in this world ([all forms](../guide/own-world.md#in-every-command); \1",
             (action.help or "") % vars(action),
         )
         name = f"{action.option_strings[0]}{value}" if action.option_strings else action.metavar

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -11,7 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, Literal, NoReturn, Unpack
 
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
@@ -19,6 +20,7 @@ from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import (
+    CommonArguments,
     Request,
     SearchArguments,
     build_world,
@@ -44,13 +46,20 @@ from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.versions import installed_versions
-from pytest_pafot.world import Highway
+from pytest_pafot.world import Highway, WorldLike
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 
 PLACE = "pafot.explore"
-OF_SEARCHES = ("corpus", "max_time", "stop_after", "workers")
-"""Options of the session that :func:`explore` takes as arguments, because it has no command line."""
+
+
+class ExploreArguments(CommonArguments, total=False):
+    """The types of the settings of :func:`explore`; the last ones are options of a session, since it has none."""
+
+    corpus: str | os.PathLike[str]
+    max_time: float | None
+    stop_after: int | None
+    workers: int | Literal["auto"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,13 +117,13 @@ def explore(
     ads: AdsFactory | str,
     *,
     holds: Callable[[Run], None],
-    world: Any = None,
+    world: WorldLike | str | None = None,
     runs: int | None = None,
     generations: int | None = None,
     seed: int = 0,
     node_id: str = "",
     on_event: Listener | None = None,
-    **settings: Any,
+    **settings: Unpack[ExploreArguments],
 ) -> Exploration:
     """Search for scenarios in which a property fails, without pytest.
 
@@ -298,13 +307,14 @@ def request_of(given: dict[str, Any]) -> Request:
     Raises:
         RequestError: on the first wrong argument.
     """
+    known = {**SearchArguments.__annotations__, **ExploreArguments.__annotations__}
     for name in given:
-        if name == "arg" or (name in BY_NAME and name not in (*SearchArguments.__annotations__, *OF_SEARCHES)):
+        if name == "arg" or (name in BY_NAME and name not in known):
             raise RequestError(
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
                 "with pytest; remove it"
             )
-    check_names([name for name in given if name not in OF_SEARCHES], place=PLACE)
+    check_names([name for name in given if name not in ExploreArguments.__annotations__], place=PLACE)
     values: dict[str, Any] = {each.name: each.default for each in OPTIONS}
     values |= {"corpus": "", "save": "new" if given.get("corpus") else "none"}
     for name in sorted(given.keys() & values.keys()):
@@ -316,12 +326,7 @@ def request_of(given: dict[str, Any]) -> Request:
 
 
 def replays_of(
-    request: Request,
-    holds: Callable[[Run], None],
-    node_id: str,
-    scratch: Path,
-    *,
-    needs_only_run: bool = False,
+    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, *, needs_only_run: bool = False
 ) -> Replays:
     """Return what :func:`explore` needs to run scenarios: a harness, and the replays of saved scenarios.
 

@@ -11,10 +11,10 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from pytest_pafot.corpus.layout import CORPUS
-from pytest_pafot.support.errors import RequestError, flag, page
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import meant
 
 if TYPE_CHECKING:
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 Kind = Literal[
     "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file"
 ]  # fmt: skip
+
+AlgorithmName = Literal["distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre"]
+"""The name of a search algorithm of this package."""
 
 SEED_LIMIT = 2**63
 
@@ -63,11 +66,6 @@ class Option(NamedTuple):
     def flag(self) -> str:
         """The option's name on the command line, such as ``--pafot-max-time``."""
         return flag(self.name)
-
-    @property
-    def link(self) -> str:
-        """The place of the option's row in the reference documentation."""
-        return f"{page('reference/options.md')}#{self.flag.removeprefix('--')}"
 
     @property
     def key(self) -> str:
@@ -113,90 +111,88 @@ class Settings:
 
     runs: int | None = option(
         "integer",
-        "Number of runs after which each search ends, also within a generation.",
-        f"By default {RUNS}, or no limit with `--pafot-generations`.",
+        "Stop each search after N runs.",
+        f"It ends also within a generation. By default {RUNS}, or no limit with `--pafot-generations`.",
         least=1,
     )
     generations: int | None = option(
         "integer",
-        "Number of generations after which each search ends; 0 only replays saved scenarios.",
-        "At least 1 in the mark.",
+        "Stop each search after N generations; 0 only replays.",
+        "With 0, only saved scenarios run. At least 1 in the mark.",
     )
     population: int | None = option(
         "integer",
-        "Number of scenarios in each generation, at most 10000.",
-        "By default 16 for `distinct`, 4 for other built-in ones.",
+        "Draw N scenarios for each generation.",
+        "At most 10000. By default 16 for `distinct`, 4 for other built-in ones.",
         least=2,
         most=10_000,
     )
     seed: int = option(
         "integer",
-        "Base seed, from which each search derives its own seed.",
+        "Derive the seed of each search from the base seed N.",
         "Another one gives other scenarios.",
         default=0,
     )
-    algorithm: str | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
+    algorithm: AlgorithmName | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Search algorithm, such as distinct, pafot or random; or module:Class for your own.",
-        "[What each is](../comparisons/README.md#the-searches).",
+        "Search with distinct, pafot, random, or module:Class.",
+        "[What each is](../comparisons/README.md#the-searches). In the mark, [your "
+        "own](../guide/algorithms.md#an-algorithm-of-your-own) is the class itself.",
         default="distinct",
-        choices=("distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre"),
+        choices=get_args(AlgorithmName),
         or_class=True,
     )
     against: str | Callable[..., Any] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Count only failures that this reference passes, a second ADS: module:factory.",
-        "[How to compare two versions](../guide/what-broke.md). In the mark also a factory, or the name of its "
-        "fixture.",
+        "Count only failures that another module:factory passes.",
+        "It is the reference, a second ADS: [how to compare two versions](../guide/what-broke.md). In the mark also a "
+        "factory, or the name of its fixture.",
         or_class=True,
     )
     pairs: int = option(
         "integer",
-        "Largest number of random scenarios that ADS and reference both drive if a search has findings.",
-        "They decide whether [its findings count](../guide/what-broke.md).",
+        "Compare with the reference in at most N random runs.",
+        "ADS and reference both drive them if a search has findings, to decide whether [its findings "
+        "count](../guide/what-broke.md).",
         default=700,
         least=1,
     )
     max_time: float | None = option(
         "seconds",
-        "Limit of wall-clock time of each search [s].",
+        "Stop each search after SECONDS of wall-clock time.",
         "With the work on findings, for which a search with findings reserves at most a third. A run ends before "
         "its next decision. A search that is cut is not reproducible.",
         is_argument=False,
     )
     resume: str | None = option(
         "text",
-        "Folder of the states of searches, in which each search continues where it stopped.",
+        "Continue the searches whose states are in this folder.",
         "[Each session adds its budget](../guide/machines.md#a-long-search-in-several-sessions).",
     )
     stop_after: int | None = option(
-        "integer",
-        "Number of distinct new findings after which each search ends.",
-        least=1,
-        is_argument=False,
+        "integer", "Stop each search after N distinct new findings.", least=1, is_argument=False
     )
     shrink_rollouts: int | None = option(
         "integer",
-        "Largest number of runs to shrink each new finding; 0 leaves findings as they were found.",
-        "By default 3000 if the ADS is a vehicle class that the kernel drives, otherwise 300.",
+        "Shrink each new finding with at most N runs.",
+        "0 leaves findings as they were found. By default 3000 if the ADS is a vehicle class that the kernel drives, "
+        "otherwise 300.",
     )
     corpus: str = option(
         "text",
-        "Folder of saved scenarios: a name next to each test file, or an absolute path for all.",
+        "Save scenarios in this folder next to each test file.",
+        "An absolute path is one folder for all.",
         default=CORPUS,
         is_argument=False,
     )
     save: str = option(
-        "text",
-        "Which findings are written to the corpus: the new ones, or none.",
-        default="new",
-        choices=("new", "none"),
-        is_argument=False,
+        "text", "Save new findings in the corpus, or none.", default="new", choices=("new", "none"), is_argument=False
     )
     workers: int = option(
         "workers",
-        "Number of processes that run the scenarios that a search draws, or auto for one for each core.",
-        "Faster if runs take long; the findings are the same. Always 1 under pytest-xdist.",
+        "Run scenarios in N processes; auto: one for each core.",
+        "Only the scenarios that a search draws run there. It is faster if runs take long, and the findings are the "
+        "same. Always 1 under pytest-xdist.",
         default=1,
         least=1,
         most=MOST_WORKERS,
@@ -204,14 +200,15 @@ class Settings:
     )
     isolate: bool = option(
         "switch",
-        "Run the ADS only in other processes, so that an ADS that ends its process is a finding.",
-        "[More](../guide/planners.md#if-it-raises-hangs-or-ends-its-process).",
+        "Report an ADS that ends its process as a finding.",
+        "It drives only in other processes. [More](../guide/planners.md#if-it-raises-hangs-or-ends-its-process).",
         default=False,
     )
     dask: str | None = option(
         "address",
-        "Run the scenarios that a search draws on the workers of the Dask scheduler at ADDRESS.",
-        "[Needs `pytest-pafot[dask]`](../guide/machines.md#on-as-many-machines-as-there-are).",
+        "Run scenarios on the workers of a Dask scheduler.",
+        "Only the scenarios that a search draws run there. [Needs "
+        "`pytest-pafot[dask]`](../guide/machines.md#on-as-many-machines-as-there-are).",
         everywhere=False,
         is_argument=False,
     )
@@ -230,41 +227,45 @@ class Settings:
     )
     today: str | None = option(
         "day",
-        "Compare the last days of accepted failures with this day instead of today.",
+        "Compare accepted failures' last days with this day.",
+        "Without it they are compared with today.",
         everywhere=False,
         is_argument=False,
     )
     commit: str | None = option(
         "commit",
-        "Name of the tested commit for --pafot-json, at most 100 characters without spaces.",
+        "Name the tested commit in the file of --pafot-json.",
+        "At most 100 characters without spaces.",
         everywhere=False,
         is_argument=False,
     )
     debug: bool = option(
         "switch",
-        "In each replay, open the debugger in the policy's last decision that could have avoided the failure.",
-        "That is the [moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
+        "Open the debugger in the decisive moment of each replay.",
+        "That is the policy's last decision that could have avoided the failure, its "
+        "[moment](../explanation/findings.md#the-moment); `s` steps into the policy. Only for replays of "
         "`pytest FILE` in one process.",
         default=False,
         is_argument=False,
     )
     strict_drift: bool = option(
         "switch",
-        "Fail saved scenarios that pass, but may no longer test what they were saved for.",
-        "They have [drifted](items.md#items-labels-and-exit-codes).",
+        "Fail saved scenarios that pass, but have drifted.",
+        "They may no longer test [what they were saved for](items.md#items-labels-and-exit-codes).",
         default=False,
         is_argument=False,
     )
     strict_health: bool = option(
         "switch",
-        "Fail searches with a health warning, such as scenarios without any interaction.",
-        "Also sessions whose saved scenarios have lost their test, as `CI` does.",
+        "Fail searches with a health warning.",
+        "One such warning is that scenarios have no interaction. It also fails sessions whose saved scenarios have "
+        "lost their test, as `CI` does.",
         default=False,
         is_argument=False,
     )
     allow_orphans: bool = option(
         "switch",
-        "Let a session pass whose saved scenarios have lost their test.",
+        "Pass although saved scenarios have lost their test.",
         "Also with `CI` or `--pafot-strict-health`.",
         default=False,
         is_argument=False,

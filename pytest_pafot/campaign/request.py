@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
 
-from pytest_pafot.campaign.options import BY_NAME, Settings
-from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES
+from pytest_pafot.campaign.options import BY_NAME, AlgorithmName, Settings
+from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES, Style
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
-from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, READY, VehicleType, named_vehicles
+from pytest_pafot.model.vehicle_type import CAR, READY, VehicleName, VehicleType, named_vehicles
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.space import MOST_ON_GRID, SearchSpace, sample
+from pytest_pafot.searching.fitness import Fitness, FitnessName
+from pytest_pafot.searching.space import MOST_ON_GRID, Instructions, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import described, factory_named, imported
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
+from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError, WorldLike
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
-from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.driving.ads import AdsFactory, hint_at_object
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.limits import PLANNER_HZ
 from pytest_pafot.world.validation import OTHER_KIND
 
-ROAD_ARGUMENTS = ("lanes", "speed_limit", "clearance")
-SPACE_ARGUMENTS = (
-    "npcs", "genes", "gene_seconds", "ego_lane", "ego_speed", "traffic", "instructions", "vehicles",
-)  # fmt: skip
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
 MOST_NPCS = 6
@@ -52,42 +48,58 @@ SLICE = 3.0
 """The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
-BLAMES = ("any", "ego", "preventable", "avoidable")
+Blame = Literal["any", "ego", "preventable", "avoidable"]
+BLAMES: tuple[Blame, ...] = get_args(Blame)
 
 
 class AgainstError(RequestError):
     """An error for a reference that cannot be compared with the policy, so that no failure would count rightly."""
 
 
-class SearchArguments(TypedDict, total=False):
-    """The types of the arguments of :func:`pytest_pafot.search`, all of which are optional."""
+class RoadArguments(TypedDict, total=False):
+    """The types of the arguments of a search for a Highway."""
 
-    world: Any
     lanes: int
     speed_limit: float
     clearance: float
+
+
+class SpaceArguments(TypedDict, total=False):
+    """The types of the arguments of a search for a SearchSpace."""
+
     npcs: int
     genes: int
     gene_seconds: float
     ego_lane: int
     ego_speed: float
-    traffic: str
-    instructions: str
-    vehicles: str | VehicleType | Sequence[str | VehicleType]
-    ads: Any
-    arg: str
-    fitness: str | Callable[[Trace], float]
-    blame: str
-    runs: int
-    generations: int
+    traffic: Style
+    instructions: Instructions
+    vehicles: VehicleName | VehicleType | Sequence[VehicleName | VehicleType]
+
+
+class CommonArguments(RoadArguments, SpaceArguments, total=False):
+    """The types of the arguments of :func:`pytest_pafot.search` that are settings of ``pafot.explore``, too."""
+
+    fitness: FitnessName | Fitness
+    blame: Blame
     population: int
-    seed: int
-    algorithm: str | type[Algorithm[Any]]
-    against: str | Callable[..., Any]
+    algorithm: AlgorithmName | type[Algorithm[Any]]
+    against: str | AdsFactory
     pairs: int
     resume: str
     shrink_rollouts: int
     isolate: bool
+
+
+class SearchArguments(CommonArguments, total=False):
+    """The types of the arguments of :func:`pytest_pafot.search`, all of which are optional."""
+
+    world: WorldLike | str
+    ads: AdsFactory | str
+    arg: str
+    runs: int
+    generations: int
+    seed: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,13 +108,13 @@ class Request:
 
     settings: Settings
     algorithm: AlgorithmClass
-    ads: str | Callable[..., Any]  # the name of the fixture that returns the factory, or the factory itself
+    ads: str | AdsFactory  # the name of the fixture that returns the factory, or the factory itself
     arg: str = "run"  # the parameter of the test function that receives the run
     # ``any``: the test function is called for every run. ``ego``: not if only an NPC is responsible for the collision.
     # ``preventable``: as ``ego``, and a failure counts only if a reference driver would have prevented it.
     # ``avoidable``: as ``ego``, and also for collisions that the rules excuse although braking late avoids them.
     blame: str = "any"
-    fitness: str | Callable[[Trace], float] = "default"
+    fitness: str | Fitness = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
     road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
@@ -140,8 +152,8 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         settings=settings,
         algorithm=algorithm,
         fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
-        road={name: arguments[name] for name in ROAD_ARGUMENTS if arguments.get(name) is not None},
-        space={name: arguments[name] for name in SPACE_ARGUMENTS if arguments.get(name) is not None},
+        road={name: arguments[name] for name in RoadArguments.__annotations__ if arguments.get(name) is not None},
+        space={name: arguments[name] for name in SpaceArguments.__annotations__ if arguments.get(name) is not None},
         place=place,
         **own,
     )

@@ -111,12 +111,7 @@ def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *
         "kind": kind.slug if isinstance(kind, Signature) else None,
     }
     if hit is not None:
-        row |= {
-            "collision_time": hit.time,
-            "npc": hit.npc,
-            "side": hit.side,
-            "closing_speed": hit.closing_speed,
-        }
+        row |= {"collision_time": hit.time, "npc": hit.npc, "side": hit.side, "closing_speed": hit.closing_speed}
     return row
 
 

@@ -40,13 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "print what each saved scenario is about, which test it is of, and which commit added it"
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
     listing.add_argument("--json", action="store_true", help="print JSON, for programs")
-    of_folders = "searched for saved scenarios, with all folders below (default: here)"
+    of_folders = "search this folder and all folders below (default: here)"
     listing.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "accept the failures of saved scenarios, so that they are expected to fail up to a day"
     accepting = kinds.add_parser("accept", help=about, description=about.capitalize())
-    accepting.add_argument("ids", nargs="+", metavar="ID", help="saved scenarios: their files, or their ids")
-    accepting.add_argument("--reason", required=True, metavar="TEXT", help="why, such as the number of an issue")
-    of_until = "the last day, from today on"
+    accepting.add_argument("ids", nargs="+", metavar="ID", help="accept this saved scenario: its file, or its id")
+    accepting.add_argument("--reason", required=True, metavar="TEXT", help="say why, such as the number of an issue")
+    of_until = "expect the failures up to this day, from today on"
     accepting.add_argument("--until", required=True, type=_last_day, metavar="YYYY-MM-DD", help=of_until)
 
 

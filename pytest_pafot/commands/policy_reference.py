@@ -79,22 +79,17 @@ def add_world_arguments(
     The help of the command ends with what a policy is.
     """
     parser.epilog = ABOUT_POLICIES
-    of_world = "the world: the id of a highway-env environment such as highway-v0, module:id if that module registers "
-    of_world += (
-        f"it, or module:factory for what returns a pafot.World, a pafot.SimulatorWorld or a world of your own ({note})"
-    )
+    of_world = "drive in this world: the id of a highway-env environment such as highway-v0, module:id if that module "
+    of_world += "registers it, or module:factory for what returns a pafot.World, a pafot.SimulatorWorld or a world of "
+    of_world += f"your own ({note})"
     parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
-    of_config = "options of an environment that --world names by its id, as for gymnasium.make"
+    of_config = "set options of the environment that --world names by its id, as for gymnasium.make"
     if has_config:
         parser.add_argument("--config", metavar="JSON", help=of_config)
 
 
 def chosen_world(
-    reference: str | None,
-    config: str | None = None,
-    policies: Iterable[str] = (),
-    *,
-    is_planner: bool = False,
+    reference: str | None, config: str | None = None, policies: Iterable[str] = (), *, is_planner: bool = False
 ) -> Any:
     """Return the world that ``--world`` names, with the options of ``--config``; None without ``--world``.
 

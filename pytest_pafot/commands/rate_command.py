@@ -154,15 +154,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
     of_whom = "a module of example_ads, module:factory, or module:factory:argument; with @planner after it if it gets "
     of_whom += "pafot.Observation and answers with acceleration and steering"
-    parser.add_argument("--ads", required=True, metavar="ADS", help=f"the policy: {of_whom}")
-    of_against = "another policy, on the same seeds; may be given several times"
+    parser.add_argument("--ads", required=True, metavar="ADS", help=f"drive with this policy: {of_whom}")
+    of_against = "drive with this one, too, on the same seeds; may be given several times"
     parser.add_argument("--against", action="append", default=[], metavar="ADS", help=of_against)
     add_world_arguments(parser, "one with an environment", is_needed=True)
-    of_episodes = "episodes to drive (default: %(default)s)"
+    of_episodes = "drive N episodes (default: %(default)s)"
     parser.add_argument("--episodes", type=int, default=1000, metavar="N", help=of_episodes)
-    of_seed = "seed of the first episode (default: %(default)s)"
+    of_seed = "begin with the seed N (default: %(default)s)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=of_seed)
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one for each core)")
     parser.add_argument(
         "--fail-above",
         metavar="SHARE",

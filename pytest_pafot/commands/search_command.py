@@ -34,7 +34,7 @@ from pytest_pafot.commands.policy_reference import (
 from pytest_pafot.corpus.layout import CORPUS, files_below
 from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.vehicle_type import named_vehicles
-from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag, page
+from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.interrupts import Ended, undisturbed
 from pytest_pafot.support.receipts import taken_receipt, unfinished
@@ -83,30 +83,32 @@ NO_TESTS = "[pytest]\n"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    of_whom = "the policy: module:factory, such as planner:Planner, or module:factory:argument"
+    of_whom = "drive with this policy: module:factory, such as planner:Planner, or module:factory:argument"
     parser.add_argument("ads", metavar="ADS", help=of_whom)
     add_world_arguments(parser, "default: a highway, in SI units")
-    of_traffic = "how the other vehicles drive (default: hostile)"
+    of_traffic = "set how the other vehicles drive (default: hostile)"
     parser.add_argument("--traffic", choices=tuple(STYLES), help=of_traffic)
-    of_vehicles = "what vehicles NPCs can be, such as car,truck (default: all ready ones that fit the road)"
+    of_vehicles = "let NPCs be these vehicles, such as car,truck (default: all ready ones that fit the road)"
     parser.add_argument("--vehicles", metavar="A,B", help=of_vehicles)
-    of_runs = f"the number of runs (default: {RUNS})"
+    of_runs = f"stop after N runs (default: {RUNS})"
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
-    of_seed = "the seed of the search (default: 0)"
+    of_seed = "draw the scenarios of this seed (default: 0)"
     parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
-    of_blame = "which collisions are failures: any; ego: all but those by the fault of an NPC alone; preventable: of "
-    of_blame += "these, those that a reference driver prevents; avoidable: those of ego, and those that braking late, "
-    of_blame += "but hard, avoids (default: %(default)s)"
+    of_blame = "count these collisions as failures. any: all; ego: all but those by the fault of an NPC alone; "
+    of_blame += (
+        "preventable: of these, those that a reference driver prevents; avoidable: those of ego, and those that "
+    )
+    of_blame += "braking late, but hard, avoids (default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = "count only failures that a reference passes, a second policy: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
-    of_check = "a function of a run, which asserts what must hold (default: that there is no collision)"
+    of_check = "call this function of a run, which asserts what must hold (default: that there is no collision)"
     parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    of_report = "the web page of the findings (default: %(default)s)"
+    of_report = "write the findings to this web page (default: %(default)s)"
     parser.add_argument(
         "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report
     )
-    of_test = f"do not search, but write {CONFTEST} and {TEST} here, for `pytest`"
+    of_test = f"write {CONFTEST} and {TEST} here for `pytest`, and do not search"
     parser.add_argument("--write-test", action="store_true", help=of_test)
     parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
     # Messages of the session name options of pytest. All that do something in a search are options here, too.
@@ -114,8 +116,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if option.name not in (*OWN, "corpus", "allow_orphans"):
             given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
             parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
-    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: see "
-    of_others += f"{page('reference/options.md')}."
+    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: "
+    of_others += "`pytest --help` lists them."
     of_exit = "The exit code is 1 if the search has found something or failed, 2 for wrong arguments, else 0."
     parser.epilog = f"{ABOUT_POLICIES} {of_others} {of_exit}"
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"

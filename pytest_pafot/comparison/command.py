@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot import Highway, World
-from pytest_pafot.campaign.request import drawn_space
+from pytest_pafot.campaign.request import BLAMES, drawn_space
 from pytest_pafot.commands.policy_reference import add_world_arguments, chosen_world, worker_count
 from pytest_pafot.comparison.algorithm_run import run_all
 from pytest_pafot.comparison.plan import Plan, checked
@@ -33,35 +33,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--algorithms",
         default="pafot,av-fuzzer,random-manoeuvre,random",
         metavar="A,B,...",
-        help=f"the algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class; with NAME@S its runs last "
-        "S seconds, and with NAME@paper it has the paper's scenarios; the first algorithm is compared with each of the "
-        "others (default: %(default)s)",
+        help=f"compare these algorithms: any of {', '.join(ALGORITHMS)}, or your own as module:Class; with NAME@S its "
+        "runs last S seconds, and with NAME@paper it has the paper's scenarios; the first algorithm is compared with "
+        "each of the others (default: %(default)s)",
     )
-    of_ads = "the policy: a module of example_ads, module:factory, or module:factory:argument"
+    of_ads = "drive with this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results and the report")
-    of_runs = "runs of each algorithm (default: %(default)s)"
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="write the results to this folder")
+    of_runs = "run each algorithm N times (default: %(default)s)"
     parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
     budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--generations", type=int, metavar="N", help="generations of each run (default: 100)")
-    budget.add_argument("--seconds", type=float, metavar="S", help="simulated time of each run, instead of generations")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="base seed (default: %(default)s)")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    budget.add_argument("--generations", type=int, metavar="N", help="end each run after N generations (default: 100)")
+    budget.add_argument("--seconds", type=float, metavar="S", help="end each run after S simulated seconds instead")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="derive seeds from N (default: %(default)s)")
+    parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
     parser.add_argument(
         "--blame",
-        choices=("any", "ego", "preventable", "avoidable"),
+        choices=BLAMES,
         default="any",
-        help="ego: search for collisions that the ego is responsible for; preventable: only for those in which a "
-        "reference driver is not at fault; avoidable: also for those that the rules excuse although braking late, but "
-        "hard, avoids them (default: %(default)s, as in the paper)",
+        help="search for these collisions. any: all; ego: those that the ego is responsible for; preventable: only "
+        "those in which a reference driver is not at fault; avoidable: also those that the rules excuse although "
+        "braking late, but hard, avoids them (default: %(default)s, as in the paper)",
     )
-    of_fitness = "fitness for all algorithms: default, paper, av-fuzzer, a measure such as headway, or module:function "
+    of_fitness = "maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
     of_fitness += "(default: that of each algorithm)"
     parser.add_argument("--fitness", help=of_fitness)
     add_world_arguments(parser, "default: a highway, in SI units")
-    of_duration = "duration of a scenario [s] (default: 60, or the environment's)"
+    of_duration = "let scenarios last S seconds (default: 60, or the environment's)"
     parser.add_argument("--duration", type=float, metavar="S", help=of_duration)
-    of_clearance = "clearance of the grid [m]; the paper has 0 (default: 3)"
+    of_clearance = "set the clearance of the grid [m]; the paper has 0 (default: 3)"
     parser.add_argument("--clearance", type=float, metavar="D", help=of_clearance)
 
 

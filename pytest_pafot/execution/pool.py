@@ -29,7 +29,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
-from pytest_pafot.support.errors import OutOfTime, page
+from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
@@ -100,8 +100,7 @@ class ProcessLostError(Exception, Generic[TaskT]):
         """The message about a policy that has ended the process in which it drove."""
         return (
             f"expected a policy that drives to the end of the run, received one whose process {self.end}. It ends the "
-            f"process itself, as sys.exit and os._exit do, or its compiled code crashes: see "
-            f"{page('guide/planners.md')}"
+            'process itself, as sys.exit and os._exit do, or its compiled code crashes: see page "Bring a planner"'
         )
 
     @property

@@ -18,13 +18,13 @@ from pytest_pafot.world.codec import WorldData
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    parser.add_argument("finding", metavar="FILE|FINDING", help="a saved scenario: its file, or its id")
-    of_to = f"the format: {', '.join(FORMATS)}"
+    parser.add_argument("finding", metavar="FILE|FINDING", help="run this saved scenario: its file, or its id")
+    of_to = f"write this format: {', '.join(FORMATS)}"
     parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
-    of_ads = "the policy that drives the ego: a module of example_ads, module:factory, or module:factory:argument"
+    of_ads = "let this policy drive the ego: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", metavar="ADS", help=of_ads)
     add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own", has_config=False)
-    of_out = "the folder for the files (default: the current one)"
+    of_out = "write to this folder (default: the current one)"
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
 
 

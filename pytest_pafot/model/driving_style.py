@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal
 
 AMPLE = 1.0
 """The gap that an NPC adds to the smallest gap of its style when it drives to a place ahead of the ego [m]."""
@@ -47,7 +48,10 @@ class DrivingStyle:
         return math.ceil(10 * self.least_speed_share * speed_limit - 1e-6) / 10
 
 
-STYLES: Mapping[str, DrivingStyle] = MappingProxyType(
+Style = Literal["paper", "hostile", "assertive", "everyday"]
+"""The name of a style."""
+
+STYLES: Mapping[Style, DrivingStyle] = MappingProxyType(
     {
         "paper": DrivingStyle(is_attentive=False),
         "hostile": DrivingStyle(described="hostile traffic (NPCs may stop, brake hard and cut in close)"),
@@ -73,5 +77,7 @@ STYLES: Mapping[str, DrivingStyle] = MappingProxyType(
 run into the rear of an ego that is slower than their instruction; hostile ones do all that the ego can still respond
 to."""
 
-PAPERS, HOSTILE = "paper", "hostile"
-"""The style of the paper's NPCs, which a scenario has unless it names another one; and the default of a search."""
+PAPERS: Style = "paper"
+"""The style of the paper's NPCs, which a scenario has unless it names another one."""
+HOSTILE: Style = "hostile"
+"""The default of a search."""

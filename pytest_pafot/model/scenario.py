@@ -15,9 +15,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise, zip_longest
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from pytest_pafot.model.driving_style import PAPERS, STYLES
+from pytest_pafot.model.driving_style import PAPERS, STYLES, Style
 from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.model.instructions import (
     KINDS,
@@ -28,7 +28,7 @@ from pytest_pafot.model.instructions import (
     instruction_of,
 )
 from pytest_pafot.model.instructions.instruction import checked_number, encoded
-from pytest_pafot.model.vehicle_type import CAR, VehicleType, without_last_cars
+from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType, without_last_cars
 from pytest_pafot.support.errors import FieldError, checked_whole
 from pytest_pafot.support.shown import Pasteable
 
@@ -84,8 +84,15 @@ class Scenario(_Hashed):
     ego_lane: int = EGO_LANE
     ego_speed: float = EGO_SPEED
     gene_seconds: float = GENE_SECONDS
-    traffic: str = PAPERS
+    traffic: Style = PAPERS
     vehicles: tuple[VehicleType, ...] = ()
+
+    if TYPE_CHECKING:  # it takes more than it keeps
+
+        def __init__(
+            self, *, npcs: Sequence[Sequence[Instruction]], seed: int = 0, ego_lane: int = 1, ego_speed: float = 22.0,
+            gene_seconds: float = 10.0, traffic: Style = PAPERS, vehicles: Sequence[VehicleType | VehicleName] = (),
+        ) -> None: ...  # fmt: skip
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "npcs", _checked_chains(self.npcs))
@@ -117,8 +124,8 @@ class Scenario(_Hashed):
         ego_lane: int = EGO_LANE,
         ego_speed: float = EGO_SPEED,
         gene_seconds: float = GENE_SECONDS,
-        traffic: str = PAPERS,
-        vehicles: Sequence[VehicleType | str] = (),
+        traffic: Style = PAPERS,
+        vehicles: Sequence[VehicleType | VehicleName] = (),
     ) -> Scenario:
         """Make a scenario from chains whose cells may be invalid; cells are repaired, speeds stay.
 

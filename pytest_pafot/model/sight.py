@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import listed
 
+Noise = Literal["position", "speed"]
 NOISES = {"position": "m", "speed": "m/s"}
 """The kinds of noise and their units."""
 
@@ -34,7 +35,7 @@ class Sight:
 
     range: float | None = None
     latency: float = 0.0
-    noise: Mapping[str, float] = field(default_factory=dict, hash=False)
+    noise: Mapping[Noise, float] = field(default_factory=dict, hash=False)
     dropout: float = 0.0
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.shown import Pasteable
@@ -159,6 +159,9 @@ class VehicleType(Pasteable):
         expected = f"one of {', '.join(READY)}, or pafot.VehicleType(name=..., length=..., width=...)"
         raise FieldError(field="vehicle", expected=expected, received=f"{given!r:.100}")
 
+
+VehicleName = Literal["car", "van", "truck", "motorcycle"]
+"""The name of a ready vehicle."""
 
 READY: Mapping[str, VehicleType] = MappingProxyType({})
 """The ready vehicles by their names."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution.mistakes import attributed
-from pytest_pafot.attribution.responsibility import Attribution, position_rule
+from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
@@ -34,15 +34,7 @@ from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
-from pytest_pafot.model.trace import (
-    ACCELERATION,
-    SPEED,
-    AdsError,
-    Collision,
-    FloatArray,
-    Outcome,
-    Trace,
-)
+from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import driven_by, install
 from pytest_pafot.support.text import ascii_text
@@ -326,13 +318,13 @@ class Run:
         return attributed(self.trace) if self.facts is None else self.facts.attribution
 
     @property
-    def responsibility(self) -> str | None:
+    def responsibility(self) -> Responsibility | None:
         """The side that is responsible for the collision, ``"ego"``, ``"npc"`` or ``"both"``, or None."""
         verdict = self.attribution.responsibility
         return None if verdict == "none" else verdict
 
     @property
-    def second_opinion(self) -> str | None:
+    def second_opinion(self) -> Responsibility | None:
         """The side that the position rule blames, ``"ego"`` or ``"npc"``; None without a collision.
 
         It is the ego, if it moved and the NPC was ahead of it at the impact, or if it hit no NPC; otherwise the NPC.

@@ -42,9 +42,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marks, and a separate plugin for each feature that the options turn on."""
     for line in (
-        f"{ANY_MARK}: every test that belongs to pytest-pafot, to select all of them",
+        f"{ANY_MARK}: select every test that belongs to pytest-pafot with -m {ANY_MARK}",
         f"{SEARCH_MARK}(**arguments): search for scenarios that break the test; write @pafot.search(...)",
-        f"{SAVED_MARK}(saved): the item replays a saved scenario; set by the plugin",
+        f"{SAVED_MARK}(saved): replay a saved scenario; set by the plugin",
     ):
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()

@@ -28,8 +28,7 @@ def add_options(parser: pytest.Parser) -> None:
         value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
         if option.kind == "switch":
             value = {"action": "store_true"}
-        # The link has its own line, since the help's lines are otherwise broken at the hyphens of its flag.
-        group.addoption(option.flag, dest=option.key, default=None, help=f"{option.help}\n{option.link}", **value)
+        group.addoption(option.flag, dest=option.key, default=None, help=option.help, **value)
         if option.everywhere:
             text = f"Same as {option.flag}."
             parser.addini(option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None)

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
@@ -136,6 +137,12 @@ def av_fuzzer(trace: Trace) -> float:
     least_room = float(np.minimum(front, rear).min())
     return (FAR - 0.5 * least_distance - 0.5 * least_room) / max(len(trace.scenario.npcs) - 1, 1)
 
+
+FitnessName = Literal[
+    "default", "paper", "av-fuzzer", "ego.speed", "ego.acceleration", "ego.jerk", "ego.lateral_acceleration", "headway",
+    "npcs.gap", "npcs.ttc", "npcs.time_advantage",
+]  # fmt: skip
+"""A name that ``fitness=`` accepts."""
 
 FITNESSES: Mapping[str, Fitness] = MappingProxyType(
     {

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.driving_style import PAPERS, STYLES
+from pytest_pafot.model.driving_style import PAPERS, STYLES, Style
 from pytest_pafot.model.grid import are_valid, repair_chains
 from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
@@ -96,7 +96,7 @@ class SearchSpace:
     ego_lanes: tuple[int, ...] = ()
     ego_speeds: tuple[float, float] | None = None
     patterns: bool = False
-    traffic: str = PAPERS
+    traffic: Style = PAPERS
     most_npcs: tuple[int, ...] = ()
     least_npcs: int = 1
     gene_durations: tuple[float, ...] = ()

@@ -182,11 +182,6 @@ def install(name: str) -> str:
     return f"pip install 'pytest-pafot[{name}]'"
 
 
-def page(name: str) -> str:
-    """Return where a page of the documentation is, such as ``guide/own-world.md``, in a clone of the repository."""
-    return f"docs/{name}"
-
-
 def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved: str = "") -> str:
     """Return the command that runs a part of a session again: pytest with ``words``, and with options.
 

@@ -11,32 +11,24 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial, wraps
 from itertools import count, cycle
 from time import monotonic
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from pytest_pafot import (
-    CAR,
-    MOTORCYCLE,
-    TRUCK,
-    VAN,
-    Cell,
-    LaneInstruction,
-    Outcome,
-    PositionInstruction,
-    Run,
-    Scenario,
-    ScenarioError,
-    SimulatorWorld,
-    Trace,
-)
-from pytest_pafot.model.trace import LANE, SPEED, X, Y
+from pytest_pafot.campaign.request import SpaceArguments
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace, X, Y
+from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.testing import traces as rules
 from pytest_pafot.testing.simulators import SETTLED as LAG
 from pytest_pafot.testing.simulators import experiments
 from pytest_pafot.testing.traces import ACROSS, ALONG, DEEP, ROUNDING, Promises
+from pytest_pafot.world import SimulatorWorld, WorldLike
 from pytest_pafot.world.codec import WorldData
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
@@ -122,7 +114,12 @@ class _Done:
 
 
 def check_world(
-    world: Any, *, seed: int = 0, runs: int = 8, ads: Ads = lambda: lambda observation: (0.0, 0.0), **space: Any
+    world: WorldLike,
+    *,
+    seed: int = 0,
+    runs: int = 8,
+    ads: Ads = lambda: lambda observation: (0.0, 0.0),
+    **space: Unpack[SpaceArguments],
 ) -> None:
     """Check with random scenarios that a world meets the requirements of a search.
 

@@ -6,13 +6,13 @@ import copy
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Self, cast
+from typing import Any, Protocol, Self, cast
 
 from pytest_pafot.attribution.avoidance import HARDEST
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType
 from pytest_pafot.support.errors import FieldError, WorldError
 from pytest_pafot.world.base_world import BaseWorld, FirstDecision, RoadStart, decision_asked
 from pytest_pafot.world.engines.egos import planner_run
@@ -75,6 +75,13 @@ BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01,
 
 LASTS = (0.01, 86400.0)
 """The smallest and the largest accepted duration of runs that last longer [s]."""
+
+
+class EgoVehicle(Protocol):
+    """The ego's vehicle: a field that takes a vehicle or the name of a ready one, and gives a vehicle."""
+
+    def __get__(self, world: Any, of: Any = None, /) -> VehicleType: ...
+    def __set__(self, world: Any, given: VehicleType | VehicleName, /) -> None: ...
 
 
 class BuiltInWorld(BaseWorld):

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.built_in import BuiltInWorld
+from pytest_pafot.world.built_in import BuiltInWorld, EgoVehicle
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
@@ -35,7 +35,8 @@ from pytest_pafot.world.validation import (
 if TYPE_CHECKING:
     from pytest_pafot.world.gym_environment import GymEnvironment
 
-ENDS = ("environment", "duration")
+Ends = Literal["environment", "duration"]
+ENDS: tuple[Ends, ...] = get_args(Ends)
 """What may end runs in an environment besides their events: also its own ends, or their duration alone."""
 
 LONGEST_RUN = 60.0
@@ -81,8 +82,8 @@ class World(BuiltInWorld):
     wrappers: Sequence[Callable[[Any], Any]] | None = None
     planner_hz: int | None = None
     lasts: float | None = field(default=None, compare=False)
-    ego: VehicleType = CAR
-    ends: str = "environment"
+    ego: EgoVehicle = CAR  # type: ignore[assignment]
+    ends: Ends = "environment"
 
     def __post_init__(self) -> None:
         if not isinstance(self.env_id, str) or not self.env_id or ":" in self.env_id:

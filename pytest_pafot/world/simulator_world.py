@@ -19,9 +19,9 @@ import numpy as np
 from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.scenario import EGO_SPEED, PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.built_in import BuiltInWorld
+from pytest_pafot.world.built_in import BuiltInWorld, EgoVehicle
 from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.egos import planner_driver, planner_run
@@ -92,7 +92,7 @@ class SimulatorWorld(BuiltInWorld):
     clearance: float = CLEARANCE
     headway: float = HEADWAY
     limits: NpcLimits = field(default_factory=NpcLimits)
-    ego: VehicleType = CAR
+    ego: EgoVehicle = CAR  # type: ignore[assignment]
     hang_limit: float = HANG_LIMIT
     lasts: float | None = field(default=None, compare=False)
 

@@ -11,11 +11,20 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from pytest_pafot.support.errors import WorldError, install
 from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.simulator_world import SimulatorWorld
+
+if TYPE_CHECKING:
+    from pytest_pafot.model.vehicle_type import VehicleName, VehicleType
+    from pytest_pafot.world.limits import NpcLimits
+
+    WorldArguments = TypedDict("WorldArguments", {  # noqa: UP013  (a class is longer)
+        "ads_hz": int | None, "duration": float, "clearance": float, "headway": float, "limits": NpcLimits,
+        "ego": VehicleType | VehicleName, "hang_limit": float,
+    }, total=False)  # fmt: skip
 
 LANE_WIDTH = 4.0
 """The width of the lanes of the straight road [m], as in ``pafot.Highway``."""
@@ -31,7 +40,7 @@ def sumo(
     start_lane: int = 0,
     start_speed: float | None = None,
     start_at: float | None = None,
-    **world: Any,
+    **world: Unpack[WorldArguments],
 ) -> SimulatorWorld:
     """Return a world on a straight road, or on a way through a net of SUMO.
 

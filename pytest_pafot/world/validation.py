@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pytest_pafot.support.errors import WorldError, checked_number, checked_whole, page
+from pytest_pafot.support.errors import WorldError, checked_number, checked_whole
 
-OTHER_KIND = f"a world of your own around a simulator of another kind ({page('guide/own-world.md')})"
+OTHER_KIND = 'a world of your own around a simulator of another kind (page "A simulator of your own")'
 """The way out for a user whose simulator is none of highway-env."""
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
-from pytest_pafot.campaign.request import ROAD_ARGUMENTS, SPACE_ARGUMENTS, SearchArguments
+from pytest_pafot.campaign.request import RoadArguments, SearchArguments, SpaceArguments
 from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.support.errors import RequestError
@@ -167,18 +167,19 @@ def test_search_arguments_match_the_table_of_options():
         "arg",
         "fitness",
         "blame",
-        *ROAD_ARGUMENTS,
-        *SPACE_ARGUMENTS,
+        *RoadArguments.__annotations__,
+        *SpaceArguments.__annotations__,
     }
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options
 
 
-def test_every_option_is_in_the_help(project):
-    result = project.run("--help", generations=None, seed=None)
+def test_help_has_a_sentence_on_one_line_for_every_option(project, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = project.run("--help", generations=None, seed=None).stdout.str()
     for option in OPTIONS:
-        assert option.flag in result.stdout.str()
-        assert re.search(rf"\.\n +{re.escape(option.link)}\n", result.stdout.str()), "a sentence, then the link"
+        assert re.search(rf"^  {option.flag}\b.*\s+{re.escape(option.help)}$", shown, re.MULTILINE)
+        assert re.fullmatch(r"[A-Z][a-z]+ [^.]+(\.html[^.]+)?\.", option.help), "one sentence, which begins with a verb"
 
 
 SKIPPED = """

@@ -255,7 +255,7 @@ MESSAGES = {
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
-    "world=gymnasium.make('CartPole-v1')": ["; write a world of your own around * (docs/guide/own-world.md)"],
+    "world=gymnasium.make('CartPole-v1')": ['; write a world of your own around * (page "A simulator of your own")'],
     "worlds=five": ["(worlds=...): did you mean 'world'? Expected one of ads, against, *, received 'worlds'"],
 }
 

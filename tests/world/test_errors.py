@@ -228,7 +228,7 @@ def test_environment_does_not_change_highway_env_vehicle_classes():
 def test_environment_of_another_library_is_refused():
     with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv); write a world"):
         World("CartPole-v1").check()
-    with raises("around a simulator of another kind (docs/guide/own-world.md)"):
+    with raises('around a simulator of another kind (page "A simulator of your own")'):
         World("MetaDrive-v0").check()
 
 

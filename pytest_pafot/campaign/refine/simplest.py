@@ -10,13 +10,7 @@ from typing import Any
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.refine.runs import (
-    announce,
-    driven,
-    is_same,
-    showing,
-    signature_of,
-)
+from pytest_pafot.campaign.refine.runs import announce, driven, is_same, showing, signature_of
 from pytest_pafot.campaign.state import Answered, State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.findings.failure_rate import FailureRate

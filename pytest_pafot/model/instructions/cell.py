@@ -10,13 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions.instruction import (
-    Choices,
-    ScenarioError,
-    TimedInstruction,
-    checked_speed,
-    known,
-)
+from pytest_pafot.model.instructions.instruction import Choices, ScenarioError, TimedInstruction, checked_speed, known
 from pytest_pafot.support.errors import plain_whole
 
 if TYPE_CHECKING:
@@ -34,6 +28,10 @@ class PositionInstruction(TimedInstruction):
 
     cell: Cell
     speed: float
+
+    if TYPE_CHECKING:
+
+        def __init__(self, cell: int, speed: float) -> None: ...
 
     on_grid = True
     goal_kind = "cell"

@@ -14,9 +14,10 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from multiprocessing import parent_process
 from multiprocessing.util import Finalize
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -34,13 +35,12 @@ STARTS = (("x", 0.05), ("y", 0.05), ("heading", 0.01), ("speed", 0.05))
 STRAYS, FASTEST_CHANGE, MOVES = 0.15, 10.0, 5.0
 """In its first tick, a vehicle of at least ``MOVES`` [m/s] drives where it heads and as far as its speed says, up to
 this share of the way and what a change of speed makes [m/s^2]; whatever its engine and its wheels do."""
-QUARTERS = ("x", "y", "-x", "-y")
-"""The axes by quarter turns from x towards y."""
 CAUSE = "pytest_pafot.testing.check_world(world) looks for the cause"
 """What finds the attribute that is wrong, by experiments; one run only shows that something is."""
-HEADINGS = {
-    f"{QUARTERS[zero]} to {QUARTERS[(zero + sense) % 4]}": (zero, sense) for zero in range(4) for sense in (1, -1)
-}
+Headings = Literal[
+    "x to y", "x to -y", "y to -x", "y to x", "-x to -y", "-x to y", "-y to x", "-y to -x",
+]  # fmt: skip
+HEADINGS = dict(zip(get_args(Headings), product(range(4), (1, -1)), strict=True))
 """The quarter turn at which headings are 0, and 1 if they grow as from x to y, by what :class:`Simulator` states."""
 PUT = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
 """The same as :data:`STARTS` for an NPC that is put in the state of its control."""
@@ -120,7 +120,7 @@ class Simulator(ABC):
     start_at: float | None = None
     obstacles: Sequence[tuple[float, float, float, float, float]] = ()
     y_is_left: ClassVar[bool] = False
-    headings: ClassVar[str] = "x to y"
+    headings: ClassVar[Headings] = "x to y"
     degrees: ClassVar[bool] = False
     at_front: ClassVar[bool] = False
     metres: ClassVar[float] = 1.0
@@ -287,11 +287,7 @@ class Simulation:
         """Let the simulator do the tick in which the package's own model has just moved all vehicles."""
         frame, bodies = self._frame, self._bodies
         controls = [
-            Control(
-                body.acceleration / frame.speed,
-                frame.turn * body.steering / frame.angle,
-                *frame.stated(body),
-            )
+            Control(body.acceleration / frame.speed, frame.turn * body.steering / frame.angle, *frame.stated(body))
             for body in bodies
         ]
         self._tick += 1

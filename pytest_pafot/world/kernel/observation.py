@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
@@ -38,11 +38,13 @@ class VehicleState(NamedTuple):
     width: float = 2.0
 
 
-_FIELDS = (
-    "time", "ego", "others", "lanes", "lane_width", "speed_limit", "decision_period", "acceleration", "steering",
-    "lateral_velocities", "ids", "road_length", "crossing",
-)  # fmt: skip
-"""The fields of an :class:`Observation`, in the order of its arguments."""
+Fields = TypedDict("Fields", {  # noqa: UP013  (a class is longer)
+    "time": float, "ego": VehicleState, "others": Sequence[VehicleState], "lanes": int, "lane_width": float,
+    "speed_limit": float, "decision_period": float, "acceleration": float, "steering": float,
+    "lateral_velocities": tuple[float, ...], "ids": Sequence[int], "road_length": float,
+    "crossing": tuple[CrossingVehicle, ...],
+}, total=False)  # fmt: skip
+"""The fields of an :class:`Observation`, in the order of its arguments, with their types."""
 
 _NEW = tuple.__new__
 """Makes a :class:`VehicleState` in half the time of the class itself."""
@@ -195,7 +197,7 @@ class Observation:
         self,
         time: float,
         ego: VehicleState,
-        others: tuple[VehicleState, ...] = (),
+        others: Sequence[VehicleState] = (),
         lanes: int = 4,
         lane_width: float = 4.0,
         speed_limit: float = 26.8,
@@ -203,7 +205,7 @@ class Observation:
         acceleration: float = 0.0,
         steering: float = 0.0,
         lateral_velocities: tuple[float, ...] | None = None,
-        ids: tuple[int, ...] | None = None,
+        ids: Sequence[int] | None = None,
         road_length: float = 1e5,
         crossing: tuple[CrossingVehicle, ...] = (),
     ) -> None:
@@ -334,7 +336,7 @@ class Observation:
     def __hash__(self) -> int:
         return hash(self._values())
 
-    def replace(self, **changes: Any) -> Observation:
+    def replace(self, **changes: Unpack[Fields]) -> Observation:
         """Return a copy in which some fields are others, such as ``others=()``.
 
         Lateral velocities follow from other vehicles, as without steering, and so do their ids from 0 on if the number
@@ -343,7 +345,7 @@ class Observation:
         Raises:
             TypeError: for a name that is no field.
         """
-        fields = dict(zip(_FIELDS, self._values(), strict=True))
+        fields: dict[str, Any] = dict(zip(Fields.__annotations__, self._values(), strict=True))
         if "ego" in changes or "others" in changes:
             fields["lateral_velocities"] = None
         if len(changes.get("others", self.others)) != len(self.others):
@@ -351,8 +353,8 @@ class Observation:
         return Observation(**{**fields, **changes})
 
     def __repr__(self) -> str:
-        fields = ", ".join([f"{name}={value!r}" for name, value in zip(_FIELDS, self._values(), strict=True)])
-        return f"Observation({fields})"
+        named = zip(Fields.__annotations__, self._values(), strict=True)
+        return f"Observation({', '.join([f'{name}={value!r}' for name, value in named])})"
 
     def __reduce__(self) -> tuple[type[Observation], tuple[Any, ...]]:
         return Observation, self._values()
