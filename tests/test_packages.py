@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -120,6 +121,7 @@ def test_release_requires_a_real_public_repository_address(check, monkeypatch, a
 
 
 METADATA = "pytest_pafot-0.1.0.dist-info/METADATA"
+RECORD = "pytest_pafot/_cython.abi.so.txt"
 LICENCE = "pytest_pafot-0.1.0.dist-info/licenses/LICENSE"
 
 
@@ -130,7 +132,7 @@ def members():
     data = [each.relative_to(ROOT) for kind in assets for each in ROOT.glob(f"pytest_pafot/report/assets/*.{kind}")]
     examples = ["pytest_pafot/example_ads/idm_mobil.py", "pytest_pafot/example_ads/ppo/actor.npz"]
     names = [each.as_posix() for each in [*compiled, *data]]
-    return {**dict.fromkeys([*names, *examples, "pytest_pafot/py.typed", LICENCE], "")} | {
+    return {**dict.fromkeys([*names, *examples, "pytest_pafot/py.typed", RECORD, LICENCE], "")} | {
         METADATA: f"Name: pytest-pafot\nLicense-Expression: {PROJECT['license']}\n"
     }
 
@@ -140,6 +142,7 @@ def members():
     [
         ({}, None),
         ({"pytest_pafot/world/kernel/loop.abi.so": None}, "without compiled form: pytest_pafot/world/kernel/loop."),
+        ({RECORD: None}, "expected one record of what was compiled, received none"),
         ({"pytest_pafot/py.typed": None}, "not in the wheel: pytest_pafot/py.typed"),
         ({"pytest_pafot/report/assets/main.js": None}, "not in the wheel: pytest_pafot/report/assets/main.js"),
         ({"pytest_pafot/example_ads/ppo/actor.npz": None}, "not in the wheel: pytest_pafot/example_ads/ppo/actor.npz"),
@@ -199,3 +202,33 @@ def test_two_builds_in_one_folder_are_serialized(setup, tmp_path, monkeypatch):
             if failure:
                 raise failure
         assert is_free()
+
+
+def test_release_workflow_publishes_what_was_tried_and_only_on_a_tag():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    assert workflow[True]["push"] == {"tags": ["v*"]}  # YAML reads the key `on` as true
+    jobs = workflow["jobs"]
+    publish = jobs.pop("publish")
+    assert publish["if"] == "github.event_name == 'push'"
+    assert {*publish["needs"]} == {*jobs}
+    assert publish["permissions"] == {"id-token": "write"}
+    assert not [name for name, job in jobs.items() if "permissions" in job]
+    steps = [step for job in jobs.values() for step in job["steps"]]
+    uploads = [step["with"]["name"] for step in steps if step.get("uses", "").startswith("actions/upload-artifact")]
+    assert all(name.startswith("packages-") for name in uploads)
+    assert publish["steps"][0]["with"]["pattern"] == "packages-*"
+
+
+def test_release_tries_the_installed_package_by_files_that_exist():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]
+    commands = [step.get("run", "") for step in workflow["jobs"]["try"]["steps"]]
+    assert "rm -r pytest_pafot setup.py" in commands
+    assert "pytest_pafot" not in wheels["test-sources"]
+    quick = wheels["test-command"][-1]
+    assert commands[-1] == quick == "python -m pytest -n 2 @tests/quick.txt"
+    named = (ROOT / "tests" / "quick.txt").read_text(encoding="utf-8").split()
+    for path in ["pytest_pafot", "setup.py", "tests/quick.txt", *wheels["test-sources"], *named]:
+        assert (ROOT / path).exists()
+    assert 'os.environ.get("PAFOT_PURE"' in (ROOT / "setup.py").read_text(encoding="utf-8")
+    assert {"PAFOT_PURE": "1"} in [step.get("env") for step in workflow["jobs"]["any-system"]["steps"]]

@@ -226,7 +226,7 @@ def sentences(reason: Reason) -> tuple[str, ...]:
 
 def _lines(fact: Fact) -> list[str]:
     lines: list[str] = []
-    for sentence in _answer(fact) if fact.what in ANSWERS else [_sentence(fact)]:
+    for sentence in _answer(fact) if fact.what in ANSWERS else [capitalised(_filled(fact.what.value, fact))]:
         if lines and len(lines[-1]) + len(sentence) < LONGEST:
             lines[-1] += f" {sentence}"
         else:
@@ -271,10 +271,6 @@ def responsible_sentence(responsibility: str, npc: int | None) -> str:
         return f"Both are responsible: the ego and NPC {npc}."
     who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}[responsibility]
     return f"{who} is responsible."
-
-
-def _sentence(fact: Fact) -> str:
-    return capitalised(_filled(fact.what.value, fact))
 
 
 def _filled(template: str, fact: Fact) -> str:

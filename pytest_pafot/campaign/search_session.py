@@ -73,6 +73,8 @@ SLOWER = 0.5
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
+WITH_WARNINGS = Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
+"""The reasons for an end that leave enough runs to warn of their health."""
 SLOW_RUNS = 10
 """A run that the time limit cuts is reported if it took more than this many times as long as the mean run before it."""
 
@@ -305,11 +307,6 @@ class SearchSession:
         """The harness of the search."""
         return self.bench.harness
 
-    @property
-    def _ends_with_warnings(self) -> tuple[Ending, ...]:
-        """The reasons for an end that leave enough runs to warn of their health."""
-        return Ending.GENERATIONS, Ending.RUNS, Ending.MAX_TIME
-
     def _events(self, happened: Iterable[SearchEvent | Phase | Note]) -> Iterator[SearchEvent]:
         """Yield the events among what happens.
 
@@ -472,8 +469,9 @@ class SearchSession:
         if space is None:
             return Ending.REPLAYS
         request, settings = self.harness.request, self.harness.request.settings
+        given = {} if settings.population is None else {"population": settings.population}  # or the algorithm's own
         try:
-            algorithm = request.algorithm.make(space, **_population(settings.population))
+            algorithm = request.algorithm.make(space, **given)
         except ValueError as error:
             raise RequestError(str(error)) from None
         # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
@@ -667,7 +665,7 @@ class SearchSession:
             known=dict(state.covered + state.found_before(self.store)),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},
-            warnings=state.warnings(self.harness) if reason in self._ends_with_warnings else (),
+            warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
             notes=(*state.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
@@ -777,11 +775,6 @@ class SearchSession:
         is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
             yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"
-
-
-def _population(given: int | None) -> dict[str, int]:
-    """Return the population as a parameter of the algorithm; nothing for None, so that its default is used."""
-    return {} if given is None else {"population": given}
 
 
 def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:

@@ -164,7 +164,7 @@ def _expect_lines(expect: Expect) -> Iterator[str]:
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}
-    if not _has_lines(entries):
+    if not any(isinstance(value, str) and "\n" in value for value in entries.values()):
         yield from _filled("expect: ", entries)
         return
     yield "expect:"
@@ -179,10 +179,6 @@ def _block(entries: Mapping[str, Any]) -> Iterator[str]:
             yield from (f"    {line}" if line else "" for line in value.removesuffix("\n").split("\n"))
         else:
             yield f"  {key}: {_flow(value)}"
-
-
-def _has_lines(entries: Mapping[str, Any]) -> bool:
-    return any(isinstance(value, str) and "\n" in value for value in entries.values())
 
 
 def _fits_literal(text: str) -> bool:

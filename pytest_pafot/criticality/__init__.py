@@ -12,6 +12,10 @@ NPC.
 The geometry that measures share is computed only once if they are called for one run after the other.
 """
 
+from pytest_pafot.support import compiled
+
+compiled.load(__name__)  # before the modules that import what is compiled
+
 from pytest_pafot.criticality.measures import (
     Encounters,
     centre_distance,

@@ -14,7 +14,6 @@ between 1 - h^2 / 2 and 1. ``SLACK`` is far more than all rounding, up to the si
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 import numpy as np
@@ -34,14 +33,9 @@ TINY = 1e-290
 """A tiny velocity that avoids a division by zero [m/s], as in :mod:`~pytest_pafot.criticality.boxes`."""
 
 
-def is_compiled() -> bool:
-    """Return whether this module is compiled."""
-    return not __file__.endswith(".py")
-
-
 def is_in_use() -> bool:
     """Return whether the compiled pass replaces numpy's arrays, which it does only if both give the same results."""
-    if not is_compiled() or os.environ.get("PAFOT_KERNEL") == "interpreted":
+    if __file__.endswith(".py"):  # it runs interpreted
         return False
     angles = np.linspace(-2.0, 2.0, 256)  # numpy's sine and cosine must be the C library's
     return bool(

@@ -574,7 +574,11 @@ def _serve(
     for other in inherited:
         other.close()  # Otherwise the end of the session or of another process would go unnoticed.
     multiprocessing.current_process().daemon = False  # Daemons may have no children, but an ADS may start processes.
-    _ignore_interrupts()
+    # The session ends its processes itself. A function and not SIG_IGN: the processes that they start would inherit
+    # SIG_IGN, but must be interrupted.
+    signal.signal(signal.SIGINT, lambda number, frame: None)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     if hasattr(signal, "SIGUSR2"):
         signal.signal(signal.SIGUSR2, beat)
     beat()
@@ -608,14 +612,6 @@ def _serve(
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         with suppress(OSError):  # the session may have ended
             tell(_Left(leave(), in_task))
-
-
-def _ignore_interrupts() -> None:
-    # The session ends its processes itself. A function and not SIG_IGN: the processes that they start would inherit
-    # SIG_IGN, but must be interrupted.
-    signal.signal(signal.SIGINT, lambda number, frame: None)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager

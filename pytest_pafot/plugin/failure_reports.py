@@ -113,7 +113,7 @@ class Failures:
             if marked:
                 _shorten_output(report)
             return report
-        option, is_brief = item.config.option, is_compact(item.config)
+        option, is_brief = item.config.option, item.config.get_verbosity() <= 0  # the saved file has the rest
         style = getattr(option, "tbstyle", None)  # declared by pytest's terminal plugin, which may be off
         if is_brief and call.when == "call" and style == "auto":
             option.tbstyle = "short"
@@ -158,11 +158,6 @@ def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestR
     if is_accepted and is_other and hasattr(report, "wasxfail"):
         report.outcome = "failed"
         del report.wasxfail
-
-
-def is_compact(config: pytest.Config) -> bool:
-    """Return whether failure reports are short (without ``-v``): they leave out what the saved file contains, too."""
-    return config.get_verbosity() <= 0
 
 
 def explained(run: Run, exception: BaseException) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import date, timedelta
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -24,8 +23,6 @@ from pytest_pafot.plugin.option_sources import resolve
 from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import day_of
-
-KERNEL = Path(__file__).parents[1] / "world" / "kernel"
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
 
@@ -250,8 +247,7 @@ class Header:
 
     def pytest_report_header(self) -> str:
         """Return a line that says whether the simulation kernel is compiled; the kernel is not imported for that."""
-        if not any((KERNEL / f"loop{suffix}").exists() for suffix in EXTENSION_SUFFIXES):
-            return "pafot: kernel interpreted (not compiled at installation)"
-        if os.environ.get("PAFOT_KERNEL") == "interpreted":
-            return "pafot: kernel interpreted (PAFOT_KERNEL)"
-        return "pafot: kernel compiled"
+        from pytest_pafot.support.compiled import why_interpreted  # noqa: PLC0415  (most sessions are not verbose)
+
+        reason = why_interpreted()
+        return f"pafot: kernel interpreted ({reason})" if reason else "pafot: kernel compiled"

@@ -8,11 +8,12 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import pytest
 
+import pytest_pafot
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.plugin.marks import SEARCH_MARK, search
 
@@ -60,7 +61,7 @@ def left_out(collector: pytest.Module | pytest.Class, collected: Sequence[object
 def replaced_in(collector: pytest.Module) -> Iterator[tuple[str, str]]:
     """Yield the marked functions and classes of a test file that a later definition of the same name replaces."""
     scope = vars(collector.obj)
-    if not any(each is search or _is_package(each) for each in scope.values()):
+    if not any(each is search or each is pytest_pafot for each in scope.values()):
         return
     import ast  # noqa: PLC0415  (few test files use this plugin)
 
@@ -143,10 +144,6 @@ def _is_own(member: object, module: str) -> bool:
     if inspect.isfunction(member) or inspect.isclass(member):
         return member.__module__ == module
     return isinstance(member, pytest.MarkDecorator)
-
-
-def _is_package(value: object) -> bool:
-    return isinstance(value, ModuleType) and value.__name__ == "pytest_pafot"
 
 
 def _member_of(node: object) -> int:

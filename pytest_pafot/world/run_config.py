@@ -204,11 +204,9 @@ class Rules:
         for npc, chain in enumerate(scenario.npcs):
             for gene, instruction in enumerate(chain):
                 if instruction.speed > limit + 1e-9:
-                    self._refuse_speed(f"npcs[{npc}][{gene}]", instruction.speed)
-
-    def _refuse_speed(self, place: str, speed: float) -> None:
-        expected = f"at most the speed limit of {self.road.speed_limit:g} m/s"
-        raise ScenarioError(field=f"{place}.speed", expected=expected, received=f"{speed:g}")
+                    expected = f"at most the speed limit of {limit:g} m/s"
+                    field, received = f"npcs[{npc}][{gene}].speed", f"{instruction.speed:g}"
+                    raise ScenarioError(field=field, expected=expected, received=received)
 
     def ticks(self, scenario: Scenario) -> int:
         """Return the number of physics ticks of a run that no collision or failure ends early."""

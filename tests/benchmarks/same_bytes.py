@@ -156,8 +156,8 @@ SETTINGS = ("CI", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "BUILD_NUMBER", "COLU
 
 
 def built() -> list[Path]:
-    """Return the extensions that are built in this tree."""
-    return list(ROOT.glob("pytest_pafot/**/*.so"))
+    """Return the extensions that are built in this tree, and the records of what they were made from."""
+    return [*ROOT.glob("pytest_pafot/**/*.so"), *ROOT.glob("pytest_pafot/*.so.txt")]
 
 
 def build(tree: Path) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
-from pytest_pafot.plugin import session
 from pytest_pafot.world import kernel
 
 
@@ -23,15 +20,3 @@ def test_a_verbose_session_says_it_once(project):
 def test_header_names_kernel_forced_by_the_environment(project, monkeypatch):
     monkeypatch.setenv("PAFOT_KERNEL", "interpreted")
     project.run("-v").stdout.fnmatch_lines(["pafot: kernel interpreted (*"])
-
-
-@pytest.mark.parametrize("compiled", [False, True])
-def test_it_is_found_out_from_the_files(tmp_path, monkeypatch, compiled):
-    monkeypatch.delenv("PAFOT_KERNEL", raising=False)
-    monkeypatch.setattr(session, "KERNEL", tmp_path)
-    (tmp_path / "loop.py").touch()
-    if compiled:
-        (tmp_path / f"loop{session.EXTENSION_SUFFIXES[0]}").touch()
-    assert session.Header().pytest_report_header() == (
-        "pafot: kernel compiled" if compiled else "pafot: kernel interpreted (not compiled at installation)"
-    )

@@ -92,12 +92,6 @@ def _seed_torch(torch: Any, seed: int) -> None:
             sys.tracebacklimit = before
 
 
-def _torch() -> Any:
-    """Return torch if something else has imported it, else None."""
-    torch = sys.modules.get("torch")
-    return torch if hasattr(torch, "get_rng_state") else None
-
-
 def _uses_gpu() -> bool:
     """Return whether draws may be on a GPU, where nothing is drawn in addition to see them."""
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
@@ -185,8 +179,8 @@ class _Generators:
 
     def _save(self) -> bool:
         """Save the state of each generator that is not saved yet; return whether there was one."""
-        torch = _torch()
-        known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if torch else [])]
+        torch = sys.modules.get("torch")  # only if something else has imported it
+        known = [OF_PYTHON, OF_NUMPY, *([_of_torch(torch)] if hasattr(torch, "get_rng_state") else [])]
         new = known[len(self._saved) :]
         self._saved += [(each, each.state()) for each in new]
         return bool(new)

@@ -125,19 +125,12 @@ class OwnWorld(BaseWorld):
             Exception: any exception of the world or of the factory.
         """
         __tracebackhide__ = True
-        if self._guards_ads:
+        # An inherited statement is not used, because a derived class may call the ADS in a `rollout` of its own.
+        if vars(type(self.world)).get("guards_ads", False) is True:  # the class says that it ends decisions that hang
             trace: Trace = self.world.rollout(scenario, ads_factory, **given)
             return trace
         with _Watch(self.hang_limit, len(given.get("decisions", ()))) as watch:
             return watch.told(self.world.rollout(scenario, watch.guarded(ads_factory), **given))
-
-    @property
-    def _guards_ads(self) -> bool:
-        """True if the world's class itself states that it ends decisions that hang.
-
-        An inherited statement is not used, because a derived class may call the ADS in a ``rollout`` of its own.
-        """
-        return vars(type(self.world)).get("guards_ads", False) is True
 
     def _runs_alike(self, name: str) -> bool:
         """Return whether the world has a method that runs scenarios like its ``rollout``."""

@@ -1,9 +1,8 @@
-"""The compiled kernel: it is that of the present source, and gives the same traces as the interpreted source."""
+"""The compiled kernel gives the same traces as the interpreted source."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -69,16 +68,7 @@ def test_the_kernel_knows_highway_envs_vehicles():
     assert (body.acceleration, Vehicle.MIN_SPEED) == (-1.0, -Vehicle.MAX_SPEED)
 
 
-@pytest.mark.skipif(not kernel.is_compiled(), reason="the kernel is not compiled here")
-def test_compiled_kernel_matches_the_present_source():
-    folder = Path(kernel.__file__).parent
-    for name in kernel.MODULES:
-        compiled = Path(import_module(f"{kernel.__name__}.{name}").__file__).stat().st_mtime
-        for source in (folder / f"{name}.py", folder / f"{name}.pxd"):
-            assert source.stat().st_mtime <= compiled + 1, f"{source.name} is newer; run: python -m pip install ."
-
-
 def test_every_kernel_module_has_types_for_compiler():
     folder = Path(kernel.__file__).parent
     names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
-    assert names == set(kernel.MODULES) == {path.stem for path in folder.glob("*.pxd")}
+    assert names == {path.stem for path in folder.glob("*.pxd")}
