@@ -6,6 +6,7 @@ importing the package is fast (PEP 562).
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -80,4 +81,8 @@ if not TYPE_CHECKING:  # type checkers know every name
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    """List all names for a person who types, and elsewhere those that are loaded.
+
+    Tools such as freezegun read every name that is listed, which would import half of the package into any session.
+    """
+    return [*__all__, "__version__"] if hasattr(sys, "ps1") else list(globals())

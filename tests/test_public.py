@@ -18,18 +18,22 @@ def test_an_unknown_name_is_an_attribute_error():
         pafot.serach  # noqa: B018
 
 
-def test_dir_lists_the_catalogue():
+def test_dir_lists_the_catalogue_in_an_interactive_session(monkeypatch):
+    monkeypatch.setattr(sys, "ps1", ">>> ", raising=False)
     assert set(pafot.__all__) <= set(dir(pafot))
 
 
 FRESH = """
-import sys
+import inspect, sys
 before = set(sys.modules)
 import pytest_pafot
+inspect.getmembers(pytest_pafot)
 new = set(sys.modules) - before - {"pytest_pafot"}
 assert not {name for name in new if name.split(".")[0] not in sys.stdlib_module_names}, new
-pytest_pafot.Highway(); pytest_pafot.World
-assert "highway_env" not in sys.modules
+from pytest_pafot import *
+Highway(), World("highway-v0")
+heavy = {"gymnasium", "highway_env", "matplotlib", "pandas", "pygame", "scipy", "torch"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
 import pytest_pafot.campaign.verdict
 assert callable(pytest_pafot.reject), "a module in the place of the function"
 """

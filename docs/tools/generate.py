@@ -17,7 +17,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot import criticality, policies, properties, strategies
+from pytest_pafot import criticality, plugin, policies, properties, strategies
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
@@ -45,7 +45,6 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import READY, VehicleType
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin import fixtures
 from pytest_pafot.report.session_record import FINDING, SessionRecord
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
@@ -378,7 +377,7 @@ def _marker_table() -> str:
 
 
 def _fixtures_table() -> str:
-    tree = ast.parse(inspect.getsource(fixtures))
+    tree = ast.parse(inspect.getsource(plugin))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("pafot_")]
     rows = [[f"`{node.name}`", _scope(node), _first_paragraph(ast.get_docstring(node))] for node in functions]
     return _table(["Fixture", "Scope", "Value"], rows)

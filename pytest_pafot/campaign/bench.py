@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -24,6 +23,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
@@ -45,7 +45,7 @@ class Bench:
     driver: BlockDriver | None = None  # how other processes drive blocks; None if they cannot
     fitness: Callable[[Run], float]  # the fitness of a run; higher is worse for the ego
     is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
-    clock: Callable[[], float] = time.monotonic  # returns the seconds since some fixed moment
+    clock: Callable[[], float] = monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
     refining_end: float = math.inf  # the time at which the work on findings ends [s]
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings

@@ -6,7 +6,6 @@ import hashlib
 import math
 import os
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -44,6 +43,7 @@ from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Evaluated, GenerationFinished
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway, WorldLike
@@ -160,7 +160,7 @@ def explore(
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
         replays = replays_of(request, holds, name, Path(scratch), needs_only_run=on_event is None)
-        now = time.monotonic()
+        now = monotonic()
         with prepared(replays.harness, has_table=True) as parts:
             max_time = request.settings.max_time
             limit = math.inf if max_time is None else now + max_time

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.text import meant
 
 if TYPE_CHECKING:
     from pytest_pafot.searching.ask_tell import Algorithm
@@ -90,6 +89,8 @@ class Option(NamedTuple):
         if self.choices and typed not in self.choices:
             *others, last = self.choices
             hint = "; or give your own class, as module:Class outside Python code" if self.or_class else ""
+            from pytest_pafot.support.text import meant  # noqa: PLC0415  (for few sessions)
+
             hint = meant(value, self.choices) or hint
             raise RequestError(f"expected {', '.join(others)} or {last}, received {value!r}{hint}")
         return typed
@@ -101,7 +102,7 @@ def option(kind: Kind, text: str, details: str = "", *, default: object = None, 
 
 
 # each method that is made of so many fields costs every session of pytest some time
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, init=False, repr=False, eq=False)
 class Settings:
     """The options, with their types, texts and defaults.
 
@@ -270,6 +271,10 @@ class Settings:
         default=False,
         is_argument=False,
     )
+
+    def __init__(self, **given: Any) -> None:
+        for name, value in ({each.name: each.default for each in fields(self)} | given).items():
+            object.__setattr__(self, name, value)  # which raises for an unknown name, since it has no slot
 
     @property
     def is_search(self) -> bool:

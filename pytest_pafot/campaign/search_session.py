@@ -6,7 +6,6 @@ Read :meth:`SearchSession.run` from the top. The loop over scenarios is :func:`p
 from __future__ import annotations
 
 import hashlib
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -52,6 +51,7 @@ from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
 from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
 from pytest_pafot.support.interrupts import postponed
 from pytest_pafot.support.text import plural
@@ -242,7 +242,7 @@ def prepared(
         if reference is not None:
             stack.push(reference.__exit__)
         state = State()
-        state.clock, state.space = time.monotonic, space
+        state.clock, state.space = monotonic, space
         state.began = state.clock()
         stack.callback(state.close)
         yield Prepared(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
@@ -33,6 +32,7 @@ from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.source_files import source_digests
@@ -149,7 +149,7 @@ class State:
     space: SearchSpace | None = field(init=False, default=None)  # None for replays only
     plan: Plan[Any] | None = field(init=False, default=None)  # None before the first run
     file: StateFile | None = field(init=False, default=None)  # None if the search is in one session
-    clock: Callable[[], float] = field(init=False, default=time.monotonic)  # returns the seconds since some moment
+    clock: Callable[[], float] = field(init=False, default=monotonic)  # returns the seconds since some moment
     began: float = field(init=False, default=0.0)  # the time at which this session began [s]
     shown: Mapping[Signature, str] = field(init=False, default_factory=dict)  # ids of saved scenarios by their failure
     finds: dict[Signature, str] = field(init=False, default_factory=dict)  # ids of new findings by signature

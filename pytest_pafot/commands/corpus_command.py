@@ -19,10 +19,10 @@ from pytest_pafot.corpus.layout import files_in, folders_below, unlisted_below
 from pytest_pafot.corpus.reader import content_of, parsed
 from pytest_pafot.corpus.saved import Saved, named_file
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.support.errors import CorpusError, RequestError, day_argument
+from pytest_pafot.support.errors import CorpusError, RequestError
 from pytest_pafot.support.files import way_out, write_whole
 from pytest_pafot.support.git import Since, added_in
-from pytest_pafot.support.text import ascii_text, quiet_json, visible, wrapped_to
+from pytest_pafot.support.text import ascii_text, day_of, quiet_json, visible, wrapped_to
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
 """The line ``xfail:`` in a file, which accepts the file's failure, or the comment in its place."""
@@ -110,7 +110,8 @@ def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -
 
 
 def _last_day(text: str) -> date:
-    day = day_argument(text)
+    if (day := day_of(text)) is None:
+        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
     if day < date.today():
         raise RequestError(f"expected today or a later day, received {text}, which is over")
     return day

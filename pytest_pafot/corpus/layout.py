@@ -26,9 +26,10 @@ MAX_NAME = 80
 DIGEST = 10
 _DIGITS = string.digits + string.ascii_lowercase
 
-_PLAIN = re.compile(r"[a-z0-9_](?:[a-z0-9_.,=+-]*[a-z0-9_,=+-])?")
-_WITH_PARAMETERS = re.compile(r"([^@\[\]]+)\[([^@\[\]]+)\]")
-_RESERVED = re.compile(r"(?:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.@,=+~-]|$)", re.IGNORECASE)
+# Texts, compiled when they are used: most sessions use none of them.
+_PLAIN = r"[a-z0-9_](?:[a-z0-9_.,=+-]*[a-z0-9_,=+-])?"
+_WITH_PARAMETERS = r"([^@\[\]]+)\[([^@\[\]]+)\]"
+_RESERVED = r"(?i:con|prn|aux|nul|com\d|lpt\d|conin|conout|clock)(?=[.@,=+~-]|$)"
 
 
 def files_in(folder: Path) -> list[Path]:
@@ -186,7 +187,7 @@ def safe_name(text: str) -> str:
     characters is simplified and ends with ``~`` and ten digits of a digest of the whole text, so distinct texts never
     share a name.
     """
-    bracketed = _WITH_PARAMETERS.fullmatch(text)
+    bracketed = re.fullmatch(_WITH_PARAMETERS, text)
     parts = bracketed.groups() if bracketed else (text,)
     suffix = ""
     if text.isascii() and text != text.lower() and "." not in parts[0]:  # "A.b" and "A::b" must differ
@@ -196,11 +197,11 @@ def safe_name(text: str) -> str:
     plain = (part.lower() if suffix else part for part in parts)
     # The suffix is shorter than that with a digest, so that the two kinds differ.
     is_short = len(suffix) <= DIGEST and len(name + suffix) <= MAX_NAME
-    if is_short and all(map(_PLAIN.fullmatch, plain)) and not _RESERVED.match(name):
+    if is_short and all(re.fullmatch(_PLAIN, each) for each in plain) and not re.match(_RESERVED, name):
         return name + suffix
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:DIGEST]
     readable = _readable(name)
-    prefix = "_" if not readable or _RESERVED.match(readable) else ""
+    prefix = "_" if not readable or re.match(_RESERVED, readable) else ""
     return f"{prefix}{readable}~{digest}"
 
 

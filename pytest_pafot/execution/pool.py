@@ -29,6 +29,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
@@ -151,7 +152,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
     leave: Callable[[], Any] | None = None
     left: Callable[[Any], None] = lambda said: None
     farewell: float = FAREWELL
-    clock: Callable[[], float] = time.monotonic
+    clock: Callable[[], float] = monotonic
 
     def __post_init__(self) -> None:
         self.recovered: list[ProcessLostError[TaskT]] = []

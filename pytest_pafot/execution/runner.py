@@ -7,7 +7,6 @@ time of the search, not its results.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -39,8 +38,8 @@ from pytest_pafot.execution.scenario_pool import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts, Run
+from pytest_pafot.support import isolates, monotonic
 from pytest_pafot.support.errors import flag
-from pytest_pafot.support.isolation import isolates
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
@@ -61,7 +60,7 @@ def runner_for(
     workers: int = 1,
     isolate: bool = False,
     cluster: Cluster | None = None,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] = monotonic,
 ) -> Runner:
     """Return the runner of a job.
 

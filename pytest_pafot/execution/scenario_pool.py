@@ -7,7 +7,6 @@ import logging
 import pickle
 import sys
 import threading
-import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +25,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts
+from pytest_pafot.support import monotonic
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.simulation import CLOSING, Simulators
@@ -235,9 +235,9 @@ class Job:
         """
         with capture_output() as output:
             job = made()
-            started = time.perf_counter()
+            started = monotonic()
             trace = rollout_of(job.world, method)(scenario, job.policy.factory)
-            seconds = time.perf_counter() - started
+            seconds = monotonic() - started
         return trace, output, seconds
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:

@@ -36,6 +36,7 @@ from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.support import import_late
 from pytest_pafot.support.errors import driven_by, install
 from pytest_pafot.support.text import ascii_text
 
@@ -294,12 +295,12 @@ class Run:
             ModuleNotFoundError: if pandas is not installed.
         """
         try:
-            import pandas as pd  # noqa: PLC0415
+            pd = import_late("pandas")
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
                 f"run.to_pandas(): expected pandas to be installed; {install('compare')} brings it"
             ) from error
-        return pd.DataFrame(
+        return pd.DataFrame(  # type: ignore[no-any-return]
             {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")
         )
 

@@ -7,31 +7,38 @@ is collected, and everything that needs numpy, yaml or highway-env when it is co
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import sys
+import warnings
+from collections.abc import Generator, Mapping
 from datetime import date
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
-from pytest_pafot.plugin import fixtures
 from pytest_pafot.plugin.collection import Collection
-from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, is_driven
-from pytest_pafot.plugin.option_sources import add_options, resolve
+from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
+from pytest_pafot.plugin.option_sources import add_options, option_value, resolve
 from pytest_pafot.plugin.session import (
+    DRIVEN,
     SHARED,
     SUMMARY_LINES,
-    Controller,
+    UNRUN,
     Header,
     Shared,
     SummaryLines,
-    Worker,
     end_in_order,
     is_worker,
-    shared_by_controller,
     stale_day,
 )
-from pytest_pafot.plugin.unrun import DRIVEN, UNRUN
+from pytest_pafot.support import isolating
 from pytest_pafot.support.errors import RequestError, flag
+
+if TYPE_CHECKING:
+    from pytest_pafot.model.scenario import Scenario
+    from pytest_pafot.oracle.run import Run
+    from pytest_pafot.world.base_world import WorldLike
+    from pytest_pafot.world.driving.ads import AdsFactory
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -49,8 +56,10 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
     config.stash[DRIVEN] = set()
-    features = {"fixtures": fixtures, "collection": Collection(config)}
+    features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
+        from pytest_pafot.plugin.distributed import Worker, shared_by_controller  # noqa: PLC0415
+
         config.stash[SHARED] = shared_by_controller(config)
         features["worker"] = Worker()
     else:
@@ -69,6 +78,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if is_parallel or any(config.getoption(option.key) is not None for option in OPTIONS):
         _report(config)
     if is_parallel:  # last, so that what it takes from workers that have ended comes before the reports
+        from pytest_pafot.plugin.distributed import Controller  # noqa: PLC0415
+
         _register(config, {"controller": Controller()})
 
 
@@ -137,3 +148,78 @@ def _register(config: pytest.Config, features: Mapping[str, object]) -> None:
     for name, feature in features.items():
         if not config.pluginmanager.has_plugin(f"pafot-{name}"):
             config.pluginmanager.register(feature, f"pafot-{name}")
+
+
+# Fixtures for searches and for ordinary tests that simulate, and the types of their values.
+
+
+class Simulate(Protocol):
+    """The type of the function that the fixture ``pafot_simulate`` returns."""
+
+    def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
+        """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Let what a test and its fixtures call know whether the policies of this session are isolated."""
+    with isolating(lambda: option_value(item.config, BY_NAME["isolate"], arguments_of(item) or {})):
+        return (yield)
+
+
+@pytest.fixture(scope="session")
+def pafot_world() -> WorldLike:
+    """Return the default world of searches, a straight motorway. Override this fixture in a conftest.py."""
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+
+    return Highway()
+
+
+@pytest.fixture(scope="session")
+def pafot_simulate(pafot_world: WorldLike) -> Simulate:
+    """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
+
+    The function fails the test if the ADS raises, hangs or returns no action, and warns of an invalid run. It is warmed
+    up: its first call is not slower than the others.
+    """
+    from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
+    from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
+    from pytest_pafot.execution.runner import driving  # noqa: PLC0415
+    from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
+    from pytest_pafot.model.grid import Cell  # noqa: PLC0415
+    from pytest_pafot.model.instructions import PositionInstruction  # noqa: PLC0415
+    from pytest_pafot.model.scenario import Scenario  # noqa: PLC0415
+    from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
+    from pytest_pafot.world import Highway  # noqa: PLC0415
+
+    def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
+        world = pafot_world if world is None else world
+        end = ""
+        with driving(world, ads_factory) as drive:
+            try:
+                run = drive(scenario)
+            except ProcessLostError as lost:
+                end = lost.advice
+        if end:
+            pytest.fail(end, pytrace=False)
+        failure = ads_failure(run)
+        if failure is not None:  # Such a run is short, and would pass most assertions that something did not happen.
+            pytest.fail(ads_text(failure), pytrace=False)
+        hypothesis = sys.modules.get("hypothesis")
+        is_generated = hypothesis is not None and hypothesis.currently_in_test_context()  # one of many, which it tries
+        if run.outcome is Outcome.INVALID and not is_generated:
+            why = run.trace.users_error_text or "two NPCs or an NPC and a fixed object touched"
+            what = "environment" if run.trace.ended else "scenario"
+            warnings.warn(
+                f"pafot_simulate: the run is invalid, because {why}; it ended there and says nothing about the ego. "
+                f"Correct the {what}",
+                pytest.PytestWarning,
+                stacklevel=2,
+            )
+        return run
+
+    # The first run imports highway-env, which takes about a second: hypothesis would call the test too slow.
+    still = Scenario(npcs=((PositionInstruction(Cell.FRONT, 22.0),),))
+    with isolating(lambda: False):
+        simulate(still, lambda: lambda observation: (0.0, 0.0), Highway(duration=0.2))
+    return simulate

@@ -14,17 +14,24 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus import layout
-from pytest_pafot.corpus.saved import Saved, refusal, refused_in, saved_in
-from pytest_pafot.plugin.marks import DEFAULT_ARG, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
-from pytest_pafot.plugin.node_ids import base_id, qualified_name, saved_part
+from pytest_pafot.plugin.marks import (
+    DEFAULT_ARG,
+    MARKED,
+    SAVED_MARK,
+    SEARCH_MARK,
+    arguments_of,
+    base_id,
+    is_driven,
+    qualified_name,
+    saved_part,
+)
 from pytest_pafot.plugin.option_sources import resolve, value_if_right
-from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, base_line
-from pytest_pafot.plugin.uncollected import Left, beside_test_files, is_base, left_out, replaced_in
-from pytest_pafot.plugin.unrun import UNRUN, Collected, Unrun
-from pytest_pafot.support.text import visible
+from pytest_pafot.plugin.session import SHARED, SUMMARY_LINES, UNRUN, Collected, Unrun, base_line
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
+    from pytest_pafot.corpus.saved import Saved
+    from pytest_pafot.plugin.uncollected import Left
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""
@@ -149,6 +156,8 @@ class Collection:
         name = qualified_name(definition)
         chosen = layout.chosen_folder(definition.path, corpus)
         link = layout.link_out(chosen, module_folder.parent, self._rootpath)
+        from pytest_pafot.corpus.saved import refused_in, saved_in  # noqa: PLC0415  (few sessions have searches)
+
         found: dict[str, Saved] = {}
         if module_folder not in self._listed:
             self._listed[module_folder] = layout.TestFolders(module_folder)
@@ -175,7 +184,9 @@ class Collection:
             noted = {"passed": collected.files, "skipped": collected.skipped, "failed": collected.failed}
             noted[report.outcome].add(collector.path)
         is_own = type(collector) in (pytest.Module, pytest.Class)  # those of other plugins may have no object
-        if is_own and isinstance(collector, pytest.Module | pytest.Class) and report.passed:
+        if MARKED and is_own and isinstance(collector, pytest.Module | pytest.Class) and report.passed:
+            from pytest_pafot.plugin.uncollected import left_out, replaced_in  # noqa: PLC0415  (few sessions mark any)
+
             self._left_out += left_out(collector, report.result)
             if isinstance(collector, pytest.Module):
                 self._config.stash[UNRUN].unnamed.update(replaced_in(collector))
@@ -213,16 +224,21 @@ class Collection:
         # Only now are the parameters known, and with them the one file that the item replays.
         item.add_marker(getattr(pytest.mark, SAVED_MARK)(saved), append=False)
         if saved.is_accepted(date.fromisoformat(self._config.stash[SHARED].today)):
+            from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have one)
+
             item.add_marker(pytest.mark.xfail(strict=True, reason=visible(saved.xfail or "")), append=False)
         return True
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> Generator[None, None, None]:
         """Find the saved scenarios that no item runs, before tests are selected; drop unneeded searches afterwards."""
-        self._left_out += beside_test_files(self._config, self._folders_given, items)
-        # Asked now, since a later module may have derived from a class of an earlier one.
-        unnamed = {left.name: left.why for left in self._left_out if not is_base(left.member)}
-        self._config.stash[UNRUN].unnamed.update(unnamed)
+        if MARKED:
+            from pytest_pafot.plugin.uncollected import beside_test_files, is_base  # noqa: PLC0415  (as above)
+
+            self._left_out += beside_test_files(self._config, self._folders_given, items)
+            # Asked now, since a later module may have derived from a class of an earlier one.
+            unnamed = {left.name: left.why for left in self._left_out if not is_base(left.member)}
+            self._config.stash[UNRUN].unnamed.update(unnamed)
         self._find_unrun(items)
         self._deselect(items, self._is_beside_given)
         driven = [item for item in items if is_driven(item)]
@@ -269,6 +285,8 @@ class Collection:
                 self._config.stash[UNRUN].strays[corpus] = why, False  # A policy that never failed has none.
         links = {root: layout.link_out(directory, root, self._rootpath) for root, directory in roots.items()}
         for link in sorted(set(filter(None, links.values()))):  # A link is refused before its target is listed.
+            from pytest_pafot.corpus.saved import refusal  # noqa: PLC0415  (few projects have any)
+
             self._config.stash[SUMMARY_LINES].problems.append(refusal(link))
         roots = {root: directory for root, directory in roots.items() if links[root] is None}
         collected = self._collected
@@ -339,7 +357,11 @@ def is_search(item: pytest.Item) -> bool:
 def saved_of(item: pytest.Item) -> Saved | None:
     """Return the saved scenario that an item replays; None if the item is no replay."""
     mark = item.get_closest_marker(SAVED_MARK)
-    return mark.args[0] if mark is not None and mark.args and isinstance(mark.args[0], Saved) else None
+    if mark is None:
+        return None
+    from pytest_pafot.corpus.saved import Saved  # noqa: PLC0415  (few sessions have one)
+
+    return mark.args[0] if mark.args and isinstance(mark.args[0], Saved) else None
 
 
 def policy_of(item: pytest.Item) -> Callable[..., Any]:
@@ -387,6 +409,8 @@ def _is_in_corpus(config: pytest.Config, arg: str) -> bool:
 
 
 def _module_of(file: Path, config: pytest.Config) -> Path:
+    from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions are given such a file)
+
     if not file.is_file():
         raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
     corpus = value_if_right(config, "corpus")

@@ -21,9 +21,8 @@ from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
-from pytest_pafot.plugin.marks import is_driven
+from pytest_pafot.plugin.marks import base_id, is_driven
 from pytest_pafot.plugin.messages import AS_SAVED
-from pytest_pafot.plugin.node_ids import base_id
 from pytest_pafot.plugin.session import SHARED
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 

@@ -1,6 +1,6 @@
-"""The decorator ``@pafot.search``, and the marks that it sets on test functions.
+"""The decorator ``@pafot.search``, the marks that it sets on test functions, and the names of their items.
 
-Every test file that uses the plugin imports this module, so it imports only pytest.
+Every test file that uses the plugin imports this module, so it imports little.
 """
 
 from __future__ import annotations
@@ -12,15 +12,19 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import pytest
 
+from pytest_pafot.corpus.layout import SEARCH_PART, around, name_without
+
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import SearchArguments
 
 SEARCH_MARK = "pafot_search"
 SAVED_MARK = "pafot_saved"
+SAVED_PART = "saved-"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
+MARKED: set[str] = set()  # the names of all that the decorator has marked in this process
 POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
@@ -67,6 +71,7 @@ def _check_name(target: object) -> None:
 
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     _check_name(target)
+    MARKED.add(target.__name__)
     given = [arguments.get("ads", DEFAULT_ADS), arguments.get("against")]
     names = [each for each in given if isinstance(each, str) and each and ":" not in each]
     fixtures = [WORLD_FIXTURE, *names]
@@ -95,3 +100,59 @@ def arguments_of(item: pytest.Item | pytest.Collector) -> dict[str, Any] | None:
         if mark.args:
             merged[POSITIONAL] = mark.args
     return merged
+
+
+# The names of items: ``test_x[1-search]`` is a search, ``test_x[1-saved-<id>]`` replays a saved scenario.
+#
+# Both belong to the test ``test_x[1]``, whose name is called the base name here.
+
+
+def saved_part(id_: str) -> str:
+    """Return the part of an item's name that identifies its saved scenario, such as ``saved-<id>``.
+
+    An id is quoted if pytest would rewrite it, or if it contains control characters, which a terminal would obey.
+    """
+    from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have a saved scenario)
+
+    if id_.isascii() and "\\" not in id_ and visible(id_) == id_:
+        return f"{SAVED_PART}{id_}"
+    from urllib.parse import quote  # noqa: PLC0415
+
+    return f"{SAVED_PART}{quote(id_, errors='surrogateescape')}"
+
+
+def base_name(item: pytest.Item) -> str:
+    """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
+    mark = item.get_closest_marker(SAVED_MARK)
+    return name_without(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
+
+
+def base_id(item: pytest.Item) -> str:
+    """Return the node id of an item's test, which a search and its saved scenarios have in common."""
+    return _node_id(item, base_name(item))
+
+
+def saved_node_id(item: pytest.Item, id_: str) -> str:
+    """Return the node id of the item that will replay a finding of a search, given the finding's id."""
+    return _node_id(item, renamed(item.name, id_))
+
+
+def saved_name(item: pytest.Item, id_: str) -> str:
+    """Return the name, for the location of a report, of the item that will replay a finding of a search."""
+    return renamed(item.location[2], id_)
+
+
+def qualified_name(item: pytest.Item) -> str:
+    """Return the name of an item's test with its classes and parameters: ``TestBraking::test_x[1]``."""
+    classes = [node.name for node in item.listchain() if isinstance(node, pytest.Class)]
+    return "::".join([*classes, base_name(item)])
+
+
+def _node_id(item: pytest.Item, name: str) -> str:
+    return name if item.parent is None else f"{item.parent.nodeid}::{name}"
+
+
+def renamed(text: str, id_: str) -> str:
+    """Return the name of a search with the part of a saved scenario in place of its own."""
+    parts = around(SEARCH_PART, text)
+    return text if parts is None else saved_part(id_).join(parts)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
 """The type of the ini key for each kind of option. The keys of all other kinds are strings."""
-_LAST = re.compile(r"(?<=')[^']*(?='$)|[^\s']+$")
+_LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
 """The last word or quoted text of a message: pytest's messages about an ini key end with the key's value."""
 
 
@@ -98,7 +98,7 @@ def _values(config: pytest.Config, option: Option, marker: Mapping[str, object])
     try:
         value = config.getini(option.key)
     except (TypeError, ValueError, pytest.UsageError) as error:  # the message ends with the value
-        value = "".join(_LAST.findall(str(error)))
+        value = "".join(re.findall(_LAST, str(error)))
     yield _read(option, f"ini key {option.key}", value)
 
 

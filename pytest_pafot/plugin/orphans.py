@@ -36,8 +36,7 @@ from pytest_pafot.corpus.layout import (
 )
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.plugin.option_sources import value_if_right
-from pytest_pafot.plugin.session import SUMMARY_LINES
-from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Collected, Orphan
+from pytest_pafot.plugin.session import DRIVEN, SUMMARY_LINES, UNRUN, Collected, Orphan
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.files import open_regular
 from pytest_pafot.support.git import git

@@ -6,7 +6,6 @@ import inspect
 import math
 import os
 import sys
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -46,16 +45,16 @@ from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
-from pytest_pafot.plugin import messages, node_ids
+from pytest_pafot.plugin import marks, messages
 from pytest_pafot.plugin.collection import COLLECTED, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, explained
 from pytest_pafot.plugin.finding_message import send_sighting
-from pytest_pafot.plugin.marks import WORLD_FIXTURE
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.plugin.terminal_reporter import LiveTerminal
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.events import GenerationFinished
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.text import capitalised, plural
@@ -100,8 +99,8 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     Raises:
         RequestError: if the value of a fixture cannot be used, or if scenarios would be saved behind a link.
     """
-    world = build_world(request, item.funcargs[WORLD_FIXTURE])
-    name, root = node_ids.qualified_name(item), item.config.rootpath
+    world = build_world(request, item.funcargs[marks.WORLD_FIXTURE])
+    name, root = marks.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     against, resume = request.settings.against, request.settings.resume
     here = item.config.invocation_params.dir
@@ -126,8 +125,8 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         policy=policy,
         test=bound_test(item, request.arg),
         test_file=source_file(item.obj, str(item.path)),
-        node_id=node_ids.base_id(item),
-        saved_node_id=partial(node_ids.saved_node_id, item),
+        node_id=marks.base_id(item),
+        saved_node_id=partial(marks.saved_node_id, item),
         folder=folder,
         records=records_of(item.config.rootpath),
         root=item.config.rootpath,
@@ -227,7 +226,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     __tracebackhide__ = True
     settings, shared = request.settings, item.config.stash[SHARED]
     today = date.fromisoformat(shared.today)
-    limit = math.inf if settings.max_time is None else time.monotonic() + settings.max_time
+    limit = math.inf if settings.max_time is None else monotonic() + settings.max_time
     harness = harness_of(item, request)
     replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
@@ -371,7 +370,7 @@ def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, An
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(sighting))
     path, line, _ = report.location
     report.nodeid = sighting.node_id
-    report.location = (path, line, node_ids.saved_name(item, sighting.id))
+    report.location = (path, line, marks.saved_name(item, sighting.id))
     report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(sighting.run, report.user_properties)
     properties = of_findings([sighting])

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
 from datetime import date, timedelta
 from pathlib import Path
-from queue import Queue
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import SEARCH_PART, around, link_below
-from pytest_pafot.corpus.saved import refusal
-from pytest_pafot.plugin.node_ids import SAVED_PART
+from pytest_pafot.corpus.layout import CORPUS, link_below
 from pytest_pafot.plugin.option_sources import resolve
-from pytest_pafot.plugin.unrun import DRIVEN, UNRUN, Orphan
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.text import day_of
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
 
@@ -33,17 +26,18 @@ def terminal_width() -> int:
     return columns if columns >= 40 else 80
 
 
-@dataclass(slots=True, kw_only=True, repr=False, eq=False)  # each method that is made costs every session some time
 class Shared:
     """Values that the controller chooses and every worker uses. The defaults are for a session that begins now."""
 
-    progress_seconds: float = field(default_factory=lambda: LOG_SECONDS)  # interval between reports of progress [s]
-    width: int = field(default_factory=terminal_width)  # of the terminal, which a worker cannot query [columns]
-    # the day with which the last days of accepted failures are compared, as a text that can be sent to workers
-    today: str = field(default_factory=lambda: date.today().isoformat())
-    # node ids of the saved scenarios that the first workers collected, or None before. A worker that replaces a crashed
-    # one collects only these, and no file written since: pytest-xdist needs the same items in all workers
-    frozen: frozenset[str] | None = None
+    def __init__(self, **chosen: Any) -> None:
+        self.progress_seconds = LOG_SECONDS  # interval between reports of progress [s]
+        self.width = terminal_width()  # of the terminal, which a worker cannot query [columns]
+        # the day with which the last days of accepted failures are compared, as a text that can be sent to workers
+        self.today = date.today().isoformat()
+        # node ids of the saved scenarios that the first workers collected, or None before. A worker that replaces a
+        # crashed one collects only these, and no file written since: pytest-xdist needs the same items in all workers
+        self.frozen: frozenset[str] | None = None
+        vars(self).update(chosen)
 
 
 class SummaryLines:
@@ -67,7 +61,48 @@ class SummaryLines:
             self.problems.append(f"{work}: {type(error).__name__}: {error}")
 
 
+class Orphan(NamedTuple):
+    """A folder of saved scenarios whose test is gone."""
+
+    expected: str  # a sentence on which test was expected and what was found instead
+    is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
+
+
+class Unrun(NamedTuple):
+    """The saved scenarios of a session that no item runs."""
+
+    orphans: dict[Path, Orphan]  # by folder
+    # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
+    strays: dict[str, tuple[str, bool]]
+    unnamed: dict[str, str]  # what has a mark of pafot and pytest does not collect, with the reason
+
+
+class Collected:
+    """The items and corpora that a session collected, before tests are selected."""
+
+    def __init__(self, rootpath: Path) -> None:
+        self.rootpath = rootpath  # the rootdir of the session
+        self.asked_for: list[Path] = []  # the folders given on the command line
+        self.folders: dict[Path, str] = {}  # corpus folders of the items, with the ids of their tests
+        self.roots: dict[Path, Path] = {}  # corpora, each with the folder of its test files
+        self.shared: set[Path] = set()  # the corpora of several folders of test files: absolute paths
+        self.classes: set[str] = set()  # node ids of the classes that exist in collected modules and classes
+        self.opened: set[str] = set()  # node ids of the classes whose members were collected
+        self.files: set[Path] = set()  # test files that were collected, also those without a test
+        self.skipped: set[Path] = set()  # test files that were skipped at import
+        self.failed: set[Path] = set()  # test files that were not imported: by an error, or by --lf
+        self.corpus = CORPUS  # the option of this name
+        self.others: set[Path] = set()  # corpora of the default name, if the option gives another
+        self.passed_by: set[Path] = set()  # saved scenarios that pytest met outside of corpora
+        self.is_of_testpaths = False  # whether the setting testpaths gave the folders of the session, which had none
+        # whether an option of the session leaves out a path
+        self.is_ignored: Callable[[Path], bool] = lambda path: False
+
+
 SHARED = pytest.StashKey[Shared]()
+UNRUN = pytest.StashKey[Unrun]()
+DRIVEN = pytest.StashKey[set[str]]()
+"""The node ids of the items to run that drive policies; in a controller of pytest-xdist, those of its workers."""
 SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 
@@ -84,6 +119,8 @@ def base_line(config: pytest.Config) -> str:
 
 def stale_day(asked: str, today: date) -> list[str]:
     """Return a warning about a day of ``--pafot-today`` that is over everywhere; empty for any other."""
+    from pytest_pafot.support.text import day_of  # noqa: PLC0415  (of an option that few sessions have)
+
     day = day_of(asked)
     if day is None or day >= today - timedelta(days=1):
         return []
@@ -132,6 +169,8 @@ def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[
     """
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
     if link is not None:
+        from pytest_pafot.corpus.saved import refusal  # noqa: PLC0415  (as rare as the links)
+
         return refusal(link)
     try:
         write()
@@ -142,104 +181,9 @@ def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[
     return ""
 
 
-# Data that the controller and the workers of pytest-xdist exchange when a worker starts and when it ends.
-#
-# While items run, they exchange messages, as in a session without workers.
-
-KEY = "pafot"  # the key of this plugin's data in the input and the output of a worker
-
-
 def is_worker(config: pytest.Config) -> bool:
     """Return whether this process is a worker of pytest-xdist."""
     return hasattr(config, "workerinput")
-
-
-def shared_by_controller(config: pytest.Config) -> Shared:
-    """Return the shared values in a worker, as its controller chose them."""
-    return Shared(**config.workerinput[KEY])  # type: ignore[attr-defined]
-
-
-class _KeptEvents(Queue[Any]):
-    """A queue that removes an event when it is asked for the next one, so that an interrupt in between loses none."""
-
-    is_begun = False  # whether the first event has been given out
-
-    def _qsize(self) -> int:
-        return len(self.queue) - self.is_begun
-
-    def _get(self) -> Any:
-        if self.is_begun:
-            self.queue.popleft()
-        self.is_begun = True
-        return self.queue[0]
-
-
-class Controller:
-    """Hooks of pytest-xdist's controller."""
-
-    _last: pytest.TestReport | None = None  # the last report that all have taken
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_sessionstart(self, session: pytest.Session) -> None:
-        """Let pytest-xdist keep each event of a worker until it is handled."""
-        if controller := session.config.pluginmanager.get_plugin("dsession"):
-            controller.queue = _KeptEvents()
-
-    @pytest.hookimpl(trylast=True)
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note that a report is taken: an interrupt waits until all have seen it."""
-        self._last = report
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_configure_node(self, node: Any) -> None:
-        """Pass the shared values to a new worker, as plain data."""
-        node.workerinput[KEY] = asdict(node.config.stash[SHARED])
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
-        """Store which saved scenarios the first workers collected, so that later workers collect the same."""
-        shared = node.config.stash[SHARED]
-        if shared.frozen is None:
-            # Under --dist=loadgroup the name of the group is appended.
-            names = [node_id[: node_id.rfind("]") + 1] for node_id in ids]
-            shared.frozen = frozenset(name for name in names if SAVED_PART in name)
-            if shared.frozen or any(around(SEARCH_PART, name) for name in names):
-                end_in_order(node.config)
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Store what an ended worker reports: the items that drive policies, and saved scenarios that no item runs."""
-        output = getattr(node, "workeroutput", {}).get(KEY)
-        if output is None:  # It died.
-            return
-        driven, orphans, *others = json.loads(output)
-        node.config.stash[DRIVEN].update(driven)
-        unrun = node.config.stash[UNRUN]
-        unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
-        for known, other in zip(unrun[1:], others, strict=True):
-            known.update(other)
-
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Take what the workers have reported and an interrupted controller has not taken; they have ended by now."""
-        waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
-        for event, data in () if waiting is None else tuple(waiting.queue):
-            if event == "testreport" and data["rep"] is not self._last:
-                session.config.hook.pytest_runtest_logreport(report=data["rep"])
-
-
-class Worker:
-    """Hooks of a worker of pytest-xdist."""
-
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Pass the items that drive policies, and the saved scenarios that no item runs, to the controller.
-
-        They are sent as JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist
-        cannot send such a text: it would replace the worker, and the new worker would fail in the same way.
-        """
-        unrun, driven = session.config.stash[UNRUN], session.config.stash[DRIVEN]
-        orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
-        output = json.dumps((sorted(driven), orphans, *unrun[1:]))
-        session.config.workeroutput[KEY] = output  # type: ignore[attr-defined]
 
 
 class Header:

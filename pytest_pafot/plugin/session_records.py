@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -23,8 +22,8 @@ from pytest_pafot.corpus.layout import files_in, relative
 from pytest_pafot.plugin.messages import received
 from pytest_pafot.plugin.orphans import ADVICE
 from pytest_pafot.plugin.record import Record
-from pytest_pafot.plugin.session import SUMMARY_LINES, exit_code, not_written
-from pytest_pafot.plugin.unrun import UNRUN
+from pytest_pafot.plugin.session import SUMMARY_LINES, UNRUN, exit_code, not_written
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import flag
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def is_asked_for(config: pytest.Config, environ: Mapping[str, str]) -> bool:
 class Records:
     """The writer of the record of the session as JSON and as the summary of a CI job."""
 
-    def __init__(self, config: pytest.Config, record: Record, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, config: pytest.Config, record: Record, clock: Callable[[], float] = monotonic) -> None:
         self._config = config
         self._record = record
         self._clock = clock

@@ -19,12 +19,12 @@ from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import (
     SHARED,
     SUMMARY_LINES,
+    UNRUN,
     SummaryLines,
     base_line,
     terminal_width,
     unclaimed,
 )
-from pytest_pafot.plugin.unrun import UNRUN
 from pytest_pafot.support.errors import rerun
 from pytest_pafot.support.text import ascii_text
 

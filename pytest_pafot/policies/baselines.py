@@ -9,13 +9,13 @@ import pickle
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pytest_pafot.support import import_late
 from pytest_pafot.support.errors import AdsFactoryError, install, plain_whole
 from pytest_pafot.support.errors import refused_policy as refused
 
@@ -308,7 +308,7 @@ def _library(name: str) -> Any:
         AdsFactoryError: if the library is not installed; the message has the command that installs it.
     """
     try:
-        return import_module(name)
+        return import_late(name)
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise

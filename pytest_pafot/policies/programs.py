@@ -9,7 +9,6 @@ import select
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
@@ -17,6 +16,7 @@ from multiprocessing.util import Finalize
 from typing import Any, NoReturn
 
 from pytest_pafot import Drive, Observation
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.support.errors import refused_policy as refused
 from pytest_pafot.support.text import shown
@@ -233,12 +233,12 @@ class Program:
             ProgramTimeout: if the answer takes longer than ``timeout``.
             BadAction: if the program writes more than one line, or a line that is too long.
         """
-        pending, started = memoryview(line), time.monotonic()
+        pending, started = memoryview(line), monotonic()
         self._hear(0.0)
         while b"\n" not in self._buffer or pending:
             if self._buffer and len(pending) == len(line):
                 raise _more(self._line())
-            if timeout is not None and time.monotonic() - started > timeout:
+            if timeout is not None and monotonic() - started > timeout:
                 raise ProgramTimeout(f"{self._name} did not answer within {timeout:g} s")
             if self._hear(SLICE, is_asking=bool(pending)):
                 try:  # a pipe takes up to PIPE_BUF bytes completely or not at all
@@ -367,10 +367,10 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     *both, errors = pipes
     for pipe in both:
         pipe.close()
-    words, until = select.poll(), time.monotonic() + GRACE
+    words, until = select.poll(), monotonic() + GRACE
     words.register(errors, select.POLLIN)
     try:
-        while not _has_ended(process, 0.0) and (left := until - time.monotonic()) > 0.0:
+        while not _has_ended(process, 0.0) and (left := until - monotonic()) > 0.0:
             # Continue to read stderr, because its last words must neither block nor kill it.
             if words.poll(1000.0 * min(left, SLICE / 10)) and not os.read(errors.fileno(), CHUNK):
                 _has_ended(process, left)

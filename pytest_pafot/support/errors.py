@@ -8,12 +8,9 @@ import shlex
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import date
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
-
-from pytest_pafot.support.text import day_of, one_line, visible
 
 RESTORE = "restore the file from version control, or delete it"
 
@@ -41,6 +38,8 @@ class FieldError(ValueError):
     def __init__(
         self, text: str = "", *, field: str = "", expected: str = "", received: str = "", fix: str = ""
     ) -> None:
+        from pytest_pafot.support.text import visible  # noqa: PLC0415  (most sessions of pytest meet no such error)
+
         super().__init__(visible(text or sentence(field, expected, received, fix)))
         self.field, self.expected, self.received, self.fix = field, expected, received, fix
 
@@ -135,6 +134,8 @@ def driven_by(world: object, method: str, name: str = "") -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        from pytest_pafot.support.text import one_line  # noqa: PLC0415  (as above)
+
         driver = f" with the driver {name!r}" if name else ""
         text = f"the world {type(world).__name__} could not run {method}{driver}: "
         raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
@@ -217,15 +218,3 @@ def check_asserts(holds: Callable[..., Any]) -> None:
             f"{name}: expected a Python that runs assertions, received one with -O or PYTHONOPTIMIZE, in which every "
             "run passes; leave them out"
         )
-
-
-def day_argument(text: str) -> date:
-    """Return the day that an argument names.
-
-    Raises:
-        RequestError: if it names none.
-    """
-    day = day_of(text)
-    if day is None:
-        raise RequestError(f"expected a day such as 2027-01-31, received {text!r:.50}")
-    return day

@@ -6,10 +6,11 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+from pytest_pafot.support import monotonic
 
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """The signals that end a process without giving it time, unless it handles them."""
@@ -91,9 +92,9 @@ def postponed() -> Iterator[None]:
 
     def received(number: int, frame: FrameType | None) -> None:
         handler = before[number]
-        if came and time.monotonic() - came[0][1] > PATIENCE and callable(handler):
+        if came and monotonic() - came[0][1] > PATIENCE and callable(handler):
             handler(number, frame)
-        came.append((number, time.monotonic()))
+        came.append((number, monotonic()))
 
     mine = [number for number, handler in before.items() if callable(handler) or handler == signal.SIG_DFL]
     for number in mine:  # those that are ignored, as by ``nohup``, stay so

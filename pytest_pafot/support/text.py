@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date
 from typing import Any
 
-_COMMAND = re.compile(r"(?<!\S)::|##(?=\w*\[)")
+_COMMAND = r"(?<!\S)::|##(?=\w*\[)"  # compiled when it is used, as all patterns here: most sessions use none
 """The beginnings of commands to CI runners: ``::`` at the start of a line or word, and ``##[``, ``##vso[`` anywhere."""
 
 
@@ -23,7 +23,7 @@ def visible(text: str) -> str:
     """
     if not text.isprintable():
         text = "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
-    return _COMMAND.sub(lambda found: rf"\x{ord(found[0][0]):x}{found[0][1]}", text)
+    return re.sub(_COMMAND, lambda found: rf"\x{ord(found[0][0]):x}{found[0][1]}", text)
 
 
 def visible_lines(text: str) -> str:
@@ -106,9 +106,9 @@ def markdown_table(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> 
 MARKER = "E   "
 """The prefix of each line of a failure's message, as pytest writes it."""
 
-_GLUED = re.compile(r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)")
+_GLUED = r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)"
 _GLUE = "\N{NO-BREAK SPACE}"
-_PHRASE = re.compile(r"(?<=[,;]) ")
+_PHRASE = r"(?<=[,;]) "
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
@@ -130,9 +130,9 @@ def wrapped_to(line: str, width: int, prefix: str = "", *, phrases: bool = False
         return [line]
     text = text.strip()
     if phrases:
-        parts = _PHRASE.split(text)
+        parts = re.split(_PHRASE, text)
         text = " ".join(part.replace(" ", _GLUE) if len(part) < width // 2 else part for part in parts)
-    return [part.replace(_GLUE, " ") for part in wrapper.wrap(_GLUED.sub(_GLUE, text))]
+    return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text))]
 
 
 MAX_TOLD = 3

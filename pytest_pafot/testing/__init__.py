@@ -10,7 +10,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial, wraps
 from itertools import count, cycle
-from time import monotonic
 from typing import Any, Unpack
 
 import numpy as np
@@ -23,6 +22,7 @@ from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.testing import traces as rules
 from pytest_pafot.testing.simulators import SETTLED as LAG

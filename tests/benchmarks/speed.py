@@ -1,7 +1,7 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
     python -m tests.benchmarks.speed [--rounds 7]
-        [--parts engines ads search start memory]
+        [--parts engines ads search start unused memory]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
@@ -9,6 +9,8 @@
 - ``ads``: policies of different cost, and the share of the time inside them.
 - ``search``: the cost of searches in addition to their rollouts.
 - ``start``: a fresh process until its first run is over, and whether that imported highway_env.
+- ``unused``: what the plugin costs a session of pytest without a search. Each round is a session with it and one with
+  ``-p no:pafot``; ask for 100 of them on a quiet machine.
 - ``memory``: the memory of this process over 10,000 scenarios.
 
 Times are processor time, so a noisy machine hardly changes ratios; nothing is asserted.
@@ -17,9 +19,12 @@ Times are processor time, so a noisy machine hardly changes ratios; nothing is a
 from __future__ import annotations
 
 import hashlib
+import os
+import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -273,6 +278,35 @@ def start(rounds: int) -> None:
         print(f"  {name:28}{statistics.median(times):7.1f} ms; highway_env imported: {answers[0].split()[1]}")
 
 
+def unused(rounds: int) -> None:
+    """Run part ``unused``: pairs of sessions with one test, which take turns in being the first."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    sessions = {False: ["-p", "no:pafot"], True: []}
+    spent: dict[bool, list[float]] = {False: [], True: []}
+
+    def session(*options: str) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        asked = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
+        subprocess.run(asked, check=True, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "test_it.py").write_text("def test_it():\n    assert True\n", encoding="utf-8")
+        for has_plugin, _ in product(sessions, range(3)):  # which writes all bytecode
+            session(*sessions[has_plugin])
+        for count in range(rounds):
+            for has_plugin in (count % 2 == 0, count % 2 == 1):
+                spent[has_plugin].append(1e3 * session(*sessions[has_plugin]))
+    more = [used - without for without, used in zip(spent[False], spent[True], strict=True)]
+    low, middle, high = statistics.quantiles(more, n=4)
+    print(f"\na session without a search, {rounds} pairs, user and system time")
+    print(f"  without the plugin {statistics.median(spent[False]):.1f} ms")
+    print(
+        f"  the plugin adds {middle:.1f} ms in the median, {low:.1f} to {high:.1f} ms in the middle half of the pairs"
+    )
+
+
 def memory(rounds: int) -> None:
     """Run part ``memory``."""
     world, rng, space = Highway(), np.random.default_rng(0), SearchSpace()
@@ -285,7 +319,7 @@ def memory(rounds: int) -> None:
 
 
 PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "search": search, "start": start, "memory": memory,
+    "engines": engines, "ads": ads_ladder, "search": search, "start": start, "unused": unused, "memory": memory,
 }  # fmt: skip
 
 

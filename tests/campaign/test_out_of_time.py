@@ -41,7 +41,7 @@ def clock(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     clock = SimpleNamespace(now=0.0, step=lambda: 1.0)
     for module in (explore, search_session):
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+        monkeypatch.setattr(module, "monotonic", lambda: clock.now)
     return clock
 
 

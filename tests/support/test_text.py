@@ -18,8 +18,8 @@ from pytest_pafot.campaign.events import Progress, SearchSummary
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.writer import text_of
+from pytest_pafot.plugin.marks import saved_part
 from pytest_pafot.plugin.messages import set_properties
-from pytest_pafot.plugin.node_ids import saved_part
 from pytest_pafot.report import page, session_record, terminal
 from pytest_pafot.report.session_record import SessionRecord, finding_entry, to_text
 from pytest_pafot.support.errors import CorpusError, FieldError

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Self
 
+from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import AdsFactoryError, OutOfTime
 
 LONGEST_PAUSE = 1.0
@@ -80,7 +81,7 @@ def runs_end_in(seconds: float) -> Iterator[None]:
 
     A run ends before its next decision. Of two nested blocks, the inner one holds. Other processes are not affected.
     """
-    before, _WATCHDOG.until = _WATCHDOG.until, time.perf_counter() + seconds
+    before, _WATCHDOG.until = _WATCHDOG.until, monotonic() + seconds
     try:
         yield
     finally:
@@ -89,7 +90,7 @@ def runs_end_in(seconds: float) -> Iterator[None]:
 
 def check_time() -> None:
     """Raise OutOfTime if the time of :func:`runs_end_in` is over; for code that waits for a run elsewhere."""
-    if time.perf_counter() >= _WATCHDOG.until:
+    if monotonic() >= _WATCHDOG.until:
         raise OutOfTime
 
 
@@ -140,10 +141,10 @@ class OneProcess:
             os._exit(1)  # without flushing: the original process has the same data in its buffers
         if self.forked_at is not None:
             # Wait for a copy as long as this process has taken since the fork, while it has any child.
-            now = time.perf_counter()
+            now = monotonic()
             until, self.forked_at = now + (now - self.forked_at) + COPY_LATE, None
             with suppress(ChildProcessError, AttributeError):  # not every system has WNOWAIT
-                while not self._noticed[0] and time.perf_counter() < until:
+                while not self._noticed[0] and monotonic() < until:
                     os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
                     time.sleep(0.001)
         if self._noticed[0] and kind is None:
@@ -186,9 +187,7 @@ class HangGuard:
         interruption: the exception that was raised in the running decision, or its class; None if there was none.
     """
 
-    def __init__(
-        self, limit: float, clock: Callable[[], float] = time.perf_counter, *, is_limited: bool = True
-    ) -> None:
+    def __init__(self, limit: float, clock: Callable[[], float] = monotonic, *, is_limited: bool = True) -> None:
         self.limit = limit
         self.clock = clock
         self.until = _WATCHDOG.until if is_limited else math.inf
@@ -338,7 +337,7 @@ class _Watchdog:
         self._pause = LONGEST_PAUSE
         self._resort: LastResort | None = None
         self.until = math.inf
-        """The time from which no decision of a run starts [s], by ``time.perf_counter``."""
+        """The time from which no decision of a run starts [s], by ``monotonic``."""
         self.process = OneProcess()
         self._timed: float | None = None
         """The limit for which the timer runs [s]; None if it does not run."""
@@ -373,7 +372,7 @@ class _Watchdog:
 
     def after_fork(self) -> None:
         """Note the time of a fork, in the process that forked."""
-        self.process.forked_at = time.perf_counter()
+        self.process.forked_at = monotonic()
 
     def _run(self) -> None:
         idle = 0

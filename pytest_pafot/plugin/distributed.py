@@ -1,0 +1,107 @@
+"""Data that the controller and the workers of pytest-xdist exchange when a worker starts and when it ends.
+
+While items run, they exchange messages, as in a session without workers.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import pytest
+
+from pytest_pafot.corpus.layout import SEARCH_PART, around
+from pytest_pafot.plugin.marks import SAVED_PART
+from pytest_pafot.plugin.session import DRIVEN, SHARED, UNRUN, Orphan, Shared, end_in_order
+
+KEY = "pafot"  # the key of this plugin's data in the input and the output of a worker
+
+
+def shared_by_controller(config: pytest.Config) -> Shared:
+    """Return the shared values in a worker, as its controller chose them."""
+    return Shared(**config.workerinput[KEY])  # type: ignore[attr-defined]
+
+
+class _KeptEvents(Queue[Any]):
+    """A queue that removes an event when it is asked for the next one, so that an interrupt in between loses none."""
+
+    is_begun = False  # whether the first event has been given out
+
+    def _qsize(self) -> int:
+        return len(self.queue) - self.is_begun
+
+    def _get(self) -> Any:
+        if self.is_begun:
+            self.queue.popleft()
+        self.is_begun = True
+        return self.queue[0]
+
+
+class Controller:
+    """Hooks of pytest-xdist's controller."""
+
+    _last: pytest.TestReport | None = None  # the last report that all have taken
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        """Let pytest-xdist keep each event of a worker until it is handled."""
+        if controller := session.config.pluginmanager.get_plugin("dsession"):
+            controller.queue = _KeptEvents()
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note that a report is taken: an interrupt waits until all have seen it."""
+        self._last = report
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Pass the shared values to a new worker, as plain data."""
+        node.workerinput[KEY] = dict(vars(node.config.stash[SHARED]))
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, node: Any, ids: list[str]) -> None:
+        """Store which saved scenarios the first workers collected, so that later workers collect the same."""
+        shared = node.config.stash[SHARED]
+        if shared.frozen is None:
+            # Under --dist=loadgroup the name of the group is appended.
+            names = [node_id[: node_id.rfind("]") + 1] for node_id in ids]
+            shared.frozen = frozenset(name for name in names if SAVED_PART in name)
+            if shared.frozen or any(around(SEARCH_PART, name) for name in names):
+                end_in_order(node.config)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        """Store what an ended worker reports: the items that drive policies, and saved scenarios that no item runs."""
+        output = getattr(node, "workeroutput", {}).get(KEY)
+        if output is None:  # It died.
+            return
+        driven, orphans, *others = json.loads(output)
+        node.config.stash[DRIVEN].update(driven)
+        unrun = node.config.stash[UNRUN]
+        unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
+        for known, other in zip(unrun[1:], others, strict=True):
+            known.update(other)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Take what the workers have reported and an interrupted controller has not taken; they have ended by now."""
+        waiting = getattr(session.config.pluginmanager.get_plugin("dsession"), "queue", None)
+        for event, data in () if waiting is None else tuple(waiting.queue):
+            if event == "testreport" and data["rep"] is not self._last:
+                session.config.hook.pytest_runtest_logreport(report=data["rep"])
+
+
+class Worker:
+    """Hooks of a worker of pytest-xdist."""
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Pass the items that drive policies, and the saved scenarios that no item runs, to the controller.
+
+        They are sent as JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist
+        cannot send such a text: it would replace the worker, and the new worker would fail in the same way.
+        """
+        unrun, driven = session.config.stash[UNRUN], session.config.stash[DRIVEN]
+        orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
+        output = json.dumps((sorted(driven), orphans, *unrun[1:]))
+        session.config.workeroutput[KEY] = output  # type: ignore[attr-defined]
