@@ -165,7 +165,7 @@ class Conduct:
         """Return the fact that tells what the vehicle should have done, and what it did.
 
         It should have braked by the last tick at which hard braking avoids the collision. If it had set off just
-        before, it should have waited; if braking does not help any more, it should not have sped up.
+        before, it should have waited. If braking does not help any more, the fact says only what it did.
         """
         hz, before = self.trace.physics_hz, self.before
         whole = self.trace if self.whole is None else self.whole
@@ -192,8 +192,7 @@ class Conduct:
             set_off = due - len(recent) + 1 + int(stood[-1])
             return fact._replace(what=What.SHOULD_HAVE_WAITED, due_s=due / hz, later_s=set_off / hz)
         if not helps:
-            rose = [each.time_s for each in phases if each.doing is Doing.SPED_UP and each.until_s > fact.time_s]
-            return fact._replace(what=What.SHOULD_NOT_HAVE_SPED_UP, later_s=rose[0]) if rose else fact
+            return fact
         braking = float(speeds[due] - speeds[due + 1]) * hz
         return fact._replace(what=What.SHOULD_HAVE_BRAKED, due_s=due / hz, braking_m_per_s2=max(0.0, braking))
 

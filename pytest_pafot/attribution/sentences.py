@@ -42,17 +42,16 @@ class What(Enum):
     HAD_NO_TIME = "{who} had too little time to respond, by the rules."
     IGNORED = "{who} {braked}. By the rules, 6 m/s^2 from {due} on avoids it."
     HARDLY_BRAKED = "{who} {braked}."
-    SPED_UP = "{who} should not have sped up to {it.speed_m_per_s:.1f} m/s after {at}."
+    SPED_UP = "{who} sped up to {it.speed_m_per_s:.1f} m/s after {at}."
     LET_BRAKES_GO = "{who} should have kept braking but released the brakes at {at}."
     BRAKED_LESS = "{who} already braked and should have kept braking, but braked less from {at} on."
     ANSWERED = "answered"
     SHOULD_HAVE_BRAKED = "should have braked"
     SHOULD_HAVE_WAITED = "should have waited"
-    SHOULD_NOT_HAVE_SPED_UP = "should not have sped up"
     DROVE = "drove"
 
 
-ANSWERS = (What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED, What.SHOULD_NOT_HAVE_SPED_UP, What.DROVE)
+ANSWERS = (What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED, What.DROVE)
 """The facts on what a vehicle should have done in a danger, and what it did. Their sentences depend on its phases."""
 ADVICE: Mapping[What, str] = MappingProxyType(
     {
@@ -66,12 +65,10 @@ ADVICE: Mapping[What, str] = MappingProxyType(
         What.STOPPED_FOR_NOTHING: "do not stop at {at}",
         What.ENTERED: "do not drive in at {at}",
         What.IGNORED: "brake by {due}",
-        What.SPED_UP: "do not speed up at {at}",
         What.LET_BRAKES_GO: "keep braking at {at}",
         What.BRAKED_LESS: "keep braking at {at}",
         What.SHOULD_HAVE_BRAKED: "brake by {due}",
         What.SHOULD_HAVE_WAITED: "do not set off at {later}",
-        What.SHOULD_NOT_HAVE_SPED_UP: "do not speed up at {later}",
     }
 )
 """What the ego should have done by when, in a few words for a headline, by the fact that says it."""
@@ -134,7 +131,7 @@ class Fact(NamedTuple):
         other: index of the other vehicle that the fact mentions.
         time_s: time at which the event happened or began [s].
         later_s: time at which the other vehicle did the same, if both crossed a line or both entered a zone; time at
-            which a vehicle that should have waited set off, or one that should not have sped up began to [s].
+            which a vehicle that should have waited set off [s].
         due_s: latest time at which the vehicle should have begun to brake hard [s]; None if that does not help.
         gap_m: gap between the boxes along the road [m]; positive if the vehicle is ahead of the other, negative if it
             is behind, 0 side by side.
@@ -297,8 +294,6 @@ def _answer(fact: Fact) -> list[str]:
     made: list[str] = []
     if fact.what is What.SHOULD_HAVE_WAITED:
         made = [f"{who} should have waited but set off at {fact.later_s:.1f} s."]
-    elif fact.what is What.SHOULD_NOT_HAVE_SPED_UP:
-        made = [f"{who} should not have sped up."]
     elif fact.what is What.SHOULD_HAVE_BRAKED:
         instead = "" if fact.has_braked else " but did not"
         how = "harder" if fact.braking_m_per_s2 >= BRAKES else "hard"

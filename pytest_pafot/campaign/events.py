@@ -239,7 +239,7 @@ def concluded(replay: Sighting, searches: Mapping[str, SearchSummary]) -> Sighti
         return replay
     if elsewhere := search.failures.get(replay.finding.signature.text, ""):
         return replace(replay, label=Label.ELSEWHERE, elsewhere=elsewhere)
-    return replace(replay, searched=search.tested)
+    return replace(replay, searched=search.tested, drawn=min(search.random_runs, search.tested))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,6 +42,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
@@ -456,7 +457,8 @@ class Replays:
                     shown = replace(shown, facts=replace(shown.facts, shows=Label.FIXED))
         rate = FailureRate(failing=failing)
         facts = replace(shown.facts, is_rare=then.failing < ENOUGH)
-        note = "; ".join(filter(None, [now.note, f"fails in {rate} {finding.drawn}, {then} when it was found"]))
+        drawn = finding.drawn + ("" if failing or finding.flaky else none_text(RUNS, finding.drawn))
+        note = "; ".join(filter(None, [now.note, f"fails in {rate} {drawn}, {then} when it was found"]))
         return replace(shown, facts=facts, note=note, rate=rate)
 
     def world_changes(self, finding: Finding) -> list[str]:

@@ -11,6 +11,7 @@ from pytest_pafot.findings.finding import IN_MEMORY, Finding
 from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import ascii_text, plural
 
 CONDITIONS = 6
@@ -19,9 +20,11 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 """How the difference begins of a policy that drives the same scenario in different ways."""
 
 
-def passing(searched: int) -> str:
-    """Say what passes: a saved scenario, and a number of runs of the search of its test."""
+def passing(searched: int, drawn: int) -> str:
+    """Say what passes: a saved scenario, and a number of runs of the search of its test, some of them random."""
     runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
+    if searched and drawn:
+        runs += ("" if drawn >= searched else f", nor in its {drawn} random ones") + none_text(drawn)
     return f"{Label.PASSES}{runs}"
 
 
@@ -51,6 +54,7 @@ class Sighting:
         moment: the last decision that could have avoided it; None if that was not examined, or none is known.
         searched: number of runs of the search of its test that found no such failure, if a replay passes and that
             search ran to its end in this session; otherwise 0.
+        drawn: number of random scenarios among these.
         elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
@@ -82,6 +86,7 @@ class Sighting:
     unshrunk: str = ""
     moment: Moment | None = None
     searched: int = 0
+    drawn: int = 0
     elsewhere: str = ""
     severity: Severity | None = None
     severity_before: Severity | None = None
@@ -157,7 +162,7 @@ class Sighting:
     @property
     def driven(self) -> str:
         """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
-        return passing(self.searched) if self.label in PASSING else ""
+        return passing(self.searched, self.drawn) if self.label in PASSING else ""
 
     @property
     def remark(self) -> str:

@@ -25,6 +25,7 @@ from pytest_pafot.findings.sighting import Sighting, passing
 from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.markup import code, plain
+from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import capitalised, plural, quiet_json
 
 VERSION = 1
@@ -157,6 +158,10 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     "searched": Key(
         "number of runs of its test's search without such a failure, if `fixed` or `fixed before`.",
         0, lambda seen: seen.searched,
+    ),
+    "drawn": Key(
+        "number of these whose scenarios are random.",
+        0, lambda seen: seen.drawn,
     ),
     "elsewhere": Key(
         "id of the finding with the same failure, if `still failing elsewhere`.",
@@ -320,7 +325,8 @@ def _search_lines(record: SessionRecord) -> Iterator[str]:
         checks, counted = (sum(getattr(each, name) for each in drawn) for name in ("random_checks", "random_runs"))
         more = [f"{checks} failed a check"] if checks else []
         more += [f"{others - checks} failed in other ways"] if others > checks else []
-        told = "".join(f", {each}" for each in more)
+        told = none_text(counted) if not failing and len(drawn) == 1 else ""
+        told += "".join(f", {each}" for each in more)
         yield f"Of {plural(counted, 'random scenario')} {failing} failed by the ego's fault{told}."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
         yield f"{capitalised(compared)}."
@@ -336,7 +342,7 @@ def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
     elsewhere = f"{plain(entry['elsewhere'])} fails in the same way" if entry["elsewhere"] else ""
     is_pass = entry["status"] in (Label.PASSES, *PASSING)
-    passes = passing(entry["searched"]) if is_pass else ""
+    passes = passing(entry["searched"], entry["drawn"]) if is_pass else ""
     parts = [passes, plain(entry["headline"] or elsewhere or entry["detail"])]
     if entry["severity"] is not None and entry["severity_before"] is not None:
         worse = worsening(Severity(**entry["severity"]), Severity(**entry["severity_before"]))

@@ -20,7 +20,7 @@ from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.support.errors import command, flag
-from pytest_pafot.support.proportions import interval_text
+from pytest_pafot.support.proportions import interval_text, none_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
 
 WIDTH = 80
@@ -465,8 +465,9 @@ def parameter_lines(searches: Iterable[SearchSummary], width: int = WIDTH) -> li
             text = f"  {share.parameters:{room}}  {share.result}"
             # Wrapping would remove the alignment of rows that fit.
             lines += [text] if len(text) <= width else wrapped_to(text, width)
-        rest = [share.parameters for share in shares if not share.failing]
-        lines += wrapped_to(f"  in none: {_listed(rest)}", width) if rest else []
+        for runs in sorted({share.runs for share in shares if not share.failing}, reverse=True):
+            rest = [share.parameters for share in shares if share.runs == runs and not share.failing]
+            lines += wrapped_to(f"  in none of {runs}{none_text(runs)}: {_listed(rest)}", width)
     return lines
 
 

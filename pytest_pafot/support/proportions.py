@@ -106,6 +106,13 @@ def percent(share: float) -> str:
     return f"{value:.{digits}f} %"
 
 
+def none_text(trials: int, what: str = "scenarios") -> str:
+    """Return what no hit in independent random trials says: ``, so in at most 2.0 % of such scenarios, with ...``."""
+    most = 100 * upper_bound(0, trials) - 1e-9  # or its last bit would decide on the rounding up
+    rounded = math.ceil(10 * most) / 10 if most < 10 else math.ceil(most)
+    return f", so in at most {rounded:g} % of such {what}, with 95 % confidence"
+
+
 def interval_text(hits: int, trials: int) -> str:
     """Format a share with its interval: ``3.8 % (95 %: 2.7 to 5.2 %)``, or ``0 % (95 %: at most 0.37 %)``."""
     low, high = interval(hits, trials)

@@ -142,7 +142,6 @@ FALSE = [
     ("The ego should have braked hard by 6.2 s. {deeds}", "due in time"),
     ("The ego should have braked hard by 1.7 s. {deeds}", "due as late as it helps"),
     ("The ego should have waited but set off at 5.2 s. {deeds}", "set off"),
-    ("The ego should not have sped up. It kept 20.0 m/s from 0.0 s on.", "speeds up"),
     ("The ego should have braked hard by 5.7 s. It kept 20.0 m/s from 0.0 s on.", "speed"),
     (
         "The ego should have braked hard by 5.7 s. "

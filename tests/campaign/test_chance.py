@@ -106,7 +106,8 @@ def test_a_replay_counts_failures(tmp_path, ads, then, share, label, failing):
     rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=then)))
     now = replayed(type("Changed", (ads,), {"share": share}), tmp_path)
     assert now.label == label
-    assert re.fullmatch(rf"fails in {failing} of 10 (seeds|runs), {then} of 10 when it was found", now.note)
+    bound = "(, so in at most 26 % of such seeds, with 95 % confidence)?"
+    assert re.fullmatch(rf"fails in {failing} of 10 (seeds|runs){bound}, {then} of 10 when it was found", now.note)
     assert now.verdict.failed == (label == "still failing")
 
 

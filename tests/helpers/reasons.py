@@ -212,7 +212,7 @@ SENTENCES = {
         reading.time(reading.crash.ticks["npc's moment"])
     ],
     rf"{WHO} had too little time to respond, by the rules\.": lambda reading, said: [],
-    rf"{WHO} should not have sped up to {NUMBER} m/s after {NUMBER} s\.": Reading.sped_up,
+    rf"{WHO} sped up to {NUMBER} m/s after {NUMBER} s\.": Reading.sped_up,
     rf"{WHO} should have kept braking but released the brakes at {NUMBER} s\.": lambda reading, said: [
         reading.time(reading.crash.ticks["brakes let go"])
     ],

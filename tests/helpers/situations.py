@@ -558,14 +558,14 @@ SITUATIONS = {
             "speeds-up-behind-a-cut-in-that-nobody-can-answer",
             "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up. The ego speeds up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
-            "both", "leader-unanswered", "4c", "The ego should not have sped up to",
+            "both", "leader-unanswered", "4c", "The ego sped up to",
         ),
         Situation(
             "sped-up-behind-a-cut-in-that-brakes",
             "An NPC that is 4 m/s slower moves in 12 m ahead. The ego speeds up by 3 m/s. Then the NPC brakes with 8 "
             "m/s^2.",
             lambda: cut_in(12.0, slower=4.0, brakes=[(4.3, 8.0, 0.0)], ego_brakes=[(2.8, -2.0, 23.0)]),
-            "both", "leader-unanswered", "4c", "The ego should not have sped up to",
+            "both", "leader-unanswered", "4c", "The ego sped up to",
         ),
         Situation(
             "recovered-its-speed-behind-a-cut-in",
@@ -710,13 +710,13 @@ SITUATIONS = {
             "The ego changes lanes 6 m ahead of an NPC that drives only 4.5 m/s. The NPC at once speeds up with 5 "
             "m/s^2.",
             lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
-            "npc", None, "3", "NPC 0 should not have sped up to",
+            "npc", None, "3", "NPC 0 sped up to",
         ),
         Situation(
             "follower-floors-it-behind-a-close-lane-change",
             "The ego changes lanes 6 m ahead of an NPC of equal speed. The NPC at once speeds up with 4 m/s^2.",
             lambda: lane_change(6.0, faster=0.0, npc_brakes=[(2.6, -4.0, 30.0)]),
-            "both", "entered-lane", "3", "NPC 0 should not have sped up to",
+            "both", "entered-lane", "3", "NPC 0 sped up to",
         ),
         Situation(
             "npc-moves-in-behind-an-ego-over-the-line",
@@ -812,7 +812,7 @@ SITUATIONS = {
                 driven(0.0, LEFT, speed=8.0, shifts=[(2.0, OWN, 2.0)]),
                 driven(-11.0, RIGHT, speed=8.0, shifts=[(2.2, OWN, 2.0)], brakes=[(2.7, -5.0, 20.0)]),
             ),
-            "npc", None, "3", "NPC 0 should not have sped up to",
+            "npc", None, "3", "NPC 0 sped up to",
         ),
         Situation(
             "both-enter-behind-a-slower-one",
@@ -1098,7 +1098,7 @@ SITUATIONS = {
             "The ego turns right. 4.5 s later an NPC from the left, with priority, arrives and speeds up from 6 to 12 "
             "m/s.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
-            "npc", None, "9", "NPC 0 should not have sped up.",
+            "npc", None, "9", "NPC 0 drove 6.0 m/s",
         ),
         Situation(
             "turns-right-in-front-and-is-hit-later",

@@ -20,7 +20,6 @@ TIME, FIGURE = r"(\d+\.\d) s", r"(\d+\.\d) m/s"
 DUTIES = {
     "braked": rf"{WHO} should have braked (?P<how>hard|harder) by {TIME}(?P<never> but did not)?\.",
     "waited": rf"{WHO} should have waited but set off at {TIME}\.",
-    "not sped up": rf"{WHO} should not have sped up\.",
 }
 BEGAN = rf"(?:It|{WHO}) (?:drove {FIGURE} at|kept {FIGURE} from|stood at) {TIME}"
 DEEDS = {
@@ -114,8 +113,6 @@ class Story:
                 yield "did not brake", self.lost(begins[0][-1] if begins else due[0]) < 0.25
         elif self.duty == "waited":
             yield "set off", any(self.speed[at] <= 0.3 for at in self.ticks(self.due[2]))
-        elif self.duty == "not sped up":
-            yield "speeds up", any(name == "sped up" for name, *_ in self.phases)
         for lane, time in self.moves:
             lanes = self.trace.states[:, self.vehicle, LANE]
             yield "lane", any(lanes[at] == int(lane) != lanes[at - 1] for at in self.ticks(time))

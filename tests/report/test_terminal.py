@@ -129,11 +129,11 @@ def test_parameters_of_a_test_that_fail_most_are_first():
         replace(tried("a", 5), node_id="t.py::test_alone[a-search]"),
         replace(tried("a", 5), node_id="t.py::test_it[search]"),
     ]
-    assert terminal.parameter_lines(searches) == [
+    assert terminal.parameter_lines(searches, 99) == [
         "t.py::test_it, the parameters that fail most first:",
         "  x::[y]  fails in 11 of 20 random scenarios",
         "  good    fails in 1 of 19 random scenarios, hits at 12.1 m/s",
-        "  in none: fair",
+        "  in none of 20, so in at most 14 % of such scenarios, with 95 % confidence: fair",
     ]
     assert terminal.parameter_lines([tried("a", 0), tried("b", 0)]) == []
     # The summary of a CI's job has the same rows.
@@ -354,13 +354,22 @@ def test_a_replay_says_what_was_driven_and_what_the_search_found():
     searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, runs=300, invalid=1)}
     other = {"t": replace(searches["t"], failures={passes.finding.signature.text: "hit-2", "miss": "miss-1"})}
     cut = {"t": replace(searches["t"], reason=Ending.INTERRUPTED)}
-    told = [terminal.replay_lines([concluded(passes, each)])[1:] for each in ({}, searches, other, cut)]
+    drawn, some = ({"t": replace(searches["t"], random_runs=runs)} for runs in (297, 20))
+    told = [
+        terminal.replay_lines([concluded(passes, each)], 200)[1:] for each in ({}, searches, other, cut, drawn, some)
+    ]
     alone = ["  passes: t[saved-a]"]
+    fixed = "passes; no such failure in 297 runs of the search"
     assert told == [
         alone,
-        ["  fixed: t[saved-a]", "    passes; no such failure in 297 runs of the search"],
+        ["  fixed: t[saved-a]", f"    {fixed}"],
         ["  still failing elsewhere: hit-2: t[saved-a]", "    passes"],
         alone,
+        ["  fixed: t[saved-a]", f"    {fixed}, so in at most 1.1 % of such scenarios, with 95 % confidence"],
+        [
+            "  fixed: t[saved-a]",
+            f"    {fixed}, nor in its 20 random ones, so in at most 14 % of such scenarios, with 95 % confidence",
+        ],
     ]
     failing = replace(passes, label="still failing")
     assert concluded(failing, other) is failing

@@ -1,5 +1,6 @@
 """Exact intervals and tests of shares, against the sums of binomial chances that define them."""
 
+import re
 from itertools import product
 from math import comb
 
@@ -15,6 +16,7 @@ from pytest_pafot.support.proportions import (
     interval,
     interval_text,
     mcnemar,
+    none_text,
     percent,
     upper_bound,
 )
@@ -34,6 +36,10 @@ def test_an_interval_is_that_of_clopper_and_pearson(hits, trials):
 
 
 def test_upper_bound_puts_all_error_at_one_end():
+    for trials in (1, 20, 150, 5_000):  # never rounded down
+        most = float(re.search("at most (.*?) %", none_text(trials))[1]) / 100
+        assert 1 - 0.05 ** (1 / trials) - 1e-9 <= most < 1.05 * (1 - 0.05 ** (1 / trials)) + 0.001
+    assert none_text(150) == ", so in at most 2 % of such scenarios, with 95 % confidence"
     assert at_most(3, 300, upper_bound(3, 300, 0.99)) == pytest.approx(0.01, rel=1e-9)
 
 
