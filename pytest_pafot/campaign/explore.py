@@ -146,7 +146,8 @@ def explore(
             already are known. Without ``corpus=``, no finding is saved.
 
     Raises:
-        RequestError: if an argument is wrong, or if assertions are off.
+        RequestError: if an argument is wrong, if assertions are off, or if nothing was found and most runs tested
+            nothing, because they were rejected, skipped or invalid, or ended within their first second.
         Exception: if every run of the first generation ends in the same error, which is no assertion. An error of
             ``holds`` is raised with a note. For an ADS that fails at its first decision, a ``PlainFailure`` says what
             it raised and what to do.
@@ -177,6 +178,9 @@ def explore(
     result = happens.result
     if result.fault is not None:
         raise result.fault
+    if result.is_vacuous and not result.count:
+        told = "; ".join(result.summary.warnings)
+        raise RequestError(f"{PLACE}: expected runs that test the policy, but {told}")
     findings = tuple(
         replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
     )
@@ -216,6 +220,7 @@ class AlgorithmRun:
         "genes_started": "started genes of all NPCs",
         "genes_reached": "number of started genes whose cell, lane or zone was reached",
         "executed": "the scenario as driven, in canonical text",
+        "ended": "what of the environment's own ended the run; else empty",
     })  # fmt: skip
     """The columns of the rows, with their meaning."""
 
@@ -264,6 +269,7 @@ class AlgorithmRun:
                     "genes_started": evaluation.genes_started,
                     "genes_reached": evaluation.genes_reached,
                     "executed": evaluation.executed.canonical(),
+                    "ended": evaluation.ended or None,
                 }
 
         with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:

@@ -94,7 +94,7 @@ class SearchResult:
     first_exception: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
     skip: BaseException | None  # the last skip, if the function skipped every run
-    is_vacuous: bool  # True if nothing was tested, or if a broken reference prevented every failure from counting
+    is_vacuous: bool  # True if most runs tested nothing, or if a broken reference prevented every failure from counting
 
 
 class ListenerError(RuntimeError):

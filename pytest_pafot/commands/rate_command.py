@@ -7,6 +7,7 @@ import math
 import shutil
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -32,7 +33,7 @@ CHUNK = 10
 class Rate:
     """The crash rate of a policy, from its episodes in the order of their seeds.
 
-    Episodes that ended in an error are ``failed``, and nothing else includes them.
+    Episodes that never drove or ended in an error are ``failed``, and nothing else includes them.
     """
 
     ads: str
@@ -40,8 +41,8 @@ class Rate:
 
     @property
     def failed(self) -> dict[int, str]:
-        """The errors in the episodes that were not driven to their end, by seed."""
-        return {each.seed: each.error.text for each in self.episodes if each.error}
+        """Why episodes were not driven to their end, by seed."""
+        return {each.seed: why for each in self.episodes if (why := each.error.text if each.error else each.undriven)}
 
     @property
     def driven(self) -> int:
@@ -65,8 +66,8 @@ class Rate:
             lines.append(f"  seeds of the crashes: {_shown(self.crashed)}")
         if self.failed:
             lines.append(
-                f"  {plural(len(self.failed), 'episode')} ended in an error, which the rate ignores; seeds "
-                f"{_shown([*self.failed])}; the first: {next(iter(self.failed.values()))}"
+                f"  {plural(len(self.failed), 'episode')} never drove or ended in an error, which the rate ignores; "
+                f"seeds {_shown([*self.failed])}; the first: {next(iter(self.failed.values()))}"
             )
         return lines
 
@@ -197,10 +198,9 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     lines += compared(rates[0], rates[1:])
     width = shutil.get_terminal_size().columns
     sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width, phrases=True)))
-    objection = "" if limit is None else _objection(rates[0], limit)
-    if objection:
-        sys.stderr.write(f"rate: --fail-above: expected {objection}\n")
-    return int(bool(objection) or not all(rate.driven for rate in rates))
+    objections = [*_objections(rates, limit)]
+    sys.stderr.write("".join(f"rate: {each}\n" for each in objections))
+    return int(bool(objections))
 
 
 def _limit_of(given: argparse.Namespace) -> float | None:
@@ -228,10 +228,20 @@ def _limit_of(given: argparse.Namespace) -> float | None:
     return share
 
 
-def _objection(rate: Rate, limit: float) -> str:
-    """Return what ``--fail-above`` expected of the rate of a policy and received; empty if it does not object."""
-    if rate.failed:
-        return f"episodes without an error, received {len(rate.failed)} with one"
-    low, _ = interval(len(rate.crashed), rate.driven)
-    expected = f"crashes in at most {100 * limit:.4g} % of the episodes"
-    return "" if low <= limit else f"{expected}, received an interval that begins at {100 * low:.4g} %"
+def _objections(rates: Sequence[Rate], limit: float | None) -> Iterator[str]:
+    """Yield an error for each policy that drove less than half of its episodes, and that of ``--fail-above``."""
+    for rate in rates:
+        if 2 * rate.driven < len(rate.episodes):
+            (why, times), *_ = Counter(rate.failed.values()).most_common(1)
+            yield (
+                f"expected that {rate.ads} drives most of {len(rate.episodes)} episodes, received {rate.driven} of "
+                f"them; in {times} of the others, {why}; correct the environment, its configuration or the policy"
+            )
+    if limit is not None:
+        errors = sum(each.error is not None for each in rates[0].episodes)
+        low, _ = interval(len(rates[0].crashed), rates[0].driven)
+        if errors:
+            yield f"--fail-above: expected episodes without an error, received {errors} with one"
+        elif low > limit:
+            at_most = f"crashes in at most {100 * limit:.4g} % of the episodes"
+            yield f"--fail-above: expected {at_most}, received an interval that begins at {100 * low:.4g} %"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import starmap
 from pathlib import Path
@@ -16,6 +16,7 @@ import scipy  # it imports its parts on first use, which takes a second
 from pytest_pafot import Cell
 from pytest_pafot.comparison.plan import Plan, world_of
 from pytest_pafot.model.trace import FloatArray
+from pytest_pafot.searching.health import IMMEDIATE
 
 # The coverage inverted distance: how much of all failures a run of a search has shown, rather than how often.
 #
@@ -109,6 +110,20 @@ def read(path: Path) -> pd.DataFrame:
     by_ego = (frame["outcome"] == "collision") & frame["responsibility"].isin(["ego", "both"])
     frame["is_ego_failure"] = by_ego | frame["outcome"].isin(FAULTS)
     return frame
+
+
+def undriven(frame: pd.DataFrame) -> Iterator[str]:
+    """Yield an error for each algorithm in most of whose runs the ego did not drive."""
+    rows = frame[~frame["reused"]]
+    is_short = (rows["duration"] <= IMMEDIATE) & rows["outcome"].isin(["safe", "off_road"])
+    lacks = rows["ended"].fillna(rows["outcome"]).where(is_short | (rows["outcome"] == "invalid"))
+    for name, each in lacks.groupby(rows["algorithm"], sort=False):
+        if 2 * each.count() > len(each):
+            yield (
+                f"expected that the ego drives in most of {len(each)} scenarios of {name}, received "
+                f"{each.count()} that were invalid or over within the first second, most often by {each.mode()[0]}; "
+                "correct the policy or the world, and give an empty folder to --out"
+            )
 
 
 def horizon(frame: pd.DataFrame) -> float:

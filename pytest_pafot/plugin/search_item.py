@@ -265,7 +265,7 @@ def run_search(item: pytest.Function, request: Request) -> None:
     if result.skip is not None:
         raise result.skip
     if result.is_vacuous:
-        _fail(item, "the search tested nothing", summary.warnings)
+        _fail(item, "the search tested too little", summary.warnings)
     if summary.warnings and settings.strict_health:
         _fail(item, f"health warnings ({flag('strict_health')})", summary.warnings)
 

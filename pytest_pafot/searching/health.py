@@ -122,8 +122,8 @@ class Health:
 
     @property
     def vacuous(self) -> bool:
-        """True if the search cannot have shown anything: no run was valid, or each ended at once, as off the road."""
-        return self.over.total() + self.off_at_once == self.valid
+        """True if most runs cannot have shown anything: they were not valid, or ended at once, as off the road."""
+        return 2 * (self.valid - self.over.total() - self.off_at_once) < self.simulated or not self.simulated
 
     @property
     def reached_share(self) -> float:
@@ -152,11 +152,17 @@ class Health:
             )
             crash = where if failed == self.invalid else f"{crash} or, {failed} of them, {where},"
             found.append(f"{plural(failed, 'simulated scenario')} tested nothing; most often {most:.300}; {remedy}")
-        if self.valid == 0:
+        if self.vacuous:
+            counts = {
+                f"ended {crash}": self.invalid,
+                "were rejected, skipped or ended their process": self.discarded,
+                f"were ended within the first second by {', '.join(sorted(self.over))}": self.over.total(),
+                "left the road within the first second": self.off_at_once,
+            }
+            told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
             found.append(
-                f"none of {self.simulated} simulated scenarios gave a valid run ({self.invalid} ended {crash}, "
-                f"{self.discarded} were rejected, skipped or ended their process), so nothing was tested; use fewer "
-                f"NPCs, reject less, or fix what ends the process"
+                f"most of {plural(self.simulated, 'simulated scenario')} tested nothing: {told}; use fewer NPCs, "
+                'reject less, correct what ends runs, or write ends="duration" in the world'
             )
         if _share(self.invalid, self.simulated) > MAX_INVALID_SHARE:
             found.append(
@@ -182,13 +188,6 @@ class Health:
             if _share(count - spared, self.valid) > MAX_USELESS_SHARE:
                 told = advice.format(actions=IN_SI if acts_in_si else IN_ENVIRONMENT)
                 found.append(f"{_percent(count, self.valid)} valid runs {what}; {told}")
-        if _share(self.over.total(), self.valid) > MAX_USELESS_SHARE:
-            (most, _), *_ = self.over.most_common(1)
-            found.append(
-                f"{_percent(self.over.total(), self.valid)} valid runs were ended by the environment within the first "
-                f"second, most often by {most}, before an NPC can have caused anything; correct it, or write "
-                'ends="duration" in the world, so that runs go on'
-            )
         return found
 
 

@@ -83,13 +83,13 @@ def test_what_a_loader_doubts_stands_beside_the_rate(capsys):
 
 def test_failing_policy_is_counted_and_named(capsys):
     assert rate("--ads", "constant_speed", "--episodes", "2") == 1
-    out = capsys.readouterr().out
+    out, told = capsys.readouterr()
+    assert "drives most of 2 episodes, received 0 of them; in 2 of the others, BadA" in told
     assert "no episode of 2 was driven to its end" in out
-    assert (
-        "2 episodes ended in an error, which the rate ignores; seeds 0, 1; the first: BadAction: expected a whole"
-        in out
-    )
+    assert "2 episodes never drove or ended in an error, which the rate ignores; seeds 0, 1; the first: BadAct" in out
     assert "write @planner after the name" in out.replace("\n ", "")
+    assert rate("--ads", "idm_mobil", "--episodes", "2", "--config", '{"duration": 0}') == 1
+    assert "in 2 of the others, HighwayEnvFast._is_truncated ended it in step 1; correct" in capsys.readouterr().err
 
 
 def fails():
@@ -224,7 +224,7 @@ def test_rate_counts_driven_episodes():
     assert rate.lines == [
         "2 of 9 episodes crashed, 22.2 % (95 %: 2.8 to 60.0 %)",
         "  seeds of the crashes: 1, 4",
-        "  1 episode ended in an error, which the rate ignores; seeds 5; the first: KeyError: 'gap'",
+        "  1 episode never drove or ended in an error, which the rate ignores; seeds 5; the first: KeyError: 'gap'",
     ]
 
 

@@ -1,11 +1,11 @@
 """A search that tested nothing fails, and one that tested little warns."""
 
 
-def test_search_without_any_valid_run_fails(project):
-    project.write("@pafot.search(SHORT)\ndef test_rejects_all(run):\n    pafot.reject()\n")
-    result = project.run()
+def test_search_in_which_most_runs_are_rejected_fails(project):
+    project.write("@pafot.search(SHORT)\ndef test_rejects(run):\n    int(run.scenario.id, 16) % 4 and pafot.reject()\n")
+    result = project.run(generations=4)
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["the search tested nothing:", "*none of * simulated scenarios gave a valid run*"])
+    result.stdout.fnmatch_lines(["the search tested too little:", "most of * scenarios tested nothing: * were rej*"])
 
 
 def test_health_warnings_fail_only_in_strict_mode(project):

@@ -159,14 +159,14 @@ def test_job_summary_says_how_the_random_scenarios_failed():
 
 def test_job_summary_reports_search_failures_and_problems():
     record = SessionRecord(
-        searches=[search(result="failed", message="the search tested nothing: 40 runs, rejected")],
+        searches=[search(result="failed", message="the search tested too little: 40 runs, rejected")],
         warnings=["a: over"],
         problems=["no space"],
     )
     assert markdown(record).splitlines()[4:] == [
         "**Searches that failed**",
         "",
-        "- `test_it.py::x[search]`: the search tested nothing: 40 runs, rejected",
+        "- `test_it.py::x[search]`: the search tested too little: 40 runs, rejected",
         "",
         "**Warnings**",
         "",

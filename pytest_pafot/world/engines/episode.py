@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.model.trace import AdsError
+from pytest_pafot.searching.health import IMMEDIATE
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.ads import AdsFactory, give_route
@@ -19,10 +20,10 @@ from pytest_pafot.world.driving.observations import observe_by, observer
 from pytest_pafot.world.driving.perception import ImperfectSensor
 from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.vehicles import straight_road
-from pytest_pafot.world.engines.gym_replay import StockVehicle
+from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.gym_environment import EnvironmentGuard, vehicle_classes_kept
+from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
@@ -42,11 +43,14 @@ class Episode:
         crashed: whether highway-env flagged the ego as crashed.
         error: error of an ADS that hung or returned no action, or exception that it or the environment raised, after
             which the episode was not driven on.
+        undriven: what ended the episode without a crash at its first step or within its first second, or that the ego
+            never moved; empty if the policy drove.
     """
 
     seed: int
     crashed: bool = False
     error: AdsError | None = None
+    undriven: str = ""
 
 
 def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: bool = False) -> Episode:
@@ -78,21 +82,31 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
             raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
         view = View(environment.make().unwrapped, env) if policy.simulates else None
         try:
-            made = policy.make(**({} if view is None else {"env": view.env}))
+            start, made = tuple(env.vehicle.position), policy.make(**({} if view is None else {"env": view.env}))
             with closing(made.given, limit):
                 if made.drives_itself or is_planner:
-                    return _driven_beside(env, made, seed, guard, around)
-                return _driven_by_actions(outer, made, seed, guard, around, seen, view)
+                    steps, error = _drive_beside(env, made, seed, guard, around)
+                else:
+                    steps, error = _drive_by_actions(outer, made, guard, around, seen, view), None
+            if error is not None or env.vehicle.crashed:
+                return Episode(seed, error is None, error)
+            if tuple(env.vehicle.position) == start:
+                return Episode(seed, undriven="the ego never moved")
+            if steps > 1 and max(env.time, steps / env.config["policy_frequency"]) > IMMEDIATE:
+                return Episode(seed)
+            with around.call():
+                enders = [f"{type(env).__name__}.{name}" for name in ENDS if getattr(env, name)()]
+            return Episode(seed, undriven=f"{[*enders, end_of(outer)][0]} ended it in step {steps}")
         except (AdsFactoryError, WorldError):
             raise
         except UNFIT as wrong:
             return Episode(seed, error=error_of(wrong, 0, guard))
 
 
-def _driven_by_actions(
-    outer: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None
-) -> Episode:
-    """Drive an episode with a policy that receives the environment's observations and returns its actions."""
+def _drive_by_actions(
+    outer: Any, made: Ads, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None
+) -> int:
+    """Drive an episode with a policy that receives observations and returns actions; return the number of steps."""
     env, policy = outer.unwrapped, made.policy
     check_action_space(outer.action_space)
     every = int(env.config["simulation_frequency"] // env.config["policy_frequency"])
@@ -110,11 +124,16 @@ def _driven_by_actions(
             seen, _, *ends, _ = outer.step(action)
         if env.vehicle.crashed or any(ends):
             break
-    return Episode(seed, bool(env.vehicle.crashed))
+    return step + 1
 
 
-def _driven_beside(env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard) -> Episode:
-    """Drive an episode with a vehicle class, or a planner's car, in the place of the environment's own ego."""
+def _drive_beside(
+    env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard
+) -> tuple[int, AdsError | None]:
+    """Drive an episode with a vehicle class, or a planner's car, in the place of the environment's own ego.
+
+    Return the number of steps, and an error of the planner.
+    """
     old, kind = env.vehicle, made.decides if made.drives_itself else StockVehicle
     ego = kind(env.road, old.position, old.heading, old.speed)
     give_route(ego, getattr(old, "route", None))
@@ -127,15 +146,13 @@ def _driven_beside(env: Any, made: Ads, seed: int, guard: HangGuard, around: Env
     errors = list[AdsError]()
     if not made.drives_itself:
         ego.act = _planned(env, made, seed, guard, around, errors)
-    for _ in range(_steps(env)):
+    for steps in itertools.count(1):
         with around.call():
             _, _, *ends, _ = env.step(None)
         body_of(ego)  # it raises BadAction for NaN
-        if errors:
-            return Episode(seed, error=errors[0])
-        if ego.crashed or any(ends):
+        if errors or ego.crashed or any(ends) or steps >= _steps(env):
             break
-    return Episode(seed, bool(ego.crashed))
+    return steps, next(iter(errors), None)
 
 
 def _planned(

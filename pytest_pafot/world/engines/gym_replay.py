@@ -358,12 +358,12 @@ class EpisodeEnds(OwnEnds):
             return self._error or error_of(error, loop.tick, self._guard)
         except UNFIT as error:
             failed = error_of(error, self.asked, self._guard).text
-            self.ended, self.has_failed = f"{_end_of(self._outer)} failed: {failed}", True
+            self.ended, self.has_failed = f"{end_of(self._outer)} failed: {failed}", True
         else:
             if loop.tick == self.asked:  # a step of the user's own that simulates nothing
                 self._simulate()
             if not self.has_failed:  # a method that has ended it is named, unless a wrapper goes on
-                self.ended = (self.ended or _end_of(self._outer)) if is_over else ""
+                self.ended = (self.ended or end_of(self._outer)) if is_over else ""
         return self._error
 
     def _simulate(self, *_: Any) -> None:
@@ -418,7 +418,7 @@ def _has_ended(result: Sequence[Any]) -> bool:
     return bool(result[2]) or bool(result[3])
 
 
-def _end_of(outer: Any) -> str:
+def end_of(outer: Any) -> str:
     """Return what ends an episode in a step if no method of the environment does: a limit of steps, or wrappers."""
     limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
     passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
@@ -553,7 +553,7 @@ class _Loop:
             if len(self._asked) == self._step_limit and not ends.ended:
                 ends.ended = f"the limit of {self._step_limit} steps"
             elif driver.is_over and not ends.ended:
-                ends.ended = _end_of(driver.outer)
+                ends.ended = end_of(driver.outer)
             elif not driver.is_over and not ends.has_failed:  # a wrapper goes on
                 ends.ended = ""
         elif run.loop.tick % ends.every == 0:
