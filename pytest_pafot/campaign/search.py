@@ -79,7 +79,7 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
                     state.first_generation.is_alike = False
                     yield from _released(state, store)
                     if done is not None:
-                        state.verdicts[(yield from lose(done, state, bench, store))] += 1
+                        state.counts.add((yield from lose(done, state, bench, store)), "lost")
                     taken = [plan.take(unknown(plan.scenario()))]
             yield from _released(state, store)
             yield from _counted(taken, state, watch)

@@ -399,16 +399,16 @@ class SearchSession:
             count=store.count,
             first_exception=store.first_exception,
             fault=None if fault is None else fault.shown(harness.world, harness.policy),
-            skip=state.skip if state.skip is not None and state.verdicts["skipped"] == state.runs else None,
+            skip=state.skip if state.skip is not None and state.counts.kinds["skipped"] == state.runs else None,
             is_vacuous=state.health.vacuous or bool(state.broken),
         )
 
     def _settle(self, reason: Ending) -> None:
         """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
         is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
-        for signature, find_id in self.store.settle(self.state.runs + 1, keeps=is_cut):
+        for signature, find_id, ended in self.store.settle(self.state.runs + 1, keeps=is_cut):
             self.state.add(signature, find_id)
-            self.state.verdicts["failed"] += 1
+            self.state.counts.add("failed", *ended)
 
     def _refine(self) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at the decisions that led to them."""
@@ -638,7 +638,7 @@ class SearchSession:
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
         names = ("invalid", "avoidable", "unpreventable", "common", "rejected", "skipped")
-        verdicts: dict[str, Any] = {name: state.verdicts[name] for name in names}
+        verdicts: dict[str, Any] = {name: state.counts.kinds[name] for name in names}
         return SearchSummary(
             node_id=self.watch.node_id,
             algorithm=self.harness.request.algorithm.name,
@@ -651,10 +651,10 @@ class SearchSession:
             seconds=state.seconds_so_far,
             runs=state.runs,
             known_runs=health.reused,
-            npc=state.verdicts["npc"] + state.verdicts["avoidable"],
+            npc=state.counts.kinds["npc"] + state.counts.kinds["avoidable"],
             reached=health.reached_share if health.genes_started and health.goals else None,
             no_interaction=health.no_interaction,
-            failing=state.verdicts["failed"],
+            failing=state.counts.kinds["failed"],
             finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
             shrink_runs=state.shrink_runs,
             moment_runs=state.moment_runs,
@@ -676,8 +676,8 @@ class SearchSession:
             random_otherwise=0 if is_cut_short else random.otherwise,
             random_checks=0 if is_cut_short else random.checks,
             drawn="" if self.state.space is None else self.state.space.described,
-            outcomes=dict(state.outcomes),
-            responsibilities=dict(state.responsibilities),
+            outcomes=dict(state.counts.outcomes),
+            responsibilities=dict(state.counts.responsibilities),
             **verdicts,
         )
 
@@ -700,7 +700,7 @@ class SearchSession:
     @property
     def _excused_late(self) -> str:
         """A note on collisions that the rules excuse, although braking late, but hard, would have avoided them."""
-        count = self.state.verdicts["avoidable"]
+        count = self.state.counts.kinds["avoidable"]
         if not count:
             return ""
         return (
@@ -773,7 +773,7 @@ class SearchSession:
             elif self.state.file is None:
                 yield f"ended before {what} shrunk: {again}"
         is_short = settings.runs == RUNS
-        if is_short and reason is Ending.RUNS and not self.state.verdicts["failed"] and not store.count:
+        if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
             yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"
 
 

@@ -18,7 +18,7 @@ from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.state_file import FLAG, StateFile
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import FAILING, Verdict, fails_by_ego
+from pytest_pafot.campaign.verdict import FAILING, Counts, Verdict, fails_by_ego
 from pytest_pafot.corpus.layout import link_below
 from pytest_pafot.corpus.saved import refusal
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
@@ -134,9 +134,7 @@ class State:
     seconds: float = 0.0  # the time of all earlier sessions [s]
     earlier: tuple[EarlierFind, ...] = ()  # the findings of earlier sessions in the order of discovery
     covered: Counter[str] = field(default_factory=Counter)  # number of failing runs by the file that covers them
-    verdicts: Counter[str] = field(default_factory=Counter)  # number of verdicts by kind
-    outcomes: Counter[str] = field(default_factory=Counter)  # number of runs by outcome
-    responsibilities: Counter[str] = field(default_factory=Counter)  # and by who was responsible
+    counts: Counts = field(default_factory=Counts)  # numbers of runs by verdict, outcome and who was responsible
     caught: Counter[str] = field(default_factory=Counter)  # number of passed runs by a check that failed in them
     doubt: str = ""  # a doubt about the units of the ADS's actions, if any
     avoidable: str = ""  # what happened in the first run that is excused though braking late avoids the collision
@@ -177,7 +175,7 @@ class State:
     @property
     def runs(self) -> int:
         """The number of scenarios that were simulated so far."""
-        return self.verdicts.total()
+        return self.counts.kinds.total()
 
     @property
     def health(self) -> Health:
@@ -194,7 +192,11 @@ class State:
     def known_alone(self) -> str:
         """A note if all failures so far are known failures of checks; empty if nothing or anything else failed."""
         checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
-        if not self.covered or self.covered.total() < self.verdicts["failed"] or not checks.issuperset(self.covered):
+        if (
+            not self.covered
+            or self.covered.total() < self.counts.kinds["failed"]
+            or not checks.issuperset(self.covered)
+        ):
             return ""
         names = " and ".join(f"saved-{id_}" for id_ in sorted(self.covered))
         which = "a failed check" if len(self.covered) == 1 else "failed checks"
@@ -203,18 +205,18 @@ class State:
     def warnings(self, harness: Harness) -> tuple[str, ...]:
         """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
         warnings = self.health.warnings(self.covered.total(), acts_in_si=harness.acts_in_si)
-        excused = sum(self.verdicts[kind] for kind in ("npc", "avoidable", "unpreventable"))
-        if excused and not self.verdicts["passed"] and not self.verdicts["failed"]:
+        excused = sum(self.counts.kinds[kind] for kind in ("npc", "avoidable", "unpreventable"))
+        if excused and not self.counts.kinds["passed"] and not self.counts.kinds["failed"]:
             blame, what = harness.request.blame, "collisions that an NPC is responsible for"
-            if self.verdicts["unpreventable"]:
+            if self.counts.kinds["unpreventable"]:
                 what = "failures that no reference driver would have prevented, or " + what
             warnings.append(
                 f"the test function judged nothing: all runs that it could judge were {what}, which "
                 f'blame="{blame}" excludes; search longer'
             )
         warnings += [
-            f"check {name!r} failed in {runs} of {self.verdicts['passed']} runs that passed: the test function caught "
-            "its exception; do not catch it, or use pafot.target, which never fails"
+            f"check {name!r} failed in {runs} of {self.counts.kinds['passed']} runs that passed: the test function "
+            "caught its exception; do not catch it, or use pafot.target, which never fails"
             for name, runs in sorted(self.caught.items())
         ]
         if self.broken:
@@ -297,11 +299,7 @@ class State:
         """
         self.random.see(event)
         match event:
-            case Judged():
-                self.responsibilities[event.responsibility or "none"] += 1
             case events.Evaluated():
-                if not event.reused:
-                    self.outcomes[str(event.evaluation.outcome)] += 1
                 self.uncounted.append(event)
                 if len(self.uncounted) >= COUNTED_AT_ONCE:
                     self.count()
@@ -317,7 +315,7 @@ class State:
 
     def take(self, run: Run, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:
         """Count a run that this process has judged."""
-        self.verdicts[verdict.kind] += 1
+        self.counts.add(verdict.kind, run.outcome, run.responsibility)
         # What says that the set-up is wrong: a check that the function catches, units, the same error in all runs. As
         # soon as two runs differ, the findings that were held back are no fault of the set-up.
         self.caught.update(caught)
@@ -335,14 +333,12 @@ class State:
         """Count runs that another process has judged and counted."""
         self.random.take(*tally.random)
         self.counted += tally.health
-        self.verdicts.update(tally.verdicts)
+        self.counts += tally.counts
         self.caught.update(tally.caught)
-        self.outcomes.update(tally.outcomes)
-        self.responsibilities.update(tally.responsibilities)
         self.doubt = self.doubt or tally.doubt
         self.avoidable = self.avoidable or tally.avoidable
         if self.first_generation.is_alike:
-            self.first_generation.see_others(tally.verdicts)
+            self.first_generation.see_others(tally.counts.kinds)
         for signature, runs in tally.failed.items():
             if self.knows(signature):  # unless this process has judged the first of these runs otherwise
                 self.repeat(signature, runs)

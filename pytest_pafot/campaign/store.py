@@ -112,10 +112,11 @@ class Store:
         if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
             _remove_pending(path)
 
-    def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str]]:
+    def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str, tuple[str, str | None]]]:
         """End the search with failures that are saved before their turn: take them as findings, or remove their files.
 
-        Yield what is taken, with the ids; ``number`` is that of its run. What an earlier session has left stays.
+        Yield what is taken: its id, its outcome and who was responsible; ``number`` is that of its run. What an earlier
+        session has left stays.
         """
         for signature, (path, pending) in [*self.pending.items()]:
             if pending is None:
@@ -124,10 +125,11 @@ class Store:
                 if path is not None:
                     _remove_pending(path)
             elif isinstance(pending.of, ProcessLostError):
-                yield signature, self.add_lost(pending.of, pending.generation).id
+                yield signature, self.add_lost(pending.of, pending.generation).id, ("lost", None)
             else:
                 sighting = self.add(*pending.of, pending.generation, number)
-                yield signature, sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
+                id_ = sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
+                yield signature, id_, (pending.of[0].outcome, pending.of[0].responsibility)
         self.pending.clear()
 
     def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:

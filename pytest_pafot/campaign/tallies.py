@@ -15,6 +15,7 @@ from pytest_pafot.campaign.run_table import columns_of, row_of
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.verdict import (
     FAILING,
+    Counts,
     caught_in,
     evaluated,
     fails_by_ego,
@@ -145,7 +146,8 @@ class Tally(Digest, RunsEvaluated):
         judged: the event of each run, with its columns of the table of runs, if it was no process that drives a block
             that made it; otherwise None.
         health: the figures on the search's health.
-        verdicts, caught, responsibilities, outcomes: numbers of runs by kind of verdict, check, responsible, outcome.
+        counts: the counts of the runs.
+        caught: numbers of runs by check that failed although they passed.
         failed: numbers of runs by their known failures.
         manners: of each run with a known failure, its manner and the id of its scenario.
         random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
@@ -157,10 +159,8 @@ class Tally(Digest, RunsEvaluated):
     evaluations: bytes
     judged: tuple[Judged, ...] | None
     health: Health
-    verdicts: Counter[str]
+    counts: Counts
     caught: Counter[str]
-    responsibilities: Counter[str]
-    outcomes: Counter[str]
     failed: Counter[Signature]
     manners: tuple[tuple[Signature, Manner, str], ...]
     random: tuple[int, int, int, int, int]
@@ -181,6 +181,9 @@ class Tally(Digest, RunsEvaluated):
         failed = [each.event for each in runs if each.event.verdict.kind in FAILING]
         others = [each.verdict for each in failed if not fails_by_ego(each.verdict, each.responsibility)]
         checks = sum(each.is_check for each in others)
+        counts = Counts()
+        for each in runs:
+            counts.add(each.event.verdict.kind, each.evaluation.outcome, each.event.responsibility)
         rows: list[dict[str, Any]] = []
         if generation is not None:
             rows = [
@@ -195,10 +198,8 @@ class Tally(Digest, RunsEvaluated):
             evaluations=pickle.dumps(evaluations),
             judged=tuple(each.event for each in runs) if generation is None else None,
             health=Health.of_runs(len(runs), evaluations),
-            verdicts=Counter(each.kind for each in verdicts),
+            counts=counts,
             caught=Counter(name for each in runs for name in each.caught),
-            responsibilities=Counter(each.event.responsibility or "none" for each in runs),
-            outcomes=Counter(str(each.outcome) for each in evaluations),
             failed=Counter(each.signature for each in runs if each.signature is not None),
             manners=tuple(
                 (each.signature, each.manner, each.event.executed.id)

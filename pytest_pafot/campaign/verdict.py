@@ -6,8 +6,9 @@ import inspect
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 from pytest_pafot.attribution.sentences import AT_FAULT
@@ -232,6 +233,28 @@ def collision_in_short(run: Run) -> str:
     what = "a fixed object" if hit.npc is None else f"NPC {hit.npc}"
     who = AT_FAULT[run.attribution.responsibility]
     return f"collision after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s: {what}{place}, {who}"
+
+
+@dataclass(slots=True)
+class Counts:
+    """Numbers of runs by kind of verdict, by outcome, and by who was responsible; each adds up to all runs."""
+
+    kinds: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str] = field(default_factory=Counter)
+    responsibilities: Counter[str] = field(default_factory=Counter)
+
+    def add(self, kind: str, outcome: str, responsible: str | None = None) -> None:
+        """Count a run; its outcome is ``lost`` if its process died or hung."""
+        self.kinds[kind] += 1
+        self.outcomes[str(outcome)] += 1
+        self.responsibilities[responsible or "none"] += 1
+
+    def __iadd__(self, other: Counts) -> Self:
+        """Count the runs of another process."""
+        self.kinds.update(other.kinds)
+        self.outcomes.update(other.outcomes)
+        self.responsibilities.update(other.responsibilities)
+        return self
 
 
 FAILING = ("failed", "unpreventable", "common")

@@ -163,7 +163,7 @@ class TimedWatch(Watch):
             generations=generations,
             runs=state.runs,
             budget=budget,
-            failing=state.verdicts["failed"],
+            failing=state.counts.kinds["failed"],
             finds=self.store.count,
             seconds=state.seconds_so_far,
             left=runs_left * run_seconds / max(runner.in_use, 1),

@@ -67,6 +67,7 @@ def searched(tmp_path, monkeypatch):
         found = explore.explore(lambda: ads, holds=test, corpus=str(corpus) if saves else None, **own, **settings)
         summary = found.summary
         texts = {each.name: each.read_text() for each in corpus.rglob("*.yaml")}
+        assert sum(summary.outcomes.values()) == sum(summary.responsibilities.values()) == summary.runs
         counts = (summary.failing, summary.runs, summary.random_runs, summary.random_failing)
         return {
             "rows": [{name: value for name, value in row.items() if name != "run"} for row in found.runs],

@@ -136,6 +136,8 @@ def searched(
     blocks = Blocks(plan, Bench(verdicts, run, has_reference=has_reference))
     for _ in search(blocks, state, store, watch or Watch()):
         pass
+    counts = state.counts
+    assert counts.kinds.total() == counts.outcomes.total() == counts.responsibilities.total() == state.runs
     return state, store.finds
 
 
@@ -191,7 +193,7 @@ def test_failure_covered_by_saved_scenario_counts_as_known():
 def test_other_verdicts_are_counted_by_kind(kind):
     found, finds = searched(lambda number: Verdict(kind=kind))
     assert finds == []
-    assert found.verdicts == {kind: found.runs}
+    assert found.counts.kinds == {kind: found.runs}
 
 
 def test_scenario_of_a_dead_process_is_not_run():
@@ -207,7 +209,7 @@ def test_dying_processes_are_one_finding_with_count():
     found, finds = searched(lambda number: failed(), run=lost)
     assert finds == [("crash", 0)]
     assert found.repeats == {"id-1": 5}
-    assert found.verdicts == {"failed": 6}
+    assert found.counts.kinds == {"failed": 6}
     assert len(found.fatal) == 6
 
 
@@ -221,7 +223,7 @@ def test_process_crash_shared_with_reference_is_no_finding():
     found, finds = searched(lambda number: failed(), run=lost, has_reference=True)
     assert finds == [("crash", 0)]
     assert found.repeats == {"id-1": 2}
-    assert found.verdicts == {"failed": 3, "common": 3}
+    assert found.counts.kinds == {"failed": 3, "common": 3}
     assert found.runs == found.health.simulated == found.health.discarded == 6
 
 
