@@ -259,14 +259,14 @@ class Settings:
     strict_health: bool = option(
         "switch",
         "Fail searches with a health warning.",
-        "One such warning is that scenarios have no interaction. It also fails sessions whose saved scenarios have "
-        "lost their test, as `CI` does.",
+        "One such warning is that scenarios have no interaction. It also fails sessions that leave out saved "
+        "scenarios, as `CI` does.",
         default=False,
         is_argument=False,
     )
     allow_orphans: bool = option(
         "switch",
-        "Pass although saved scenarios have lost their test.",
+        "Pass although saved scenarios are left out.",
         "Also with `CI` or `--pafot-strict-health`.",
         default=False,
         is_argument=False,

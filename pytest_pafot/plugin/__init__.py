@@ -20,13 +20,14 @@ from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
 from pytest_pafot.plugin.option_sources import add_options, option_value, resolve
 from pytest_pafot.plugin.session import (
-    DRIVEN,
+    INVENTORY,
+    LEFT,
     SHARED,
     SUMMARY_LINES,
-    UNRUN,
     Header,
     Shared,
     SummaryLines,
+    cause_of,
     end_in_order,
     is_worker,
     stale_day,
@@ -55,7 +56,6 @@ def pytest_configure(config: pytest.Config) -> None:
     ):
         config.addinivalue_line("markers", line)
     config.stash[SUMMARY_LINES] = SummaryLines()
-    config.stash[DRIVEN] = set()
     features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
         from pytest_pafot.plugin.distributed import Worker, shared_by_controller  # noqa: PLC0415
@@ -70,6 +70,10 @@ def pytest_configure(config: pytest.Config) -> None:
             shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
+        if cause_of(config):  # the tests of saved scenarios may all be gone
+            from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
+
+            features["guard"] = Guard(config)
     is_parallel = config.getoption("dist", "no") != "no"
     if config.get_verbosity() > 0:
         features["header"] = Header()
@@ -99,11 +103,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Register the plugins that run the marked items and report on them, if there are any."""
     config = session.config
     marked = [item for item in session.items if item.get_closest_marker(ANY_MARK) is not None]
-    driven = config.stash[DRIVEN]
-    driven.update(item.nodeid for item in session.items if is_driven(item))
-    is_marked = bool(marked or driven)
-    unrun = config.stash[UNRUN]
-    if is_marked or any(unrun):
+    inventory = config.stash[INVENTORY]
+    inventory.driven.update(item.nodeid for item in session.items if is_driven(item))
+    is_marked = bool(marked or inventory.driven)
+    if is_marked or any(inventory):
         _report(config)
     if not is_marked or config.getoption("collectonly"):
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
@@ -118,7 +121,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Register the reports in a session without marked items that has something to say in its summary."""
     lines = session.config.stash[SUMMARY_LINES]
-    if lines.problems or lines.reports:
+    if lines.problems or lines.reports or session.config.stash[LEFT].files:
         _report(session.config)
 
 
@@ -131,13 +134,13 @@ def _report(config: pytest.Config) -> None:
     features: dict[str, object] = {"messages": messages}
     if not is_worker(config):
         from pytest_pafot.plugin import session_records  # noqa: PLC0415
-        from pytest_pafot.plugin.orphans import Guard  # noqa: PLC0415
+        from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
         from pytest_pafot.plugin.record import Record  # noqa: PLC0415
         from pytest_pafot.plugin.report_pages import Pages  # noqa: PLC0415
         from pytest_pafot.plugin.terminal_reporter import Reporter  # noqa: PLC0415
 
         record = Record(config)
-        features |= {"reporting": Reporter(config, record), "pages": Pages(config, record), "guard": Guard()}
+        features |= {"reporting": Reporter(config, record), "pages": Pages(config, record), "guard": Guard(config)}
         if session_records.is_asked_for(config, os.environ):
             features["records"] = session_records.Records(config, record)
         features["record"] = record  # last, so that its hooks are called first

@@ -6,7 +6,6 @@ While items run, they exchange messages, as in a session without workers.
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from queue import Queue
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 
 from pytest_pafot.corpus.layout import SEARCH_PART, around
 from pytest_pafot.plugin.marks import SAVED_PART
-from pytest_pafot.plugin.session import DRIVEN, SHARED, UNRUN, Orphan, Shared, end_in_order
+from pytest_pafot.plugin.session import INVENTORY, SHARED, Inventory, Shared, end_in_order
 
 KEY = "pafot"  # the key of this plugin's data in the input and the output of a worker
 
@@ -73,15 +72,11 @@ class Controller:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object) -> None:
-        """Store what an ended worker reports: the items that drive policies, and saved scenarios that no item runs."""
+        """Store what an ended worker has collected."""
         output = getattr(node, "workeroutput", {}).get(KEY)
         if output is None:  # It died.
             return
-        driven, orphans, *others = json.loads(output)
-        node.config.stash[DRIVEN].update(driven)
-        unrun = node.config.stash[UNRUN]
-        unrun.orphans.update((Path(folder), Orphan(*orphan)) for folder, orphan in orphans.items())
-        for known, other in zip(unrun[1:], others, strict=True):
+        for known, other in zip(node.config.stash[INVENTORY], json.loads(output), strict=True):
             known.update(other)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -96,12 +91,12 @@ class Worker:
     """Hooks of a worker of pytest-xdist."""
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Pass the items that drive policies, and the saved scenarios that no item runs, to the controller.
+        """Pass what this worker has collected to the controller.
 
-        They are sent as JSON in ASCII, because file names may contain bytes that are not valid characters. pytest-xdist
-        cannot send such a text: it would replace the worker, and the new worker would fail in the same way.
+        The texts are sent as JSON in ASCII, because file names may contain bytes that are not valid characters.
+        pytest-xdist cannot send such a text: it would replace the worker, and the new worker would fail in the same
+        way.
         """
-        unrun, driven = session.config.stash[UNRUN], session.config.stash[DRIVEN]
-        orphans = {str(folder): orphan for folder, orphan in unrun.orphans.items()}
-        output = json.dumps((sorted(driven), orphans, *unrun[1:]))
+        inventory: Inventory = session.config.stash[INVENTORY]
+        output = json.dumps([sorted(each) for each in inventory])
         session.config.workeroutput[KEY] = output  # type: ignore[attr-defined]

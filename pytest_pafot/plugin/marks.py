@@ -6,9 +6,12 @@ Every test file that uses the plugin imports this module, so it imports little.
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from weakref import WeakKeyDictionary
 
 import pytest
 
@@ -24,7 +27,8 @@ ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
 DEFAULT_ARG = "run"
-MARKED: set[str] = set()  # the names of all that the decorator has marked in this process
+MARKED: WeakKeyDictionary[ModuleType, list[Any]] = WeakKeyDictionary()  # what is marked, by the module that exists
+REPEAT = "repeat="  # the part of an item's name by which a plugin repeats its test, followed by a number
 POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
 
 Target = TypeVar("Target", bound=Callable[..., Any] | type)
@@ -71,7 +75,8 @@ def _check_name(target: object) -> None:
 
 def _decorated(target: Any, positional: tuple[object, ...], arguments: Mapping[str, object]) -> Any:
     _check_name(target)
-    MARKED.add(target.__name__)
+    if (module := sys.modules.get(target.__module__)) is not None:
+        MARKED.setdefault(module, []).append(target)
     given = [arguments.get("ads", DEFAULT_ADS), arguments.get("against")]
     names = [each for each in given if isinstance(each, str) and each and ":" not in each]
     fixtures = [WORLD_FIXTURE, *names]
@@ -122,9 +127,12 @@ def saved_part(id_: str) -> str:
 
 
 def base_name(item: pytest.Item) -> str:
-    """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``."""
+    """Return the name of an item's test: ``test_x[1]`` for ``test_x[1-search]``, and for each repetition of it."""
     mark = item.get_closest_marker(SAVED_MARK)
-    return name_without(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
+    name = name_without(SEARCH_PART if mark is None else saved_part(mark.args[0].id), item.name)
+    for part in re.findall(rf"(?<=[\[-]){REPEAT}\d+(?=[\]-])", name):
+        name = name_without(part, name)
+    return name
 
 
 def base_id(item: pytest.Item) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import date, timedelta
 from pathlib import Path
@@ -13,11 +14,13 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from pytest_pafot.corpus.layout import CORPUS, link_below
-from pytest_pafot.plugin.option_sources import resolve
+from pytest_pafot.campaign.options import BY_NAME, is_ci
+from pytest_pafot.corpus.layout import link_below
+from pytest_pafot.plugin.option_sources import resolve, value_if_right
 from pytest_pafot.support.errors import RequestError, flag
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
+LISTED = 5  # the number of files that a line names
 
 
 def terminal_width() -> int:
@@ -61,48 +64,49 @@ class SummaryLines:
             self.problems.append(f"{work}: {type(error).__name__}: {error}")
 
 
-class Orphan(NamedTuple):
-    """A folder of saved scenarios whose test is gone."""
+class Inventory(NamedTuple):
+    """What a process has collected, as texts, which a worker of pytest-xdist can send to its controller."""
 
-    expected: str  # a sentence on which test was expected and what was found instead
-    is_gone: bool  # True if the module or the function no longer exists, although the session collected its folder
-
-
-class Unrun(NamedTuple):
-    """The saved scenarios of a session that no item runs."""
-
-    orphans: dict[Path, Orphan]  # by folder
-    # saved scenarios that no test's folder runs, each with the reason, and whether the session fails by it on CI
-    strays: dict[str, tuple[str, bool]]
-    unnamed: dict[str, str]  # what has a mark of pafot and pytest does not collect, with the reason
+    driven: set[str]  # node ids of the items to run that drive policies
+    corpora: set[str]  # the corpora of the collected tests
+    deselected: set[str]  # the saved scenarios of items that pytest counts as deselected, as reports name them
+    unnamed: set[str]  # functions and classes that have a mark of pafot, and of which pytest collects no test
 
 
-class Collected:
-    """The items and corpora that a session collected, before tests are selected."""
+class Left(NamedTuple):
+    """The saved scenarios of the project that a session left out, as reports name them."""
 
-    def __init__(self, rootpath: Path) -> None:
-        self.rootpath = rootpath  # the rootdir of the session
-        self.asked_for: list[Path] = []  # the folders given on the command line
-        self.folders: dict[Path, str] = {}  # corpus folders of the items, with the ids of their tests
-        self.roots: dict[Path, Path] = {}  # corpora, each with the folder of its test files
-        self.shared: set[Path] = set()  # the corpora of several folders of test files: absolute paths
-        self.classes: set[str] = set()  # node ids of the classes that exist in collected modules and classes
-        self.opened: set[str] = set()  # node ids of the classes whose members were collected
-        self.files: set[Path] = set()  # test files that were collected, also those without a test
-        self.skipped: set[Path] = set()  # test files that were skipped at import
-        self.failed: set[Path] = set()  # test files that were not imported: by an error, or by --lf
-        self.corpus = CORPUS  # the option of this name
-        self.others: set[Path] = set()  # corpora of the default name, if the option gives another
-        self.passed_by: set[Path] = set()  # saved scenarios that pytest met outside of corpora
-        self.is_of_testpaths = False  # whether the setting testpaths gave the folders of the session, which had none
-        # whether an option of the session leaves out a path
-        self.is_ignored: Callable[[Path], bool] = lambda path: False
+    files: list[str]
+    fails: list[str]  # those by which the session fails
+
+
+def first(names: Sequence[str]) -> str:
+    """Return the first five names in a line, and how many more there are."""
+    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+
+
+def cause_of(config: pytest.Config) -> str:
+    """Return why a session must not pass if something was not tested; empty if it may."""
+    strict = BY_NAME["strict_health"]
+    return "CI is set" if is_ci(os.environ) else strict.flag if value_if_right(config, strict.name) else ""
+
+
+def call_of(config: pytest.Config) -> list[str]:
+    """Return the arguments of this call of pytest, without those of its configuration file."""
+    return [*map(str, config.invocation_params.args), *shlex.split(os.environ.get("PYTEST_ADDOPTS", ""))]
+
+
+def path_of(config: pytest.Config, arg: str) -> Path:
+    """Return the path in a command-line argument such as ``file.py::test``, without the names of tests."""
+    return Path(os.path.normpath(config.invocation_params.dir / arg.split("::", 1)[0]))
 
 
 SHARED = pytest.StashKey[Shared]()
-UNRUN = pytest.StashKey[Unrun]()
-DRIVEN = pytest.StashKey[set[str]]()
-"""The node ids of the items to run that drive policies; in a controller of pytest-xdist, those of its workers."""
+INVENTORY = pytest.StashKey[Inventory]()
+"""What was collected; in a controller of pytest-xdist, by its workers."""
+LEFT = pytest.StashKey[Left]()
+GIVEN = pytest.StashKey[list[str]]()
+"""The paths and node ids that this call of pytest was given, and not its settings."""
 SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -18,11 +19,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.corpus.layout import files_in, relative
+from pytest_pafot.plugin.guard import ADVICE
 from pytest_pafot.plugin.messages import received
-from pytest_pafot.plugin.orphans import ADVICE
 from pytest_pafot.plugin.record import Record
-from pytest_pafot.plugin.session import SUMMARY_LINES, UNRUN, exit_code, not_written
+from pytest_pafot.plugin.session import LEFT, SUMMARY_LINES, exit_code, not_written
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import flag
 
@@ -77,9 +77,9 @@ class Records:
         code = exit_code(session)
         self._write_json(code)
         path, record = os.environ.get(SUMMARY), self._record
-        orphans, searches = self._config.stash[UNRUN].orphans, (record.searches, record.running, record.unbegun)
+        left, searches = self._config.stash[LEFT].files, (record.searches, record.running, record.unbegun)
         findings, problems = (record.sightings, record.unread), (record.warnings, self._lines.problems)
-        if not path or not any((*searches, *findings, *problems, orphans)):
+        if not path or not any((*searches, *findings, *problems, *left)):
             return  # A session without anything to report imports nothing for it.
         with self._lines.faults(f"the summary in {SUMMARY}"):
             from pytest_pafot.report.session_record import markdown  # noqa: PLC0415
@@ -140,20 +140,16 @@ class Records:
         )
 
     def _orphans(self) -> list[OrphanRecord]:
-        """Return records of the folders whose test is gone, except folders that another process has emptied."""
+        """Return records of the folders with saved scenarios that the session left out."""
         from pytest_pafot.report.session_record import OrphanRecord  # noqa: PLC0415
 
-        left = ((folder, each, len(files_in(folder))) for folder, each in self._config.stash[UNRUN].orphans.items())
+        left = self._config.stash[LEFT]
+        expected, _, advice = ADVICE.partition("; ")
+        counts = Counter(file.rpartition("/")[0] for file in left.files)
+        failing = {file.rpartition("/")[0] for file in left.fails}
         return [
-            OrphanRecord(
-                folder=relative(folder, self._config.rootpath),
-                files=count,
-                expected=orphan.expected,
-                way_out=ADVICE,
-                is_gone=orphan.is_gone,
-            )
-            for folder, orphan, count in sorted(left)
-            if count
+            OrphanRecord(folder=folder, files=count, expected=expected, way_out=advice, is_gone=folder in failing)
+            for folder, count in sorted(counts.items())
         ]
 
     def _write_json(self, code: int | None) -> None:

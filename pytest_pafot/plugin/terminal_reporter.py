@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.corpus.layout import files_in, relative
-from pytest_pafot.plugin import orphans
+from pytest_pafot.plugin.guard import WHY_UNNAMED
 from pytest_pafot.plugin.messages import Message, received
 from pytest_pafot.plugin.record import Record
 from pytest_pafot.plugin.session import (
+    INVENTORY,
+    LEFT,
     SHARED,
     SUMMARY_LINES,
-    UNRUN,
     SummaryLines,
     base_line,
+    first,
     terminal_width,
     unclaimed,
 )
 from pytest_pafot.support.errors import rerun
-from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.text import ascii_text, plural
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.sighting import Sighting
@@ -166,7 +167,7 @@ class Reporter:
                 self._lines.problems.extend(unclaimed(self._config))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """Write the plugin's section of the summary: searches, replays, orphans and problems."""
+        """Write the plugin's section of the summary: searches, replays, what was left out and problems."""
         own = SummaryLines()
         with own.faults("summary of pytest-pafot"):
             lines = self._summary()
@@ -191,20 +192,18 @@ class Reporter:
         return bool(self._record.searches or self._record.running or self._record.sightings)
 
     def _summary(self) -> list[str]:
-        unrun, record = self._config.stash[UNRUN], self._record
-        lines = (record.notes, record.warnings, self._lines.problems, self._lines.reports)
-        if not any((self._is_driven, *unrun, *lines)):
+        inventory, left, record = self._config.stash[INVENTORY], self._config.stash[LEFT].files, self._record
+        lines = (inventory.unnamed, left, record.notes, record.warnings, self._lines.problems, self._lines.reports)
+        if not any((self._is_driven, *lines)):
             return []
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        left = [(folder, orphan.expected, files_in(folder)) for folder, orphan in unrun.orphans.items()]
-        root = self._config.rootpath
+        strays = dict.fromkeys(sorted(inventory.unnamed), WHY_UNNAMED)
+        strays |= {plural(len(left), "saved scenario"): first(left)} if left else {}
         session = terminal.SessionSummary(
             searches=[*record.searches.values()],
             replays=record.replays,
-            orphans=[(relative(each, root), [file.name for file in files], why) for each, why, files in left if files],
-            strays=[*sorted(unrun.unnamed.items()), *((file, why) for file, (why, _) in sorted(unrun.strays.items()))],
-            way_out=orphans.ADVICE,
+            strays=[*strays.items()],
             problems=self._lines.problems,
             written=self._lines.reports,
             interrupted=[*record.running],

@@ -195,13 +195,13 @@ def finding_entry(sighting: Sighting | None, **more: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrphanRecord:
-    """A folder of saved scenarios that no test replays.
+    """A folder with saved scenarios that the session left out.
 
     Attributes:
-        folder, files: path relative to the rootdir, and its number of saved scenarios.
-        expected: its test, and what was found instead.
+        folder, files: path relative to the rootdir, and the number of these saved scenarios.
+        expected: what was expected of the session.
         way_out: what to do with the files.
-        is_gone: true if the module or function is gone in a folder given to pytest, which fails a session under CI.
+        is_gone: true if the session fails by it.
     """
 
     folder: str
@@ -220,7 +220,7 @@ class SessionRecord:
         commit, day: values of `--pafot-commit` and `--pafot-today`, or null.
         versions: of the packages on which a run depends.
         searches, findings: in the order of node ids; `findings` are new or replayed.
-        orphans: folders of saved scenarios without a test.
+        orphans: folders with saved scenarios that the session left out.
         warnings, problems: saved scenarios that are no longer accepted, and what went wrong outside the tests.
     """
 
@@ -302,7 +302,7 @@ def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
     faulty = [each for each in failed if not each.finds]  # their new findings did not make them fail
     yield from _listed("Searches that failed", [f"{code(each.node_id)}: {plain(each.message)}" for each in faulty])
     lost = [f"{code(each.folder)}: {plain(each.expected)}; {plain(each.way_out)}" for each in record.orphans]
-    yield from _listed("Saved scenarios whose test is gone", lost)
+    yield from _listed("Saved scenarios that were left out", lost)
     yield from _listed("Warnings", [plain(each) for each in record.warnings])
     yield from _listed("Problems", [plain(each) for each in record.problems])
 

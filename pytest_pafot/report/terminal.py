@@ -61,9 +61,7 @@ class SessionSummary:
 
     Attributes:
         searches, replays: in the order in which they ended.
-        orphans: folders of saved scenarios whose test is gone, with the names of its files and what was expected.
-        way_out: what the user can do about all orphans.
-        strays: saved scenarios that no test can replay, and marked tests that are not collected, each with the reason.
+        strays: marked tests that were left out, each with the reason, and saved scenarios: their number and names.
         interrupted: node ids of searches that began and did not end.
         warnings: warnings about saved scenarios that are no longer accepted.
         again: the command that runs a single saved scenario.
@@ -72,8 +70,6 @@ class SessionSummary:
 
     searches: Sequence[SearchSummary] = ()
     replays: Sequence[Sighting] = ()
-    orphans: Sequence[tuple[str, Sequence[str], str]] = ()
-    way_out: str = ""
     strays: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
     written: Sequence[str] = ()
@@ -478,10 +474,6 @@ def session_lines(session: SessionSummary, *, width: int = WIDTH) -> list[str]:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += replay_lines(session.replays, width)
     lines += [*parameter_lines(session.searches, width), *against_lines(session, width), *worst_lines(session, width)]
-    for folder, names, expected in session.orphans:
-        lines.append(f"orphaned: {plural(len(names), 'saved scenario')} without a test in {folder}")
-        lines += _wrapped(f"{', '.join(names)}: {expected}", width)
-    lines += _wrapped(session.way_out, width) if session.orphans else []
     lines += [f"not run: {file}: {why}" for file, why in session.strays]
     if any(sighting.path for search in session.searches for sighting in search.finds):
         lines.append(f"run a single saved scenario with: {session.again}")

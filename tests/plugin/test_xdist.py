@@ -66,15 +66,6 @@ def test_workers_name_the_base_seed_once(project):
     assert project.run("-n2", seed=None).stdout.str().count("pafot: base seed 0 (") == 1
 
 
-def test_workers_report_a_misplaced_file_once(project):
-    project.write(TWO)
-    (project.path / "a.pafot.yaml").write_text("test: test_it.py::test_second")
-    result = project.run("-n2", generations=0)
-    advice = "move it to the folder of test_it.py::test_second, or delete it"
-    expected = f"not run: a.pafot.yaml: it is in no test's folder; {advice}"
-    assert result.stdout.lines.count(expected) == 1
-
-
 def test_worker_death_loses_no_finding_or_collected_test(project):
     project.write(
         """

@@ -215,11 +215,7 @@ def test_the_summary_of_a_session_reads_so(snapshot):
             sighting("saved-b", label="still failing"),
             sighting("saved-c", label="drifted", detail="numpy 1 then, 2 now"),
         ],
-        orphans=[
-            ("corpus/test_a", ["a.pafot.yaml", "b.pafot.yaml"], "expected the test t.py::test_a, received no file t.py")
-        ],
-        way_out="rename the folder to the test's new name",
-        strays=[("corpus/x.pafot.yaml", "it is in no test's folder")],
+        strays=[("2 saved scenarios", "corpus/x.pafot.yaml, corpus/y.pafot.yaml")],
         problems=["a fault in the page"],
         written=["report: report.html (1 finding)"],
         interrupted=["tests/test_safety.py::test_third[search]"],

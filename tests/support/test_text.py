@@ -77,7 +77,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     session = terminal.SessionSummary(
         searches=[search],
         replays=[sighting(headline=text, node_id=text, label="drifted", detail=other, against=text)],
-        orphans=[(text, [text], other)], way_out=other, strays=[(text, other)],
+        strays=[(text, other)],
         problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
     )  # fmt: skip
     progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)

@@ -1,0 +1,335 @@
+"""The guard against lost tests: on CI, no session passes that leaves out a saved scenario or a marked test.
+
+A saved scenario of the project has to be run, or be deselected by name for this call. It does not matter what has left
+it out. The saved scenarios of the project are those below the rootdir, so they are known without any test that runs
+them.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+import re
+import sys
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import suppress
+from functools import cached_property, partial
+from pathlib import Path
+
+import pytest
+
+from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
+from pytest_pafot.corpus.layout import (
+    CORPUS,
+    SUFFIX,
+    entries_of,
+    is_corpus,
+    is_folder,
+    is_misnamed,
+    link_below,
+    module_of_file,
+    name_within,
+    relative,
+)
+from pytest_pafot.corpus.layout import (
+    is_inside as is_inside_project,
+)
+from pytest_pafot.plugin.marks import MARKED
+from pytest_pafot.plugin.option_sources import value_if_right
+from pytest_pafot.plugin.session import GIVEN, INVENTORY, LEFT, SUMMARY_LINES, Left, call_of, cause_of, first, path_of
+from pytest_pafot.support.errors import RequestError
+from pytest_pafot.support.text import plural, visible
+
+MAX_FOLDERS = 10_000  # the number of folders in which saved scenarios are looked for
+ERROR_ID = "pafot::saved_scenarios_without_a_test"
+"""The node id of the error with which a session fails if it left out saved scenarios."""
+UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
+"""The node id of the error with which a session fails if pytest leaves out a marked test."""
+ADVICE = (
+    "expected an item that replays each of them; was its test skipped, renamed, moved or deleted, or left out by "
+    "testpaths, python_files, norecursedirs or a hook? "
+    "If the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
+    "their line `test:`; else delete them"
+)
+"""What the user can do about saved scenarios that were left out."""
+WHY_UNNAMED = (
+    "pytest collects no test of it; give it the name of a test, in a file and a class that pytest collects, or set its "
+    "__test__ to False"
+)
+
+# Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
+_TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
+_ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
+_BY_NAME = re.compile(r"-[a-zA-Z]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
+_FOREIGN = {".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
+"""The names of folders whose saved scenarios are never the project's own."""
+_SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
+"""The names in a folder that is another repository, such as a submodule, or a virtual environment."""
+_CONFIGURED = ("pyproject.toml", "pytest.ini", "tox.ini", "setup.cfg", "setup.py", "package.json")
+"""The files by which a folder is a project."""
+_SELECTING = ("lf", "stepwise", "splits", "num_shards", "test-group-count", "testmon", "picked")
+"""The options of pytest, pytest-split, -shard, -test-groups, -testmon and -picked with which a session is partial."""
+
+
+ENDS = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
+"""The exit codes of sessions that ran some tests, and came to their end or were ended early."""
+
+
+class Guard:
+    """Hooks, on the controller, that compare the saved scenarios of the project with those that the session ran."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._ended: set[str] = set()  # node ids of the items that have run
+        self._failed: set[str] = set()  # those that have failed, and of new findings
+        self._run: set[str] = set()  # the saved scenarios that were run, as reports name them
+        self._is_whole = False  # whether the session came to its end
+
+    @cached_property
+    def cause(self) -> str:
+        """Why the session must not pass if something was not tested; empty if it may."""
+        return cause_of(self._config)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note the items and the saved scenarios that have run, and which items have failed."""
+        if report.when == "teardown":
+            self._ended.add(report.nodeid)
+        if report.failed:
+            self._failed.add(report.nodeid)
+        properties = dict(report.user_properties)
+        # An item that a mark or a hook has skipped has no result of its own, which has this name.
+        if report.failed or "pafot" in properties:
+            self._run.add(str(properties.get("pafot_file", "")))
+
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside of the hook with which pytest ends the line of its results
+    def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
+        """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
+        result = yield
+        self._is_whole = True
+        unnamed = sorted(self._config.stash[INVENTORY].unnamed)
+        if unnamed and self.cause and not _only_lists(self._config):
+            counted = f"pytest does not collect {plural(len(unnamed), 'test')} with a mark of pafot ({self.cause}):"
+            _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED)
+        left = self._note_left()
+        if left.fails:
+            way_out = f"{self.cause}; {BY_NAME['allow_orphans'].flag} lets it pass"
+            counted = f"this session left out {plural(len(left.fails), 'saved scenario')} ({way_out}):"
+            _report(session, ERROR_ID, f"{counted} {first(left.fails)}", ADVICE)
+        return result
+
+    @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Let no session on CI end with 0, as by ``pytest.exit(returncode=0)``, unless all policies drove well."""
+        inventory, lines = self._config.stash[INVENTORY], self._config.stash[SUMMARY_LINES]
+        if not self._is_whole and session.exitstatus in ENDS:
+            with lines.faults("saved scenarios that were left out"):
+                self._note_left()
+        unended = sorted(inventory.driven - self._ended)
+        # In a session in which no policy was to drive, tests may fail as its hooks want.
+        is_meant = inventory.driven or inventory.unnamed or self._config.stash[LEFT].files
+        named = unended or (sorted(self._failed) if is_meant else [])
+        if not self.cause or session.exitstatus != pytest.ExitCode.OK or not named or _only_lists(self._config):
+            return
+        what = "did not run to the end" if unended else "failed"
+        session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
+        lines.problems.append(
+            f"{plural(len(named), 'item')} {what}, {named[0]} first, but the session was to end with the exit code 0, "
+            "as by pytest.exit(returncode=0) or a hook pytest_runtest_protocol; it ends with "
+            f"{int(session.exitstatus)} ({self.cause})"
+        )
+
+    def _note_left(self) -> Left:
+        """Store what the session has left out, for all that reports on it."""
+        config = self._config
+        if OF_COMMAND in os.environ or _only_lists(config):
+            return config.stash[LEFT]  # The command asks for one test. All others of the project are not collected.
+        left = sorted(self._left_out())
+        values = (config.getoption(name, None) for name in _SELECTING)
+        is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
+        may_fail = self._is_whole and self.cause and not is_partial and not value_if_right(config, "allow_orphans")
+        fails = [file for file, owner in left if may_fail and not self._is_chosen(file, owner)]
+        others = (file for file, _ in left if file not in set(fails))
+        names = [visible(relative(file, config.rootpath)) for file in (*fails, *others)]
+        config.stash[LEFT] = Left(names, names[: len(fails)])
+        return config.stash[LEFT]
+
+    def _is_chosen(self, *paths: Path) -> bool:
+        """Return whether a path, or ``--ignore``, of this call leaves out a saved scenario or its test file."""
+        config, given, call = self._config, self._config.stash[GIVEN], call_of(self._config)
+        patterns = [each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()]
+        ignored = [str(path_of(config, each)) for each in patterns if any(each in argument for argument in call)]
+        places = {str(each) for path in paths for each in (path, *path.parents)}
+        if any(each in places or fnmatch.filter(places, each) for each in ignored):
+            return True
+        # A file, or a test in it, is a narrower choice than a folder, whose saved scenarios are all asked for.
+        folders = [folder for each in given if is_folder(folder := path_of(config, each))]
+        return bool(given) and not any(path.is_relative_to(folder) for folder in folders for path in paths)
+
+    def _left_out(self) -> Iterator[tuple[Path, Path]]:
+        """Yield the saved scenarios of the project that were neither run nor deselected by name, and their test files.
+
+        The test file is the one next to the corpus, whether or not it exists. A file outside of a corpus has none, and
+        is yielded itself.
+        """
+        inventory, top = self._config.stash[INVENTORY], self._config.rootpath
+        known = self._run | (inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set())
+        corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
+        asked = [each for each in (path_of(self._config, each) for each in self._config.args) if is_folder(each)]
+        own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]
+        own += [corpus] if corpus.is_absolute() else []
+        problems = self._config.stash[SUMMARY_LINES].problems if inventory.driven else []
+        found = dict(_files_below(top, own, asked, corpus, problems))
+        if self.cause and (inventory.driven or found):
+            found.update(dict.fromkeys(_not_in_checkout(top, corpus), True))
+        left = {file: is_inside for file, is_inside in found.items() if visible(relative(file, top)) not in known}
+        names = {name_within(file.name) or file.name for file in left}
+        copies = {(Path(each).name, _named_test(top / each)) for each in known if Path(each).name in names}
+        for file, is_inside in left.items():
+            test = _named_test(file)
+            name = test.partition("::")[0]
+            is_named = file.name.endswith(SUFFIX) or (test and (is_misnamed(file.name) or name_within(file.name)))
+            if is_inside:  # git may write a link to a folder as a text
+                packed = _ARCHIVE.fullmatch(file.name)
+                is_text = "." not in file.name and file.name.startswith((CORPUS, "test"))
+                is_packed = packed is not None and not os.path.lexists(file.with_name(packed[1]))
+                is_saved = is_named or is_text or is_packed or not os.path.isfile(file)  # noqa: PTH113  (see is_folder)
+            else:
+                is_saved = is_named and test and os.path.lexists(top / name)
+            if not is_saved or (name_within(file.name) or file.name, test) in copies:
+                continue
+            owner = module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
+            # The rootdir of the session that saved the file, by the name of the test. A vendored project has its own.
+            project = next((each for each in owner.parents if name and each / name == owner), top)
+            is_asked_for = project == top or any(each.is_relative_to(project) for each in (*own, *asked))
+            if is_asked_for or not any(os.path.lexists(project / each) for each in _CONFIGURED):
+                yield file, owner
+
+
+def _files_below(
+    top: Path, own: Iterable[Path], asked: Iterable[Path], corpus: Path, problems: list[str]
+) -> Iterator[tuple[Path, bool]]:
+    """Yield the files below folders that may be saved scenarios, and whether they are in a corpus.
+
+    The folders in ``own`` are corpora, ``top`` and those in ``asked`` are not. No link to a folder is followed, since
+    it may lead anywhere. A folder of a corpus that cannot be listed, or is a link out of ``top``, is yielded itself.
+    """
+    queue = deque([*((str(each), False) for each in (top, *asked)), *((str(each), True) for each in own)])
+    starts, names = set(queue), {CORPUS, corpus.name}
+    seen: set[tuple[str, bool]] = set()
+    while queue and len(seen) < MAX_FOLDERS:
+        place = queue.popleft()
+        folder, is_inside = place
+        if place in seen:
+            continue
+        seen.add(place)
+        try:
+            with os.scandir(folder) as listing:
+                entries = list(listing)
+        except OSError:
+            if is_inside and os.path.lexists(folder):
+                yield Path(folder), True
+            continue
+        if not is_inside and place not in starts and not _SEPARATE.isdisjoint([entry.name for entry in entries]):
+            continue
+        for entry in entries:
+            name, path = entry.name, entry.path
+            if entry.is_dir(follow_symlinks=False):
+                is_below = is_inside or name == CORPUS or (name in names and is_corpus(Path(path), corpus))
+                if is_below or name not in _FOREIGN:
+                    queue.append((path, is_below))
+            elif is_inside or "pafot" in name.lower():
+                file = Path(path)
+                if not is_folder(file):  # An archive of a corpus, or a link that is a text, is in its place.
+                    yield file, is_inside or name.partition(".")[0] == CORPUS
+                elif name == CORPUS and file != corpus and not is_inside_project(file, top):
+                    from pytest_pafot.corpus.saved import refusal  # noqa: PLC0415  (few projects have such a link)
+
+                    problems.append(refusal(file))
+                    yield file, True
+    if queue:
+        problems.append(f"saved scenarios that this session left out: only {MAX_FOLDERS} folders were searched for any")
+
+
+def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
+    """Yield the saved scenarios that git tracks, and whose corpus is not in this checkout, as in a sparse one.
+
+    A submodule that is a corpus, and that was not fetched, is yielded itself.
+    """
+    from pytest_pafot.support.git import git  # noqa: PLC0415  (few sessions have saved scenarios)
+
+    above = Path(os.path.realpath(top))
+    if not any(os.path.lexists(each / ".git") for each in (above, *above.parents)):
+        return  # no repository, which git would take some milliseconds to say
+    with suppress(RequestError):  # no git
+        for entry in git(top, "ls-files", "-s", "-z").split("\0"):
+            place = top / entry.partition("\t")[2]
+            if entry.startswith("160000 ") and (place.name == CORPUS or corpus.is_relative_to(place)):
+                if not entries_of(place):
+                    yield place
+            elif entry.endswith(SUFFIX) and len(place.parents) > 2 and not os.path.lexists(root := place.parents[2]):
+                yield from [place] if root.name == CORPUS or is_corpus(root, corpus) else []
+
+
+def _named_test(file: Path) -> str:
+    """Return the node id of the test that a file names, even if the file is broken; empty if the file names no test."""
+    from pytest_pafot.corpus.reader import content_of  # noqa: PLC0415  (yaml, which few sessions need)
+    from pytest_pafot.support.errors import CorpusError  # noqa: PLC0415
+
+    try:
+        line = _TEST_LINE.search(content_of(file))
+    except CorpusError:
+        return ""
+    return line.group(1).decode("utf-8", "replace").strip("'\"") if line else ""
+
+
+def _only_lists(config: pytest.Config) -> bool:
+    return any(config.getoption(name, False) for name in ("collectonly", "setupplan", "setuponly"))
+
+
+def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> None:
+    """Report the session's error like the error of an item, so that it is counted, also in files for other tools."""
+    try:
+        pytest.fail(f"{line}\n  {advice}", pytrace=False)
+    except pytest.fail.Exception as error:
+        longrepr = pytest.ExceptionInfo.from_exception(error).getrepr(style="value")
+        crash = getattr(longrepr, "reprcrash", None)
+        if crash is not None:
+            crash.message = line  # in the short summary
+    manager = session.config.pluginmanager
+    # Do not inform --lf and --sw: they would wait for an item of this name, which the next session does not collect.
+    rerunning = [manager.get_plugin(name) for name in ("lfplugin", "stepwiseplugin")]
+    log = manager.subset_hook_caller("pytest_runtest_logreport", rerunning)
+    place = ("pafot", None, node_id.partition("::")[2])
+    report = partial(pytest.TestReport, nodeid=node_id, location=place, keywords={})
+    session.testscollected += 1
+    log(report=report(outcome="failed", longrepr=longrepr, when="setup"))
+    log(report=report(outcome="passed", longrepr=None, when="teardown"))
+
+
+def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iterator[str]:
+    """Yield the names of the marked functions and classes of which pytest has collected no test.
+
+    They are looked for in what the session was to collect, in the rootdir. A class that others derive from is meant to
+    be no test of its own.
+    """
+    run: set[int] = set()
+    for item in items:
+        run |= {id(each) for each in getattr(getattr(item, "cls", None), "__mro__", ())}
+        function = getattr(item, "function", None)
+        while function is not None:
+            run.add(id(function))
+            function = getattr(function, "__wrapped__", None)
+    asked = [path_of(config, each) for each in config.args if "::" not in each]
+    for module, marked in list(MARKED.items()):
+        file = Path(getattr(module, "__file__", None) or os.devnull)
+        is_asked_for = any(map(file.is_relative_to, asked)) and file.is_relative_to(config.rootpath)
+        if sys.modules.get(module.__name__) is not module or not is_asked_for or "site-packages" in file.parts:
+            continue
+        for each in marked:
+            name = each.__qualname__
+            owner = getattr(module, name.partition(".")[0], None)
+            is_base = isinstance(owner, type) and bool(type.__subclasses__(owner))
+            is_off = not all(getattr(member, "__test__", True) for member in (each, owner))
+            if id(each) not in run and "<locals>" not in name and not is_base and not is_off:
+                yield f"{relative(file, config.rootpath)}::{name.replace('.', '::')}"
