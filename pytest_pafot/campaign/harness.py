@@ -27,6 +27,7 @@ from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts, ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, RequestError
 from pytest_pafot.support.references import factory_named, name_of
+from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
@@ -156,7 +157,8 @@ class Harness:
         world = self.world if world is None else world
         with refusals():  # only making the environment of a pafot.World shows whether it can be used
             data = codec.described(world)
-            self.policy.preload()
+            with REPLACED.shown(True):
+                self.policy.preload()
         owner = owner or self.node_id
         return Job(
             world=world,

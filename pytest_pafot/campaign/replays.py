@@ -186,7 +186,7 @@ class Replays:
         harness, scenario = self.harness, _finding(saved).scenario
         isolate, trace = harness.request.settings.isolate, None
         job = harness.job(world, owner)
-        if self._is_apart(saved, owner):
+        if self.is_apart(saved, owner):
             with refusals(), _naming(saved.path):
                 trace = run_apart(job, scenario, partial(harness.judge_trace, world), isolate=isolate)
         with harness.recording(job) as record:
@@ -197,7 +197,8 @@ class Replays:
             run = _finding(saved).expect.known_of(harness.run_of(trace, world))
             return run, harness.judge(run)
 
-    def _is_apart(self, saved: Saved, owner: str) -> bool:
+    def is_apart(self, saved: Saved, owner: str) -> bool:
+        """Return whether a saved scenario is run in a separate process; ``owner`` as for :meth:`tried`."""
         harness = self.harness
         return bool(harness.request.settings.isolate or saved.needs_own_process or harness.left_behind(owner))
 
@@ -213,7 +214,7 @@ class Replays:
         __tracebackhide__ = True
         harness, first = self.harness, FirstGeneration()
         first.see(run, verdict)
-        isolate = self._is_apart(saved, owner)
+        isolate = self.is_apart(saved, owner)
         try:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
@@ -258,7 +259,7 @@ class Replays:
     ) -> tuple[Run | None, Verdict | None]:
         """Run the reference in a world; return its run, None if its process died or hung, and the verdict on it."""
         __tracebackhide__ = True
-        job, isolate = self.harness.job(world, owner), self._is_apart(saved, owner)
+        job, isolate = self.harness.job(world, owner), self.is_apart(saved, owner)
         with (
             self.harness.recording(job) as record,
             self.harness.reference_runner(job, record, isolate=isolate) or nullcontext() as runner,
@@ -443,7 +444,7 @@ class Replays:
         shown, failing = _by_chance(finding, now), 0
         with (
             harness.recording(job) as record,
-            runner_for(job, record, isolate=self._is_apart(saved, owner)) as runner,
+            runner_for(job, record, isolate=self.is_apart(saved, owner)) as runner,
         ):
             for number in range(1, RUNS + 1):
                 scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, number)

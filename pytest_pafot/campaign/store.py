@@ -27,6 +27,7 @@ from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.interrupts import postponed
+from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.world import codec
 
 UNCONFIRMED = "not confirmed: out of time"
@@ -214,6 +215,7 @@ class Store:
         self.findings[sighting.id] = replace(sighting, unshrunk=UNCONFIRMED)
         return self.findings[sighting.id]
 
+    @REPLACED.shown(False)
     def rewritten(self, sighting: Sighting) -> Sighting:
         """Write a finding of which more is known to its file, whose ``xfail`` stays; return it.
 
@@ -282,6 +284,7 @@ class Store:
             perception=self.harness.policy.sight,
         )
 
+    @REPLACED.shown(False)  # also what the test function itself has replaced
     def _saved(self, finding: Finding, line: str, exception: BaseException, is_timed: bool) -> Sighting:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.findings:

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_ci
-from pytest_pafot.campaign.request import Request
+from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by, records_of
 from pytest_pafot.execution.pool import GRACE
@@ -31,9 +31,12 @@ from pytest_pafot.plugin.marks import (
 )
 from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.option_sources import request_of_mark
+from pytest_pafot.plugin.replay_item import run_replay
+from pytest_pafot.plugin.search_item import run_search
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.plugin.terminal_reporter import uncaptured
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
+from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.support.text import meant, visible, wrapped_to
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 
@@ -67,7 +70,9 @@ class Checks:
             raise pytest.fail.Exception(str(error), pytrace=False) from None  # else pytest prints the message twice
         item.stash[REQUEST] = request
         is_idle = is_search(item) and not request.settings.is_search
-        if is_idle and not left_by(base_id(item), records_of(item.config.rootpath)):
+        with REPLACED.shown(False):  # by a fixture of the module
+            is_idle = is_idle and not left_by(base_id(item), records_of(item.config.rootpath))
+        if is_idle:
             option = BY_NAME["generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
                 messages.send(item, "note", {"text": f"no search ran: {option.key} is 0 in the settings"})
@@ -206,13 +211,9 @@ class Execution:
         request = pyfuncitem.stash.get(REQUEST, None)
         if request is None:
             return None
-        from pytest_pafot.campaign.request import AgainstError  # noqa: PLC0415
-        from pytest_pafot.plugin.replay_item import run_replay  # noqa: PLC0415
-        from pytest_pafot.plugin.search_item import run_search  # noqa: PLC0415
-
         saved = saved_of(pyfuncitem)
         try:
-            with session_ends_if_stuck(pyfuncitem):
+            with REPLACED.shown(False), session_ends_if_stuck(pyfuncitem):
                 if saved is None:
                     run_search(pyfuncitem, request)
                 else:

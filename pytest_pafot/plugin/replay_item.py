@@ -28,7 +28,7 @@ from pytest_pafot.plugin import marks, messages
 from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, explained
 from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
-from pytest_pafot.plugin.search_item import harness_of, shown
+from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
@@ -49,6 +49,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     harness = harness_of(item, request, writes=False)
     today = date.fromisoformat(item.config.stash[SHARED].today)
     replays = Replays(harness=harness, today=today)
+    watch_again(item, is_elsewhere=replays.is_apart(saved, item.nodeid))
     if request.settings.debug:
         stop_in_replay(item, replays, saved)
     path, lost = relative(saved.path, harness.root), None

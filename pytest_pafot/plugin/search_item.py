@@ -57,6 +57,7 @@ from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
+from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
@@ -138,6 +139,13 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     )
 
 
+def watch_again(item: pytest.Function, *, is_elsewhere: bool) -> None:
+    """Let pytest-testmon run an item in the next session, too, if it cannot see its lines: they run elsewhere."""
+    collector = item.config.pluginmanager.get_plugin("TestmonCollect")
+    if is_elsewhere and collector is not None:
+        collector.testmon.discard_current()
+
+
 def _cluster_of(config: pytest.Config) -> Cluster | None:
     """Return the workers of ``--pafot-dask``, to which the first search of a session connects; None without it."""
     address = config.getoption(BY_NAME["dask"].key)
@@ -186,7 +194,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     def test(run: Any) -> Any:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
         try:
-            with recorded.call(run):
+            with recorded.call(run), REPLACED.shown(True):
                 result = item.obj(**{**fixed, arg: run})
         finally:  # and not before the call, as the ADS may have logged in this run
             for each in recorders_here:
@@ -231,6 +239,8 @@ def run_search(item: pytest.Function, request: Request) -> None:
     replays = Replays(harness=harness, today=today)
     # If this policy has killed a process before, it runs in processes that may die of it.
     chosen = isolated_after_a_death(harness, replays)
+    now = chosen.request.settings
+    watch_again(item, is_elsewhere=now.isolate or now.workers > 1 or chosen.cluster is not None)
     messages_of_search = SearchMessages(item, settings)
     with prepared(chosen) as parts:
         session = SearchSession(

@@ -24,15 +24,9 @@ def test_counted(run):
 """
 
 
-def runs(project):
-    path = project.path / "runs.txt"
-    return len(path.read_text().splitlines()) if path.exists() else 0
-
-
 @pytest.mark.parametrize("plugins", [["terminal"], ["cacheprovider", "capture", "junitxml", "logging"]], ids=" ".join)
 def test_findings_are_saved_without_some_builtin_plugins(failing, plugins):
-    result = failing.run(*(part for name in plugins for part in ("-p", f"no:{name}")))
-    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    assert failing.run(*(f"-pno:{name}" for name in plugins)).ret == pytest.ExitCode.TESTS_FAILED
     assert len(failing.files) == 1
 
 
@@ -98,40 +92,46 @@ class Quiet(pdb.Pdb):
     assert len(project.files) == 1
 
 
+def test_findings_are_on_the_disk_although_the_test_sees_replaced_functions_of_files(project):
+    project.write("""
+@pytest.fixture(autouse=True)
+def replaced(monkeypatch):
+    for name in ("builtins.open", "os.open", "os.replace"):
+        monkeypatch.setattr(name, lambda *args, **kwargs: "replaced")
+
+@pafot.search(SHORT, runs=1)
+def test_one(run):
+    assert open("any") != "replaced"
+""")
+    project.run()
+    assert project.files  # in which the assertion fails, which sees the replaced function
+
+
 def test_under_pdb_a_note_says_what_was_found(failing, monkeypatch):
     monkeypatch.setattr("pdb.Pdb.interaction", lambda *stands: None)
     result = failing.run("--pdb")
     result.stdout.fnmatch_lines(["E  *1 new finding in 1 run, reported below", f"E  *{failing.only_id} (1 run)"])
 
 
-def test_collect_only_lists_the_items_and_simulates_nothing(project):
+def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(project):
     project.write(COUNTED)
     project.run_once("--pafot-stop-after=1")
-    before = runs(project)
+    before = (project.path / "runs.txt").read_text()
     result = project.run("--collect-only", "-q")
     result.stdout.fnmatch_lines(
         ["test_it.py::test_counted[[]search[]]", f"test_it.py::test_counted[[]saved-{project.only_id}[]]"]
     )
-    assert runs(project) == before
+    assert project.run("--setup-plan").ret == pytest.ExitCode.OK
+    assert (project.path / "runs.txt").read_text() == before
 
 
-def test_setup_plan_simulates_nothing(project):
-    project.write(COUNTED)
-    result = project.run("--setup-plan")
-    assert result.ret == pytest.ExitCode.OK
-    assert runs(project) == 0
-
-
-def test_last_failed_runs_findings_without_their_search(failing):
+def test_last_failed_runs_findings_without_their_search_once_they_are_saved(failing):
+    failing.run("--pafot-save=none")
+    failing.run("--lf", "--pafot-save=none").assert_outcomes(failed=2)
     failing.run_once()
     result = failing.run("--lf", "-v")
     result.assert_outcomes(failed=1, deselected=1)
     result.stdout.fnmatch_lines([f"*saved-{failing.only_id}[]] FAILED*"])
-
-
-def test_last_failed_repeats_search_of_unsaved_findings(failing):
-    failing.run("--pafot-save=none")
-    failing.run("--lf", "--pafot-save=none").assert_outcomes(failed=2)
 
 
 def test_last_failed_repeats_search_once_findings_pass(failing):

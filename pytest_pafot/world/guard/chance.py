@@ -19,6 +19,7 @@ import numpy as np
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
+from pytest_pafot.support.replaced import REPLACED
 
 
 class _Generator(NamedTuple):
@@ -137,6 +138,7 @@ class _Generators:
                 generator.give_back(state)
             self.begin()
 
+    @REPLACED.shown(True)
     def run(self, rollout: Callable[..., Any], scenario: Scenario, factory: Callable[..., Any], **given: Any) -> Any:
         """Make a run with seeded generators, and return its trace, which says whether it drew from them."""
         __tracebackhide__ = True
