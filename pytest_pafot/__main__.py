@@ -88,12 +88,9 @@ def main_in_child(arguments: list[str]) -> int:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
     if told := os.environ.pop(DRIVES, ""):
         parent, _, folder = told.partition(":")
-        if sys.platform == "linux":  # elsewhere it drives on when its parent is killed
-            import ctypes  # noqa: PLC0415
+        from pytest_pafot.support.interrupts import bound_to  # noqa: PLC0415
 
-            ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
-            if os.getppid() != int(parent):  # it was killed before that
-                return 128 + signal.SIGTERM
+        bound_to(int(parent), signal.SIGTERM)  # where that is not possible, it drives on when its parent is killed
         try:
             _hold_back(False)
             code = main(arguments)

@@ -16,6 +16,7 @@ import pickle
 import select
 import signal
 import sys
+import threading
 import time
 import traceback
 import warnings
@@ -31,6 +32,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.support.interrupts import bound_to
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)
@@ -313,7 +315,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace, self.idle, self.leave)
+                idle = _Worker(self._context, self.work, others, self.grace, self.idle, self.leave, self.farewell)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -421,6 +423,7 @@ class _Worker(Generic[TaskT]):
         grace: float,
         idle: float | None,
         leave: Callable[[], Any] | None,
+        farewell: float,
     ) -> None:
         self.task: TaskT | None = None
         self.share = 0.0
@@ -430,7 +433,10 @@ class _Worker(Generic[TaskT]):
         self._heard = 0
         self._asked_at: float | None = None
         inherited = [*others, self.connection] if context.get_start_method() == "fork" else []
-        arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave)
+        # What is to do before the end needs time, and a thread that ends would take the process with it.
+        is_bound = leave is None and threading.current_thread() is threading.main_thread()
+        patience = None if is_bound else farewell if leave else 0.0
+        arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave, patience)
         # A daemon, so that a worker of a cluster that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
         with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
@@ -537,6 +543,35 @@ def _end_children(pid: int) -> list[int]:
     return ended
 
 
+def _end_with_session(patience: float | None) -> None:
+    """Let the end of the session end this process, whatever policies and their threads do in it.
+
+    With a ``patience`` of None, Linux kills it at once, and also the processes that its main thread forks. Otherwise,
+    and on other systems, a thread interrupts it, and ends it after that time [s].
+    """
+    session: Any = multiprocessing.parent_process()
+    main, pid = threading.get_ident(), os.getpid()
+
+    def bind_child() -> None:
+        if threading.get_ident() == main and os.getppid() == pid:
+            bound_to(pid, signal.SIGKILL)
+
+    def watch() -> None:
+        while session.is_alive() and os.getppid() == session.pid:  # a process of a policy may keep the pipe open
+            session.join(POLL)
+        if patience:
+            if sys.platform != "win32":  # where that would kill it
+                os.kill(pid, signal.SIGTERM)
+            time.sleep(patience)
+        _end_children(pid)
+        os._exit(1)
+
+    if patience is None and bound_to(session.pid, signal.SIGKILL):
+        os.register_at_fork(after_in_child=bind_child)
+    else:
+        threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
+
+
 def _serve(
     work: Work[Any],
     connection: Connection,
@@ -546,11 +581,14 @@ def _serve(
     grace: float,
     idle: float | None,
     leave: Callable[[], Any] | None,
+    patience: float | None,
 ) -> None:
     """Run tasks in a process of the pool until there are no more, or until the session has ended.
 
-    ``beats`` counts the start of the process and each signal that it answers.
+    ``beats`` counts the start of the process and each signal that it answers; ``patience`` is that of
+    :func:`_end_with_session`.
     """
+    _end_with_session(patience)
     is_leaving = may_raise = in_task = False
 
     def tell(said: object) -> None:

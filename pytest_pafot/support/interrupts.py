@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -133,6 +134,18 @@ def _let_forks_end() -> None:
 
 if hasattr(os, "register_at_fork"):
     _let_forks_end()
+
+
+def bound_to(parent: int, number: int) -> bool:
+    """Let Linux send this process a signal as soon as its parent has ended, however it ends; return False elsewhere.
+
+    Linux sends it when the *thread* ends that has started this process, so call this only if that was a main thread.
+    """
+    if sys.platform != "linux" or ctypes.pythonapi.prctl(1, number) != 0:  # PR_SET_PDEATHSIG
+        return False
+    if os.getppid() != parent:  # it has ended before that
+        os.kill(os.getpid(), number)
+    return True
 
 
 @contextmanager
