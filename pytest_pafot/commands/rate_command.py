@@ -18,7 +18,7 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
-from pytest_pafot.support.text import one_line, plural, wrapped_to
+from pytest_pafot.support.text import one_line, plural, visible, wrapped_to
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.engines.episode import Episode, drive_episode
@@ -199,7 +199,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     width = shutil.get_terminal_size().columns
     sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width, phrases=True)))
     objections = [*_objections(rates, limit)]
-    sys.stderr.write("".join(f"rate: {each}\n" for each in objections))
+    sys.stderr.write("".join(f"rate: {visible(each)}\n" for each in objections))
     return int(bool(objections))
 
 

@@ -21,6 +21,7 @@ from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.references import PLANNER
+from pytest_pafot.support.text import visible
 from pytest_pafot.world.codec import WorldData
 from pytest_pafot.world.guard.own_worlds import base_world
 
@@ -93,7 +94,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         raise
     sys.stdout.write(f"{folder / 'report.md'}\n")
     errors = [*run_measures.undriven(measured.frame)]
-    sys.stderr.write("".join(f"compare: {each}\n" for each in errors))
+    sys.stderr.write("".join(f"compare: {visible(each)}\n" for each in errors))
     return int(bool(errors))
 
 

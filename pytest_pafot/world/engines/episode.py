@@ -90,10 +90,9 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
                     steps, error = _drive_by_actions(outer, made, guard, around, seen, view), None
             if error is not None or env.vehicle.crashed:
                 return Episode(seed, error is None, error)
-            if tuple(env.vehicle.position) == start:
-                return Episode(seed, undriven="the ego never moved")
             if steps > 1 and max(env.time, steps / env.config["policy_frequency"]) > IMMEDIATE:
-                return Episode(seed)
+                is_still = tuple(env.vehicle.position) == start
+                return Episode(seed, undriven="the ego never moved" if is_still else "")
             with around.call():
                 enders = [f"{type(env).__name__}.{name}" for name in ENDS if getattr(env, name)()]
             return Episode(seed, undriven=f"{[*enders, end_of(outer)][0]} ended it in step {steps}")
