@@ -169,11 +169,6 @@ class Harness:
             root=self.root,
         )
 
-    @property
-    def acts_in_si(self) -> bool:
-        """True if the policy acts in SI units, and not by an environment's actions."""
-        return self.policy.drives_itself or self.world.action_space is None
-
     def run_of(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
         run = (self.world if world is None else world).run_of(trace_of(made))

@@ -43,7 +43,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Retried, retry, runner_for
-from pytest_pafot.findings.finding import Expect, Manner, of_failure
+from pytest_pafot.findings.finding import Manner, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
@@ -67,9 +67,6 @@ FOR_SIMPLIFYING = 1 / 3
 
 MAX_UNLIKE = 3
 """The largest number of scenarios that are named because they fail like a saved scenario in another manner."""
-
-SLOWER = 0.5
-"""The difference by which an ego must brake below the environment's least speed to show that it can [m/s]."""
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
@@ -631,7 +628,7 @@ class SearchSession:
             self._unused,
             self._without_effect,
             self._left_out,
-            self._out_of_reach,
+            "" if health.hides_most or reason not in WITH_WARNINGS else health.early_ends,
             self.harness.policy.loading_hint if state.runs else "",
         )
         random = state.random
@@ -652,7 +649,7 @@ class SearchSession:
             runs=state.runs,
             known_runs=health.reused,
             npc=state.counts.kinds["npc"] + state.counts.kinds["avoidable"],
-            reached=health.reached_share if health.genes_started and health.goals else None,
+            reached=health.reached_share,
             no_interaction=health.no_interaction,
             failing=state.counts.kinds["failed"],
             finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
@@ -706,21 +703,6 @@ class SearchSession:
         return (
             f"the rules excuse {plural(count, 'collision')} that 6 m/s^2 from 1.4 s after the danger began would have "
             f'avoided, such as: {self.state.avoidable} blame="avoidable" counts them as failures'
-        )
-
-    @property
-    def _out_of_reach(self) -> str:
-        """A note on what reference drivers can do and the ADS cannot; empty if its actions can stop the ego."""
-        speed, sightings = self.harness.world.least_action_speed, self.store.findings.values()
-        expected = [each.finding.expect for each in sightings]
-        # They may begin slower, and speed up.
-        runs = [each.run.ego.speed for each in sightings if each.run is not None]
-        was_slower = any(((each[1:] < each[:-1]) & (each[1:] < speed - SLOWER)).any() for each in runs)
-        if speed <= 0 or was_slower or self.harness.policy.drives_itself or not any(map(_brakes_free, expected)):
-            return ""
-        return (
-            f"the environment's actions keep {speed:g} m/s or more, and what braking avoids may need less; "
-            "target_speeds in the action of config= lets a policy do so, too"
         )
 
     @property
@@ -788,10 +770,3 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
         return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))
     return harness
-
-
-def _brakes_free(expect: Expect) -> bool:
-    """Return whether a collision is avoided by braking, as far as is known; staying in the lane is no braking."""
-    if expect.avoided_by is not None:
-        return expect.avoided_by.braking is not None
-    return "avoids" in (expect.reference_drivers or {}).values()

@@ -204,15 +204,12 @@ class State:
 
     def warnings(self, harness: Harness) -> tuple[str, ...]:
         """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
-        warnings = self.health.warnings(self.covered.total(), acts_in_si=harness.acts_in_si)
+        warnings = self.health.warnings()
         excused = sum(self.counts.kinds[kind] for kind in ("npc", "avoidable", "unpreventable"))
         if excused and not self.counts.kinds["passed"] and not self.counts.kinds["failed"]:
-            blame, what = harness.request.blame, "collisions that an NPC is responsible for"
-            if self.counts.kinds["unpreventable"]:
-                what = "failures that no reference driver would have prevented, or " + what
             warnings.append(
-                f"the test function judged nothing: all runs that it could judge were {what}, which "
-                f'blame="{blame}" excludes; search longer'
+                f'the test function judged nothing: blame="{harness.request.blame}" excludes all '
+                f"{plural(excused, 'failure')} that it could judge; search longer"
             )
         warnings += [
             f"check {name!r} failed in {runs} of {self.counts.kinds['passed']} runs that passed: the test function "

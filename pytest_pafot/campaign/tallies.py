@@ -39,7 +39,7 @@ from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Facts, Run
-from pytest_pafot.searching.evaluation import Evaluation, interaction_of
+from pytest_pafot.searching.evaluation import Evaluation, has_interaction
 from pytest_pafot.searching.events import RunsEvaluated
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.plan import Learnt, Plan
@@ -49,8 +49,7 @@ def facts_of(run: Run, evaluation: Evaluation) -> Facts:
     """Return the facts of a run from what the algorithm sees of it."""
     if run.facts is not None:
         return replace(run.facts, fitness=evaluation.fitness)
-    interaction = evaluation.interaction, evaluation.outran
-    return Facts(run.trace, run.attribution, interaction, unit_doubt(run.trace), evaluation.fitness)
+    return Facts(run.trace, run.attribution, evaluation.interaction, unit_doubt(run.trace), evaluation.fitness)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +109,7 @@ class Reader:
         if self.fitness is None or self.harness is None:
             run = Run(trace)
             fitness = None if self.fitness is None else self.fitness(run)
-            return Facts(trace, run.attribution, interaction_of(trace), unit_doubt(trace), fitness)
+            return Facts(trace, run.attribution, has_interaction(trace), unit_doubt(trace), fitness)
         run = self.harness.run_of(trace)
         verdict, signature, manner = self.harness.judge(run), None, None
         if verdict.failed and verdict.failure is not None:

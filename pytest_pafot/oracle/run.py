@@ -126,14 +126,14 @@ class Facts:
     Attributes:
         trace: the trace.
         attribution: the attribution of its collision.
-        interaction: see :func:`pytest_pafot.searching.evaluation.interaction_of`.
+        interaction: see :func:`pytest_pafot.searching.evaluation.has_interaction`.
         doubt: see :func:`pytest_pafot.campaign.setup_fault.unit_doubt`.
         fitness: the fitness of the run; None if the user's own function computes it, which only the session calls.
     """
 
     trace: Trace
     attribution: Attribution
-    interaction: tuple[bool, bool]
+    interaction: bool
     doubt: str
     fitness: float | None
 

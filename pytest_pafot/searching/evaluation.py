@@ -6,13 +6,12 @@ import math
 from collections import deque
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
-from itertools import combinations, islice
+from itertools import islice
 from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, passages, time_advantage
-from pytest_pafot.criticality.boxes import overlaps, relate
+from pytest_pafot.criticality import Encounters, min_gap, passages, time_advantage, ttc
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
@@ -25,7 +24,6 @@ Rank = tuple[bool, bool, float]
 # which NPCs start, so that a start by itself is no interaction ...
 INTERACTION_HEADWAY = 1.5
 INTERACTION_GAP = 2.0  # ... or within this gap at any speed [m]
-FAR_BEHIND = 100.0  # [m]; an NPC farther behind cannot catch up within a gene of 10 s
 
 Demand = tuple[int, int, bool]
 """The ego's reactions in a run: its hardest braking in steps, its lane changes (at most two), and if it stood still."""
@@ -38,6 +36,11 @@ STANDING = 0.5
 
 BARELY_MOVING = 2.0
 """Mean speed of the ego below which a run tests nothing [m/s]; stopping from 22 m/s gives a lower mean after 30 s."""
+
+CLOSE = 2.0
+"""A vehicle is within two seconds of the ego if, at their speeds and headings, they would touch in that time [s]."""
+
+LEAVING = {Outcome.OFF_ROAD: "the ego's leaving the road", Outcome.LEFT_ROUTE: "the ego's leaving its route"}
 
 _IMPOSSIBLE: Rank = (False, False, -math.inf)
 
@@ -55,10 +58,9 @@ class Evaluation:
         duration: simulated time [s].
         genes_started: number of genes that began before the run ended, summed over all NPCs.
         genes_reached: number of started genes whose cell or lane the NPC reached.
-        interaction: whether an NPC ever gave the ego a reason to react, see :func:`interaction_of`.
+        interaction: whether an NPC ever gave the ego a reason to react, see :func:`has_interaction`.
         discarded: whether the user's test function declined to give a verdict on the run.
-        outran: whether the ego left all NPCs behind, see :func:`interaction_of`.
-        barely_moved: whether the ego hardly drove, see :func:`barely_moved`.
+        barely_moved: whether the ego's mean speed was below 2 m/s.
         kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
         mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is
             unknown.
@@ -67,10 +69,9 @@ class Evaluation:
         collision: collision of the run; None without one.
         demand: what the run required the ego to do, see :func:`demand_of`.
         crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
-        at_object: whether the run is invalid because an NPC touched a fixed object, see :func:`ended_at_object`.
-        users_error: the user's code that ends episodes and failed, and its error, so that
-            the run is invalid.
-        ended: what of the environment's own ended the run before its time; empty if nothing did.
+        ended: what ended the run early, without a collision, see :func:`ended_by`; empty if nothing did.
+        gap: the smallest gap to another vehicle in a run that ended early [m]; infinite in other runs.
+        is_close: whether a vehicle was within two seconds of the ego when the run ended early, see :data:`CLOSE`.
         note: any data that ``evaluate`` adds, to get it back with the evaluation, also if the evaluation is reused.
     """
 
@@ -84,7 +85,6 @@ class Evaluation:
     genes_reached: int
     interaction: bool
     discarded: bool = False
-    outran: bool = False
     barely_moved: bool = False
     kind: Hashable | None = None
     mistake: str | None = None
@@ -92,9 +92,9 @@ class Evaluation:
     collision: Collision | None = None
     demand: Demand = (0, 0, False)
     crossing: int | None = None
-    at_object: bool = False
-    users_error: str = ""
     ended: str = ""
+    gap: float = math.inf
+    is_close: bool = False
     note: Any = field(default=None, compare=False, repr=False)
     _measured: float | None = field(init=False, repr=False)  # compared for fitness; NaN is not equal to itself
 
@@ -114,13 +114,13 @@ class Evaluation:
         kind: Hashable | None = None,
         mistake: str | None = None,
         margins: tuple[tuple[str, float], ...] = (),
-        interaction: tuple[bool, bool] | None = None,
+        interaction: bool | None = None,
     ) -> Self:
         """Make the evaluation of a run from its trace and from the given fitness and verdict.
 
-        ``interaction`` is the result of :func:`interaction_of`, if it is known.
+        ``interaction`` is the result of :func:`has_interaction`, if it is known.
         """
-        interacted, left_behind = interaction_of(trace) if interaction is None else interaction
+        ended = ended_by(trace)
         return cls(
             scenario=trace.scenario,
             executed=trace.executed,
@@ -130,19 +130,18 @@ class Evaluation:
             duration=trace.duration,
             genes_started=sum(map(len, trace.arrivals)),
             genes_reached=sum([tick is not None for arrivals in trace.arrivals for tick in arrivals]),
-            interaction=interacted,
+            interaction=has_interaction(trace) if interaction is None else interaction,
             discarded=discarded,
-            outran=left_behind,
-            barely_moved=barely_moved(trace),
+            barely_moved=bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING),
             kind=kind,
             mistake=mistake,
             margins=margins,
             collision=trace.collision,
             demand=demand_of(trace),
             crossing=nearest_crossing(trace),
-            at_object=ended_at_object(trace),
-            users_error=trace.users_error_text,
-            ended=trace.ended,
+            ended=ended,
+            gap=min(math.inf, min_gap(trace)) if ended else math.inf,  # and not NaN
+            is_close=bool(ended and (ttc(trace)[-1] < CLOSE).any()),
         )
 
     @property
@@ -185,13 +184,14 @@ class Evaluation:
         return next(enough, longest)
 
 
-def interaction_of(trace: Trace) -> tuple[bool, bool]:
-    """Return whether an NPC gave the ego a reason to react, and whether the ego left all NPCs behind.
+def has_interaction(trace: Trace) -> bool:
+    """Return whether an NPC gave the ego a reason to react.
 
     There is a reason to react if the ego collided, if an NPC was in its lane at a headway below 1.5 s or a gap below
-    2 m, and if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other. All NPCs are
-    left behind if they were over 100 m behind the ego for half of the run; an NPC that crosses is never behind.
+    2 m, and if the ego and an NPC that crosses were expected in their zone within 1.5 s of each other.
     """
+    if trace.outcome is Outcome.COLLISION:
+        return True
     columns = (X, Y, HEADING, SPEED, LANE)
     x, y, heading, speed, lane = (np.ascontiguousarray(trace.states[..., each].T) for each in columns)
     # How far each NPC's centre is ahead of the ego's [m]: along the ego's heading, or on bent roads along its way.
@@ -203,8 +203,7 @@ def interaction_of(trace: Trace) -> tuple[bool, bool]:
     follower = np.where(ahead >= 0, speed[0], speed[1:])
     is_close = (lane[1:] == lane[0]) & (gap < np.maximum(INTERACTION_HEADWAY * follower, INTERACTION_GAP))
     meets = any(trace.zones) and (time_advantage(trace) < INTERACTION_HEADWAY).any()
-    interacted = trace.outcome is Outcome.COLLISION or bool(is_close.any() or meets)
-    return interacted, bool(np.mean((ahead < -FAR_BEHIND).all(axis=0)) >= 0.5)
+    return bool(is_close.any() or meets)
 
 
 def nearest_crossing(trace: Trace) -> int | None:
@@ -222,18 +221,14 @@ def nearest_crossing(trace: Trace) -> int | None:
     return min(times, key=lambda npc: (times[npc], expected[npc]))
 
 
-def ended_at_object(trace: Trace) -> bool:
-    """Return whether a run is invalid because an NPC touched a fixed object: no two NPCs touch at its end."""
-    if trace.outcome is not Outcome.INVALID or not trace.obstacles or trace.users_error_text:
-        return False
-    last = Encounters(trace).boxes.part(slice(1, None), slice(-1, None))
-    npcs = [last.part(slice(npc, npc + 1), slice(None)) for npc in range(len(last.x))]
-    return not any(overlaps(relate(*pair)).any() for pair in combinations(npcs, 2))
+def ended_by(trace: Trace) -> str:
+    """Return what ended a run early, without a collision; empty if nothing did.
 
-
-def barely_moved(trace: Trace) -> bool:
-    """Return whether the ego's mean speed was below 2 m/s."""
-    return bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING)
+    The ends of highway-env itself, of its merges and intersections, are ends of their roads.
+    """
+    is_own = not trace.ended.startswith("highway_env.")
+    is_cut = trace.outcome in LEAVING and (trace.ended or trace.off_road_tick in (None, trace.ticks))
+    return trace.ended if trace.ended and is_own else LEAVING[trace.outcome] if is_cut else ""
 
 
 def demand_of(trace: Trace) -> Demand:

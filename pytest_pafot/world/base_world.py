@@ -164,11 +164,6 @@ class BaseWorld(ABC):
         return None
 
     @property
-    def least_action_speed(self) -> float:
-        """The lowest speed to which actions can slow the ego down [m/s]; 0 if the world states none."""
-        return 0.0
-
-    @property
     def left_out(self) -> Mapping[str, tuple[str, ...]]:
         """The methods of the environment that change its state, but are not called in runs of a policy."""
         return {}

@@ -242,18 +242,6 @@ class World(BuiltInWorld):
         ends_beside = gym_replay.episode_beside if rules.ends_in_steps else policies.ends_beside
         return ends_beside(self.environment, rules, scenario, vehicles, guard)
 
-    @property
-    def least_action_speed(self) -> float:
-        """The lowest speed that ``DiscreteMetaAction`` can set [m/s]; 0 for other actions, and for planners.
-
-        The environment's own ``reset`` may have given its ego other speeds than the action has.
-        """
-        env = self.environment.unwrapped
-        action_type = getattr(env, "action_type", None)
-        speeds = getattr(env.vehicle, "target_speeds", getattr(action_type, "target_speeds", ()))
-        sets_speed = self.planner_hz is None and getattr(action_type, "longitudinal", False)
-        return max(0.0, float(min(speeds))) if sets_speed and len(speeds) else 0.0
-
     def options_without_effect(self, *, drives_itself: bool, simulates: bool = False) -> dict[str, list[str]]:
         """Return the options of ``config`` that have no effect in a search, under what has it in their place."""
         is_planner, ends = self.planner_hz is not None, self.ends == "environment"
@@ -338,10 +326,13 @@ class World(BuiltInWorld):
         in_steps = self.planner_hz is None and self.environment.ends_in_steps
         made = replace(made, ends=self.environment.own_ends, ends_in_steps=in_steps)
         # A `step` of the user's own may repeat actions, so its ticks are not known.
-        if (steps := self.environment.step_limit) is None or self.environment.has_own_step:
+        is_known = not self.environment.has_own_step or type(env).step.__module__.startswith("highway_env.")
+        if (steps := self.environment.step_limit) is None or not is_known:
             return made
         limit = steps * made.step_ticks
-        return replace(made, step_limit=limit, duration=min(duration, limit / physics_hz))
+        # Without a stated duration, as in two-way-v0, the limit is how long runs should last, and ends none early.
+        is_early = limit < duration * physics_hz and (self.duration is not None or "duration" in config)
+        return replace(made, step_limit=limit if is_early else None, duration=min(duration, limit / physics_hz))
 
     @property
     def _wanted(self) -> float:

@@ -279,25 +279,6 @@ def test_finding_that_differs_because_of_rewards_names_them(burning):
     assert finding.flaky.endswith(f"; {BURNS}")
 
 
-FIRST = {"stop_after": 1, "runs": 20, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 0}
-"""A search that ends with the first finding of an environment's policy."""
-
-
-@table("action, braking", [(1, 6.0), (0, None)])
-def test_lowest_speed_is_told_where_braking_avoids_the_collision(action, braking):
-    """An ego that idles has to brake; one that changes lanes has to stay."""
-
-    def make():
-        return lambda observation: action
-
-    world = pafot.World("highway-v0", {"policy_frequency": 5})
-    exploration = pafot.explore(make, world=world, holds=never_collides, blame="ego", seed=3, **FIRST)
-    (finding,) = exploration.findings
-    assert finding.expect.avoided_by.braking == braking
-    is_told = any("actions keep 20 m/s or more" in note for note in exploration.summary.notes)
-    assert is_told == (braking is not None)
-
-
 def test_setup_error_is_raised_unchanged():
     def misspelt(run):
         assert not run.colision

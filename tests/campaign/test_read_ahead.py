@@ -65,7 +65,7 @@ def test_what_a_process_reads_of_a_run_is_not_computed_again(monkeypatch, is_own
     expected = evaluated(Run(trace), passed, None, fitness, is_steered_by_checks=True)
     read = Reader(harness=None, fitness=None if is_own else fitness, is_steered_by_checks=True, has_table=False)
     sent = pickle.loads(pickle.dumps(read(trace)))
-    monkeypatch.setattr(evaluation, "interaction_of", lambda trace: pytest.fail("read again"))
+    monkeypatch.setattr(evaluation, "has_interaction", lambda trace: pytest.fail("read again"))
     monkeypatch.setattr(oracle_run, "attributed", lambda trace: pytest.fail("read again"))
     computed = []
     own = lambda run: computed.append(run) or fitness(run)  # noqa: E731

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching.evaluation import Evaluation, interaction_of, nearest_crossing
+from pytest_pafot.searching.evaluation import Evaluation, has_interaction, nearest_crossing
 from pytest_pafot.searching.fitness import FITNESSES, Steered, before_impact, resolve, weighted
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
@@ -81,9 +81,9 @@ def test_whoever_was_hit_came_nearest():
 
 @pytest.mark.parametrize(("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)])
 def test_who_is_about_to_share_a_zone_interacts(enters, expected):
-    assert interaction_of(run_of(enters)) == (expected, False)
+    assert has_interaction(run_of(enters)) is expected
 
 
 def test_an_evaluation_tells_who_crosses():
     evaluation = Evaluation.of(run_of(12.0, 8.5), fitness=0.5, failing=False)
-    assert (evaluation.crossing, evaluation.interaction, evaluation.outran) == (1, True, False)
+    assert (evaluation.crossing, evaluation.interaction) == (1, True)

@@ -101,7 +101,7 @@ states = st.builds(
     strained=st.dictionaries(texts, elites, max_size=2),
 )
 counters = st.dictionaries(st.sampled_from(("cell", "lane", "zone")), counts).map(Counter)
-healths = st.builds(Health, evaluated=counts, simulated=counts, failing=counts, goals=counters)
+healths = st.builds(Health, evaluated=counts, simulated=counts, failing=counts, ended=counters)
 
 
 @given(states | evaluations | healths)
@@ -152,8 +152,8 @@ def test_what_json_cannot_hold_is_refused():
         (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
         (Steps, [0.5, 3], "", "a list of 3"),
         (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
-        (Evaluation, plain([None]) * 21, "[0]", "a scenario"),
-        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 21, "[0].speed", "m/s"),
+        (Evaluation, plain([None]) * 20, "[0]", "a scenario"),
+        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 20, "[0].speed", "m/s"),
         (Collision | None, [], "", "a list of 8"),
     ],
 )

@@ -45,7 +45,6 @@ from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision, Outcome
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import ended_at_object
 from pytest_pafot.searching.fitness import before_impact
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import World, WorldError
@@ -756,7 +755,7 @@ def test_configuration_that_wrappers_give_holds_in_runs(by_options):
     }
     wrapper = type("Given", (Configured,), {"changes": changes, "by_options": by_options})
     world, plain = World("highway-v0", wrappers=[wrapper], duration=4.0), World("highway-v0", changes, duration=4.0)
-    assert (world.lanes, world.physics_hz, world.ads_hz, world.least_action_speed) == (5, 10, 5, 10.0)
+    assert (world.lanes, world.physics_hz, world.ads_hz) == (5, 10, 5)
     assert world.observation_space == plain.observation_space
     one, other = (Listener(gymnasium.spaces.Discrete(1)) for _ in range(2))
     scenario = replace(SCENARIO, ego_lane=4, npcs=[[PositionInstruction(3, 15.0)]])
@@ -901,7 +900,6 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
         assert (trace.outcome, trace.collision) == ("invalid", None)
         assert trace.states[-1, 1, 0] + 2.5 > 299.0
         assert "or one touched a fixed object" in Run(trace).explain()
-        assert ended_at_object(trace)
 
 
 class Littered(HighwayEnv):
@@ -1223,31 +1221,6 @@ def test_wrapper_that_does_not_step_is_reported():
     world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
     with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)
-
-
-@pytest.mark.parametrize(
-    ("action", "speed"),
-    [
-        ({"type": "DiscreteMetaAction"}, 20.0),
-        ({"type": "DiscreteMetaAction", "target_speeds": [5, 10]}, 5.0),
-        ({"type": "DiscreteMetaAction", "target_speeds": [-5, 10]}, 0.0),
-        ({"type": "ContinuousAction"}, 0.0),
-    ],
-)
-def test_the_lowest_speed_of_the_actions_is_known(action, speed):
-    assert World("highway-v0", {"action": action}).least_action_speed == speed
-    assert World("highway-v0", {"action": action}, planner_hz=5).least_action_speed == 0.0
-
-
-def test_lowest_speed_is_that_of_the_ego_after_its_reset(register):
-    class Braked(HighwayEnv):
-        def reset(self, **options):
-            first = super().reset(**options)
-            self.vehicle.target_speeds = np.array([0, 10, 20])
-            return first
-
-    register("mine-v0", entry_point=Braked)
-    assert World("mine-v0").least_action_speed == 0.0
 
 
 class Cautious(HighwayEnv):

@@ -273,7 +273,7 @@ class OwnEnds:
 
     def says(self, name: str) -> bool:
         """Return whether a method says that the episode is over. An error that it raises ends the run, too."""
-        method = f"{type(self._env).__name__}.{name}"
+        method = _written(self._env, name, self._methods[name])
         try:
             is_over = self._answer(self._methods[name])
         except UNFIT as error:
@@ -294,6 +294,15 @@ class OwnEnds:
             guard.decision_ends()
         guard.raise_swallowed()
         return is_over
+
+
+def _written(env: Any, name: str, method: Any) -> str:
+    """Return the name of a method as its author wrote it; with its module, if it is highway-env's own."""
+    module = str(getattr(method, "__module__", ""))
+    if module.startswith("highway_env."):
+        return f"{module}.{method.__qualname__}"
+    cls = next((each for each in type(env).__mro__ if name in vars(each)), type(env))
+    return f"{type(env).__name__ if name in vars(env) else cls.__name__}.{name}"
 
 
 @contextmanager

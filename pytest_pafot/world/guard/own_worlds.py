@@ -128,9 +128,15 @@ class OwnWorld(BaseWorld):
         # An inherited statement is not used, because a derived class may call the ADS in a `rollout` of its own.
         if vars(type(self.world)).get("guards_ads", False) is True:  # the class says that it ends decisions that hang
             trace: Trace = self.world.rollout(scenario, ads_factory, **given)
-            return trace
-        with _Watch(self.hang_limit, len(given.get("decisions", ()))) as watch:
-            return watch.told(self.world.rollout(scenario, watch.guarded(ads_factory), **given))
+        else:
+            with _Watch(self.hang_limit, len(given.get("decisions", ()))) as watch:
+                trace = watch.told(self.world.rollout(scenario, watch.guarded(ads_factory), **given))
+        if isinstance(trace, Trace) and trace.outcome is Outcome.SAFE and not trace.ended:
+            # A run that ends early and does not say why must not look like one that lasted.
+            planned = min(scenario.seconds, getattr(self.world, "longest_run", 0.0))
+            if trace.duration < planned - 1 / trace.ads_hz:
+                return replace(trace, ended=f"{type(self.world).__name__}.rollout")
+        return trace
 
     def _runs_alike(self, name: str) -> bool:
         """Return whether the world has a method that runs scenarios like its ``rollout``."""
@@ -168,11 +174,6 @@ class OwnWorld(BaseWorld):
 
     action_space = _declared("action_space", None)
     """The gymnasium space of actions."""
-
-    @property
-    def least_action_speed(self) -> float:
-        """The lowest speed to which actions can slow the ego down [m/s]."""
-        return float(getattr(self.world, "least_action_speed", 0.0))
 
     left_out = _declared("left_out", MappingProxyType({}))
     """The methods of the environment that change its state, but are not called in runs of a policy."""

@@ -98,15 +98,18 @@ CASES = {
     "a limit by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [limited]}, IDLE, "the limit of 4 steps"),
     "off the road": (
         {"entry_point": HighwayEnv}, {"config": {"offroad_terminal": True, "action": STEERING}},
-        np.array([0.0, 0.05], dtype=np.float32), "HighwayEnv._is_terminated",
+        np.array([0.0, 0.05], dtype=np.float32), "highway_env.envs.highway_env.HighwayEnv._is_terminated",
     ),
     "an exit": ({"entry_point": Exit}, {}, IDLE, "Exit._is_terminated"),
     "a sum of times": ({"entry_point": Timed}, {}, IDLE, "Timed._is_truncated"),
     "rewards in a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [Rewarded]}, FASTER, "Rewarded"),
     "truncated by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [Fenced]}, IDLE, "Fenced"),
-    "behind a merge": ({"entry_point": "highway_env.envs:MergeEnv"}, {}, IDLE, "MergeEnv._is_terminated"),
+    "behind a merge": (
+        {"entry_point": "highway_env.envs:MergeEnv"}, {}, IDLE, "highway_env.envs.merge_env.MergeEnv._is_terminated",
+    ),
     "across an intersection": (
-        {"entry_point": "highway_env.envs:IntersectionEnv"}, {"duration": 13.0}, 1, "IntersectionEnv._is_terminated",
+        {"entry_point": "highway_env.envs:IntersectionEnv"}, {"duration": 13.0}, 1,
+        "highway_env.envs.intersection_env.IntersectionEnv._is_terminated",
     ),
 }  # fmt: skip
 

@@ -187,6 +187,17 @@ def test_healthy_runs_are_those_of_the_world_itself(world):
     assert OwnWorld(world).rollout(AHEAD, drives).states.tobytes() == world.rollout(AHEAD, drives).states.tobytes()
 
 
+def test_run_that_ends_early_without_a_reason_names_its_world():
+    class Short:
+        longest_run = 60.0
+
+        def rollout(self, scenario, ads_factory):
+            return STILL
+
+    longer = Scenario(npcs=AHEAD.npcs, ego_speed=22.0, gene_seconds=8.0)
+    assert OwnWorld(Short()).rollout(longer, None).ended == "Short.rollout"
+
+
 def test_errors_of_an_ads_stay_what_they_are():
     def breaks():
         return lambda seen: {}["no"]
