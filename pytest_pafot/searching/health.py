@@ -127,15 +127,10 @@ class Health:
                 'it, or write ends="duration" in the world'
             )
         if self.vacuous:
-            counts = {
-                "were invalid": self.invalid,
-                "were rejected, skipped or ended their process": self.discarded,
-                "ended within the first second": self.at_once,
-            }
-            told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
             found.append(
-                f"most of {plural(self.simulated, 'simulated scenario')} tested nothing: {told}; use fewer NPCs, "
-                "reject less, or correct what ends runs"
+                f"most of {plural(self.simulated, 'simulated scenario')} tested nothing: {self.invalid} were invalid, "
+                f"{self.discarded} were rejected, skipped or ended their process, {self.at_once} ended within the "
+                "first second; use fewer NPCs, reject less, or correct what ends runs"
             )
         touched = self.invalid - self.errors.total()
         if touched > MOST_INVALID * self.simulated:
