@@ -14,7 +14,7 @@ import sys
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -85,11 +85,8 @@ class Guard:
         self._failed: set[str] = set()  # those that have failed, and of new findings
         self._run: set[str] = set()  # the saved scenarios that were run, as reports name them
         self._is_whole = False  # whether the session came to its end
-
-    @cached_property
-    def cause(self) -> str:
-        """Why the session must not pass if something was not tested; empty if it may."""
-        return cause_of(self._config)
+        # Why the session must not pass if something was not tested; empty if it may. A test may change the environment.
+        self.cause = cause_of(config)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Note the items and the saved scenarios that have run, and which items have failed."""

@@ -228,7 +228,9 @@ def ended_by(trace: Trace) -> str:
     """
     is_own = not trace.ended.startswith("highway_env.")
     is_cut = trace.outcome in LEAVING and (trace.ended or trace.off_road_tick in (None, trace.ticks))
-    return trace.ended if trace.ended and is_own else LEAVING[trace.outcome] if is_cut else ""
+    if is_own and trace.ended:
+        return trace.ended
+    return (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""  # without the module
 
 
 def demand_of(trace: Trace) -> Demand:

@@ -100,14 +100,15 @@ class Health:
         runs = self.ended.total()
         if not self.close and runs <= MOST_CLOSE * self.simulated:
             return ""
-        (most, number), *others = self.ended.most_common()
+        (most, _), *others = first = self.ended.most_common(3)
+        enders = " and ".join(f"{name} ({number})" for name, number in first) if others else most
         advice = 'correct what ended them, or let them go on with ends="duration" in a pafot.World'
         if most in LEAVING.values():
             advice = "check the units and axes of the world, and of what the ADS returns"
         return (
-            f"{_percent(runs, self.simulated)} runs ended early without a collision, "
-            f"{f'most often ({number}) ' if others else ''}by {most}, {self.close} of them with a vehicle within two "
-            f"seconds of the ego; the smallest gap to a vehicle in these runs was {self.gap:.1f} m; {advice}"
+            f"{_percent(runs, self.simulated)} runs ended early without a collision, by {enders}, "
+            f"{self.close} of them with a vehicle within two seconds of the ego; the smallest gap to a vehicle in "
+            f"these runs was {self.gap:.1f} m; {advice}"
         )
 
     @property

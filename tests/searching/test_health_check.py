@@ -85,7 +85,7 @@ def test_leaving_the_road_is_an_early_end_with_its_own_advice(make_evaluation):
     health = health_of(make_evaluation, (3, GOAL), (6, GOAL | {"ended": LEAVING[Outcome.OFF_ROAD]}))
     (warning,) = health.warnings()
     assert "100 % (9) of 9 runs" in warning
-    assert "most often (6) by the ego's leaving the road, 0 of them" in warning
+    assert "by the ego's leaving the road (6) and GoalEnv._is_terminated (3), 0 of them" in warning
     assert warning.endswith("check the units and axes of the world, and of what the ADS returns")
 
 

@@ -1217,7 +1217,7 @@ def test_wrapper_exception_is_ads_failure_at_its_decision(seen_before):
 def test_wrapper_that_does_not_step_is_reported():
     wrappers = [partial(TimeLimit, max_episode_steps=2), Autoreset]
     trace = World("highway-v0", duration=5.0, wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)
-    assert (trace.duration, trace.ended) == (2.0, "the limit of 2 steps")
+    assert (trace.duration, trace.ended) == (2.0, "max_episode_steps=2")
     world = World("highway-v0", duration=5.0, wrappers=wrappers, ends="duration")
     with pytest.raises(WorldError, match=r"a step that did not, at 2.0 s; leave out wrappers .* reset episodes"):
         world.rollout(SCENARIO, lambda: lambda seen: 1)

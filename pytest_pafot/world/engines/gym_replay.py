@@ -423,7 +423,7 @@ def end_of(outer: Any) -> str:
     limits = [each for each in wrappers_of(outer) if isinstance(each, TimeLimit)]
     passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
     said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
-    return f"the limit of {passed[0]} steps" if passed else said
+    return f"max_episode_steps={passed[0]}" if passed else said
 
 
 class _VehicleClass(GuardedDriver):
@@ -551,7 +551,7 @@ class _Loop:
         run, driver = self._run, self._driver
         if isinstance(driver, StockPolicy):
             if len(self._asked) == self._step_limit and not ends.ended:
-                ends.ended = f"the limit of {self._step_limit} steps"
+                ends.ended = f"max_episode_steps={self._step_limit}"
             elif driver.is_over and not ends.ended:
                 ends.ended = end_of(driver.outer)
             elif not driver.is_over and not ends.has_failed:  # a wrapper goes on

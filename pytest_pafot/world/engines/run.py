@@ -104,7 +104,7 @@ class VehiclesOfRun:
         elif self.has_failed:
             outcome = Outcome.INVALID
         elif loop.tick == self.rules.step_limit:
-            self.ended = f"the limit of {loop.tick // self.rules.step_ticks} steps"
+            self.ended = f"max_episode_steps={loop.tick // self.rules.step_ticks}"
         return Trace(
             scenario=self.scenario,
             executed=self.director.executed,

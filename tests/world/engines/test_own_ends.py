@@ -93,9 +93,9 @@ STEERING = {"type": "ContinuousAction"}
 CASES = {
     "a goal line": ({"entry_point": Goal}, {}, IDLE, "Goal._is_terminated"),
     "a registered limit of steps": (
-        {"entry_point": HighwayEnvFast, "max_episode_steps": 4}, {}, IDLE, "the limit of 4 steps",
+        {"entry_point": HighwayEnvFast, "max_episode_steps": 4}, {}, IDLE, "max_episode_steps=4",
     ),
-    "a limit by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [limited]}, IDLE, "the limit of 4 steps"),
+    "a limit by a wrapper": ({"entry_point": HighwayEnvFast}, {"wrappers": [limited]}, IDLE, "max_episode_steps=4"),
     "off the road": (
         {"entry_point": HighwayEnv}, {"config": {"offroad_terminal": True, "action": STEERING}},
         np.array([0.0, 0.05], dtype=np.float32), "highway_env.envs.highway_env.HighwayEnv._is_terminated",
@@ -242,8 +242,8 @@ class LooksAhead(OwnStep):
     [
         (HighwayEnvFast, [Fenced], "Fenced"),
         (HighwayEnvFast, [Rewarded], "Rewarded"),
-        (HighwayEnvFast, [Plain, limited], "the limit of 4 steps"),
-        (HighwayEnvFast, [Twice, limited], "the limit of 4 steps"),
+        (HighwayEnvFast, [Plain, limited], "max_episode_steps=4"),
+        (HighwayEnvFast, [Twice, limited], "max_episode_steps=4"),
         (Goal, [Twice], "Goal._is_terminated"),
         (OwnStep, None, "OwnStep.step"),
     ],
@@ -568,7 +568,7 @@ def test_a_limit_counts_steps_of_the_environment_that_repeat_actions(register, w
     register("limited-v0", entry_point=Skipping, max_episode_steps=4)
     world = World("limited-v0", wrappers=wrappers)
     trace = world.rollout(scenario_in(world), idle)
-    assert (trace.ended, trace.duration) == ("the limit of 4 steps", 12.0)
+    assert (trace.ended, trace.duration) == ("max_episode_steps=4", 12.0)
     assert World("limited-v0", wrappers=wrappers, ends="duration").to_dict()["ends"] == "duration"
 
 
