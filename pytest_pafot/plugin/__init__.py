@@ -29,6 +29,7 @@ from pytest_pafot.plugin.session import (
     SummaryLines,
     cause_of,
     end_in_order,
+    guard_exits,
     is_worker,
     stale_day,
 )
@@ -45,6 +46,16 @@ if TYPE_CHECKING:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Declare the command-line options and ini keys."""
     add_options(parser)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_load_initial_conftests(early_config: pytest.Config) -> Generator[None, None, None]:
+    """Let no policy end the process of the session as if it had passed, not even where a conftest.py imports it."""
+    guard_exits(early_config)
+    try:
+        return (yield)
+    except SystemExit as error:
+        raise pytest.UsageError(f"expected a conftest.py that can be imported, received {error!r} from it") from error
 
 
 def pytest_configure(config: pytest.Config) -> None:

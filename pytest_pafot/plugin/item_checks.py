@@ -33,8 +33,7 @@ from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.replay_item import run_replay
 from pytest_pafot.plugin.search_item import run_search
-from pytest_pafot.plugin.session import SHARED, is_worker
-from pytest_pafot.plugin.terminal_reporter import uncaptured
+from pytest_pafot.plugin.session import SHARED, is_worker, uncaptured
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.support.text import meant, visible, wrapped_to

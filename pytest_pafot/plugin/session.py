@@ -6,9 +6,11 @@ import os
 import shlex
 import shutil
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import date, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -110,6 +112,13 @@ GIVEN = pytest.StashKey[list[str]]()
 SUMMARY_LINES = pytest.StashKey[SummaryLines]()
 
 
+def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
+    """Return a context in which output reaches the terminal during a test, because pytest does not capture it."""
+    manager = config.pluginmanager.get_plugin("capturemanager")
+    silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
+    return silent
+
+
 def base_line(config: pytest.Config) -> str:
     """Return a line with the base seed of searches without arguments; empty if no search runs."""
     try:
@@ -157,6 +166,44 @@ def end_in_order(config: pytest.Config) -> None:
     stack = ExitStack()
     config.add_cleanup(stack.close)
     stack.enter_context(interrupted_by_signals(note_interrupt))
+
+
+def guard_exits(config: pytest.Config) -> None:
+    """Let no ``os._exit`` or ``os.exec*`` of a policy in this process pass a session that has not passed.
+
+    After such a session the functions stay replaced, because a thread or an exit function may call them. An interrupted
+    session ends soon, whatever threads the policy has started.
+    """
+    if isinstance(os._exit, partial):
+        return  # in a session that a test of another one runs
+    owner, plugins = os.getpid(), config.pluginmanager
+    own = {name: vars(os)[name] for name in ("_exit", "abort", "execv", "execve")}
+
+    def code() -> int:  # 0 until all tests have run
+        return int(getattr(plugins.get_plugin("session"), "exitstatus", pytest.ExitCode.OK))
+
+    def end(name: str, /, *given: Any, **named: Any) -> None:
+        # Before there are tests, only _exit: a conftest.py may call exec to start pytest anew.
+        is_early = name == "_exit" and not getattr(plugins.get_plugin("session"), "items", ())
+        if os.getpid() == owner and not is_worker(config) and (is_early or plugins.has_plugin("pafot-messages")):
+            if not code():
+                caller = traceback.format_stack(limit=2)[0].strip()
+                with uncaptured(config):
+                    print(f"\npafot: this ends the session; {flag('isolate')} contains it\n  {caller}", flush=True)
+            if name.startswith("exec") or [*given, *named.values(), 1][0] % 256 == 0:  # os.abort has no status
+                own["_exit"](code() or int(pytest.ExitCode.INTERRUPTED))
+        own[name](*given, **named)
+
+    def finished() -> None:
+        if not code() or not plugins.has_plugin("pafot-messages"):
+            vars(os).update(own)
+        elif code() == pytest.ExitCode.INTERRUPTED:
+            from pytest_pafot.support.interrupts import exit_soon  # noqa: PLC0415
+
+            exit_soon(code())
+
+    config.add_cleanup(finished)
+    vars(os).update({name: partial(end, name) for name in own})
 
 
 def exit_code(session: pytest.Session) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Generator, Iterable
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,7 @@ from pytest_pafot.plugin.session import (
     base_line,
     first,
     terminal_width,
+    uncaptured,
     unclaimed,
 )
 from pytest_pafot.support.errors import rerun
@@ -271,13 +271,6 @@ class Reporter:
                 if node is not None:
                     phase.__dict__["node"] = node  # as pytest-xdist does for reports of its workers
                 self._config.hook.pytest_runtest_logreport(report=phase)
-
-
-def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:
-    """Return a context in which output reaches the terminal during a test, because pytest does not capture it."""
-    manager = config.pluginmanager.get_plugin("capturemanager")
-    silent: AbstractContextManager[None] = nullcontext() if manager is None else manager.global_and_fixture_disabled()
-    return silent
 
 
 class _Sparing:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
 import signal
@@ -18,7 +19,8 @@ ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(
 AGAIN_SECONDS = 0.05
 """The time after which an interrupt that Python could not raise comes again [s]."""
 PATIENCE = 2.0
-"""The time for which :func:`postponed` lets its context go on after an interrupt, unless there is another [s]."""
+"""The time for which :func:`postponed` lets its context go on after an interrupt, unless there is another, and
+:func:`exit_soon` the threads and exit functions of others [s]."""
 
 
 class Ended(KeyboardInterrupt):
@@ -146,6 +148,20 @@ def bound_to(parent: int, number: int) -> bool:
     if os.getppid() != parent:  # it has ended before that
         os.kill(os.getpid(), number)
     return True
+
+
+def exit_soon(code: int) -> None:
+    """Let this process end soon after Python has begun to exit, although threads or exit functions would keep it."""
+
+    def end() -> None:
+        last = threading.Timer(PATIENCE, os._exit, (code,))
+        last.daemon = True
+        last.start()
+        print(end="", flush=True)
+        atexit._run_exitfuncs()  # Python would wait for threads before
+
+    # Python calls it before it waits for threads; there is no public function for that.
+    threading._register_atexit(end)  # type: ignore[attr-defined]
 
 
 @contextmanager

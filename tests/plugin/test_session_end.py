@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import sys
+import time
 from datetime import date
 
 import pytest
@@ -247,3 +248,57 @@ def test_failures_of_other_tests_end_a_session_on_ci_as_its_hooks_say(project, m
 @pytest.mark.parametrize(("day", "is_told"), [("2026-10-29", True), ("2026-10-30", False), ("2026-11-30", False)])
 def test_a_day_that_is_over_is_told(day, is_told):
     assert bool(stale_day(day, date(2026, 10, 31))) is is_told
+
+
+EXITING = """
+import os, threading, time
+{imported}
+
+class Ends:
+    def __init__(self):
+        threading.Thread(target=late, daemon={daemon}).start()
+
+    def __call__(self, seen):
+        open("started", "w").close()
+        time.sleep(0.01)
+        return {ends}
+
+def late():
+    {late}
+
+@pafot.search(SHORT, ads=Ends, runs={runs})
+def test_it(run):
+    assert {holds}
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"ends": "os._exit(0)"}, 2),
+        ({"ends": "os.execv('/bin/true', ['true'])"}, 2),
+        ({"ends": "os.abort()"}, -signal.SIGABRT),
+        ({"imported": "os._exit(0)"}, 2),
+        ({"late": "time.sleep(0.2); os._exit(0)", "runs": 1000}, 2),
+        ({"late": "threading.main_thread().join(); os._exit(0)", "daemon": False, "holds": "0"}, 1),
+    ],
+    ids=["_exit", "exec", "abort", "import", "thread", "late_thread"],
+)
+@pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+def test_no_session_passes_that_a_policy_ends(project, changes, code):
+    plain = {"imported": "", "daemon": True, "ends": "0.0, 0.0", "late": "pass", "runs": 1, "holds": "run"}
+    project.write(EXITING.format(**{**plain, **changes}))
+    result = project.run("--pafot-shrink-rollouts=0", fresh=True)
+    assert result.ret == code
+    assert ("--pafot-isolate contains it" in result.stdout.str()) is (code != 1)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
+@pytest.mark.parametrize("late", ["time.sleep(60)", "while True: pass"])
+def test_interrupted_session_waits_for_no_thread_of_a_policy(project, late):
+    interrupt = "os.kill(os.getpid(), 2)"
+    project.write(EXITING.format(imported="", daemon=False, ends="0.0, 0.0", late=late, runs=1000, holds=interrupt))
+    begin = time.monotonic()
+    result = project.run("--junitxml=x.xml", fresh=True)
+    assert (result.ret, (project.path / "x.xml").exists()) == (2, True)
+    assert time.monotonic() - begin < 40
