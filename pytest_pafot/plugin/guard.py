@@ -61,7 +61,7 @@ WHY_UNNAMED = (
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
-_BY_NAME = re.compile(r"-[a-zA-Z]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
+_BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
 _FOREIGN = {".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
 """The names of folders whose saved scenarios are never the project's own."""
 _SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
@@ -71,6 +71,9 @@ _CONFIGURED = ("pyproject.toml", "pytest.ini", "tox.ini", "setup.cfg", "setup.py
 _SELECTING = ("lf", "stepwise", "splits", "num_shards", "test-group-count", "testmon", "picked")
 """The options of pytest, pytest-split, -shard, -test-groups, -testmon and -picked with which a session is partial."""
 
+
+_LISTING = ("collectonly", "setupplan", "setuponly", "showfixtures", "show_fixtures_per_test", "cacheshow")
+"""The options of pytest with which a session runs no test."""
 
 ENDS = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
 """The exit codes of sessions that ran some tests, and came to their end or were ended early."""
@@ -155,7 +158,11 @@ class Guard:
         """Return whether a path, or ``--ignore``, of this call leaves out a saved scenario or its test file."""
         config, given, call = self._config, self._config.stash[GIVEN], call_of(self._config)
         patterns = [each for name in ("ignore", "ignore_glob") for each in config.getoption(name) or ()]
-        ignored = [str(path_of(config, each)) for each in patterns if any(each in argument for argument in call)]
+        ignored = [
+            str(path_of(config, each))
+            for each in patterns
+            if any(f"={argument}".endswith(f"={each}") for argument in call)
+        ]
         places = {str(each) for path in paths for each in (path, *path.parents)}
         if any(each in places or fnmatch.filter(places, each) for each in ignored):
             return True
@@ -189,11 +196,14 @@ class Guard:
             if is_inside:  # git may write a link to a folder as a text
                 packed = _ARCHIVE.fullmatch(file.name)
                 is_text = "." not in file.name and file.name.startswith((CORPUS, "test"))
-                is_packed = packed is not None and not os.path.lexists(file.with_name(packed[1]))
+                is_ours = packed is not None and (SUFFIX in packed[1] or packed[1].startswith((CORPUS, "test")))
+                is_packed = packed is not None and is_ours and not os.path.lexists(file.with_name(packed[1]))
                 is_saved = is_named or is_text or is_packed or not os.path.isfile(file)  # noqa: PTH113  (see is_folder)
             else:
                 is_saved = is_named and test and os.path.lexists(top / name)
-            if not is_saved or (name_within(file.name) or file.name, test) in copies:
+            # In a corpus of the session only a backup is a copy, since the folder says whose scenario a file is.
+            may_be_copy = name_within(file.name) or not any(map(file.is_relative_to, own))
+            if not is_saved or (may_be_copy and (name_within(file.name) or file.name, test) in copies):
                 continue
             owner = module_of_file(file, str(corpus), top) or module_of_file(file, CORPUS, top) or file
             # The rootdir of the session that saved the file, by the name of the test. A vendored project has its own.
@@ -281,7 +291,7 @@ def _named_test(file: Path) -> str:
 
 
 def _only_lists(config: pytest.Config) -> bool:
-    return any(config.getoption(name, False) for name in ("collectonly", "setupplan", "setuponly"))
+    return any(config.getoption(name, False) for name in _LISTING)
 
 
 def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> None:
