@@ -32,6 +32,7 @@ from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.ads import hint_at_object
+from pytest_pafot.world.driving.perception import Perception, sight_of
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.failure import exits, let_through
 
@@ -85,9 +86,12 @@ def reference_of(given: object, fixture: Callable[[str], Callable[..., Any]], te
 def same_policy(ads: Callable[..., Any], other: Callable[..., Any]) -> str:
     """Return why two factories make the same policy, so that it would be compared with itself; empty if they may not.
 
-    They do if they have the same name and arguments, and all files behind them have the same content: a copy of one
-    file imports the other modules of the present policy.
+    They do if they have the same sight, name and arguments, and all files behind them have the same content: a copy of
+    one file imports the other modules of the present policy.
     """
+    if sight_of(ads) != sight_of(other):
+        return ""
+    ads, other = (each.ads if isinstance(each, Perception) else each for each in (ads, other))
     if ads is not other:
         parts = [_parts(each) for each in (ads, other)]
         if None in parts or parts[0] != parts[1]:

@@ -79,6 +79,13 @@ def test_copy_of_a_package_is_the_same_policy_unless_its_data_differ(tmp_path, m
     assert same_policy(functools.partial(now, "old.zip"), functools.partial(others[0], "old.zip"))
 
 
+def test_same_policy_with_another_sight_is_another():
+    late, later = (functools.partial(pafot.Perception, latency=latency) for latency in (0.3, 0.4))
+    others = (late(Breaks), later(Breaks), Breaks, late(CAREFUL))
+    assert [bool(same_policy(late(Breaks), other)) for other in others] == [True, False, False, False]
+    assert same_policy(pafot.Perception(Breaks), Breaks)
+
+
 def made_with(text):
     """Make a policy that crashes, unless the text says that it is careful."""
     return CAREFUL() if text == "with: care" else constant_speed.make()
@@ -124,15 +131,11 @@ def test_reference_failing_on_repeat_makes_finding_flaky():
     assert [find.difference for find in summary.finds] == ["the reference failed when it ran again"]
 
 
-@table("kind", ["passed", "npc", "unpreventable"])
-def test_reference_passes_wherever_the_test_would_pass(kind):
-    assert Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind)).failed
-
-
-@table("kind", ["failed", "rejected", "skipped", "invalid"])
-def test_failing_or_silent_reference_makes_failure_common(kind):
+@table("kind", ["passed", "npc", "unpreventable", "failed", "rejected", "skipped", "invalid"])
+def test_failure_is_common_unless_the_reference_would_pass_the_test(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
-    assert (verdict.kind, verdict.failed) == ("common", False)
+    expected = ("failed", True) if kind in ("passed", "npc", "unpreventable") else ("common", False)
+    assert (verdict.kind, verdict.failed) == expected
 
 
 @table(

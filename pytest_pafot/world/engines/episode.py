@@ -20,7 +20,7 @@ from pytest_pafot.world.driving.observations import observe_by, observer
 from pytest_pafot.world.driving.perception import ImperfectSensor
 from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.vehicles import straight_road
-from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of
+from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of, stand_in
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
@@ -29,6 +29,9 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ
+
+Watch = Callable[[], set[str]]
+"""A function that returns what the ego has done in an episode until now: ``crashed``, ``moved`` or both."""
 
 LONGEST = 3600.0
 """The longest episode of an environment that does not specify a duration [s]."""
@@ -40,7 +43,7 @@ class Episode:
 
     Attributes:
         seed: seed of the episode.
-        crashed: whether highway-env flagged the ego as crashed.
+        crashed: whether highway-env flagged the ego as crashed, also if the flag was cleared within the step.
         error: error of an ADS that hung or returned no action, or exception that it or the environment raised, after
             which the episode was not driven on.
         undriven: what ended the episode without a crash at its first step or within its first second, or that the ego
@@ -82,17 +85,16 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
             raise WorldError(field="world", expected=expected, received=described(wrong), fix="correct it") from wrong
         view = View(environment.make().unwrapped, env) if policy.simulates else None
         try:
-            start, made = tuple(env.vehicle.position), policy.make(**({} if view is None else {"env": view.env}))
+            watch, made = _watching(env), policy.make(**({} if view is None else {"env": view.env}))
             with closing(made.given, limit):
                 if made.drives_itself or is_planner:
-                    steps, error = _drive_beside(env, made, seed, guard, around)
+                    steps, error = _drive_beside(env, made, seed, guard, around, watch)
                 else:
-                    steps, error = _drive_by_actions(outer, made, guard, around, seen, view), None
-            if error is not None or env.vehicle.crashed:
+                    steps, error = _drive_by_actions(outer, made, guard, around, seen, view, watch), None
+            if error is not None or "crashed" in watch():
                 return Episode(seed, error is None, error)
             if steps > 1 and max(env.time, steps / env.config["policy_frequency"]) > IMMEDIATE:
-                is_still = tuple(env.vehicle.position) == start
-                return Episode(seed, undriven="the ego never moved" if is_still else "")
+                return Episode(seed, undriven="" if "moved" in watch() else "the ego never moved")
             with around.call():
                 enders = [f"{type(env).__name__}.{name}" for name in ENDS if getattr(env, name)()]
             return Episode(seed, undriven=f"{[*enders, end_of(outer)][0]} ended it in step {steps}")
@@ -102,8 +104,25 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
             return Episode(seed, error=error_of(wrong, 0, guard))
 
 
+def _watching(env: Any) -> Watch:
+    """Watch the ego of an environment, also within each step, before the environment or a wrapper may reset it."""
+    start, simulate, done = tuple(env.vehicle.position), env._simulate, set[str]()
+
+    def watch() -> set[str]:
+        now = {"crashed": env.vehicle.crashed, "moved": tuple(env.vehicle.position) != start}
+        done.update(name for name, is_so in now.items() if is_so)
+        return done
+
+    def simulated(*given: Any, **named: Any) -> None:
+        simulate(*given, **named)
+        watch()
+
+    stand_in(env, "_simulate", simulated)
+    return watch
+
+
 def _drive_by_actions(
-    outer: Any, made: Ads, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None
+    outer: Any, made: Ads, guard: HangGuard, around: EnvironmentGuard, seen: Any, view: View | None, watch: Watch
 ) -> int:
     """Drive an episode with a policy that receives observations and returns actions; return the number of steps."""
     env, policy = outer.unwrapped, made.policy
@@ -121,13 +140,13 @@ def _drive_by_actions(
         action = checked_action(action, outer.action_space)
         with around.call():
             seen, _, *ends, _ = outer.step(action)
-        if env.vehicle.crashed or any(ends):
+        if "crashed" in watch() or any(ends):
             break
     return step + 1
 
 
 def _drive_beside(
-    env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard
+    env: Any, made: Ads, seed: int, guard: HangGuard, around: EnvironmentGuard, watch: Watch
 ) -> tuple[int, AdsError | None]:
     """Drive an episode with a vehicle class, or a planner's car, in the place of the environment's own ego.
 
@@ -141,7 +160,7 @@ def _drive_beside(
     env.define_spaces()
     env.observation_type.observe = lambda: 0.0
     if type(env).__module__.startswith("highway_env."):  # whose rewards may need an action, and nothing reads them
-        env._reward, env._info = lambda *_: 0.0, lambda *_: {}
+        env._reward, env._info = lambda *_: 0.0, lambda *_, **__: {}
     errors = list[AdsError]()
     if not made.drives_itself:
         ego.act = _planned(env, made, seed, guard, around, errors)
@@ -149,7 +168,7 @@ def _drive_beside(
         with around.call():
             _, _, *ends, _ = env.step(None)
         body_of(ego)  # it raises BadAction for NaN
-        if errors or ego.crashed or any(ends) or steps >= _steps(env):
+        if errors or "crashed" in watch() or any(ends) or steps >= _steps(env):
             break
     return steps, next(iter(errors), None)
 

@@ -335,9 +335,9 @@ class EpisodeEnds(OwnEnds):
         outer, env = self._outer, self._env
         _reset_in_place(outer, seed, objects)
         self._put = showing(env, vehicles)
-        _stand_in(env, "_simulate", self._simulate)
+        stand_in(env, "_simulate", self._simulate)
         for name in ENDS:
-            _stand_in(env, name, partial(self._says, name))
+            stand_in(env, name, partial(self._says, name))
         space, names = outer.action_space, getattr(env.action_type, "actions_indexes", {})
         space.seed(seed)
         self._action = space.sample()
@@ -392,14 +392,14 @@ def episode_beside(
     return EpisodeEnds(outer, objects, rules, scenario, vehicles, guard)
 
 
-def _stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
+def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
     """Let a call stand in for a method of an environment.
 
     A copy of the environment, in which code of the user's looks ahead, has its own method.
     """
 
-    def method(asked: Any, *given: Any) -> Any:
-        return call(*given) if asked is env else getattr(type(asked), name)(asked, *given)
+    def method(asked: Any, *given: Any, **named: Any) -> Any:
+        return call(*given, **named) if asked is env else getattr(type(asked), name)(asked, *given, **named)
 
     setattr(env, name, MethodType(method, env))
 
@@ -481,7 +481,7 @@ class _Loop:
             is_episode = isinstance(driver, StockPolicy)
             self._ends = OwnEnds(env, ENDS if is_episode else ends, vehicles.rules, guard)
             for name in ENDS:
-                _stand_in(env, name, partial(self._says, self._ends, name) if is_episode else _nothing)
+                stand_in(env, name, partial(self._says, self._ends, name) if is_episode else _nothing)
         self._road_act = env.road.act if has_own_act(env.road) else None
         self._road_step = env.road.step
         env.road.act, env.road.step = self._act, self._step
