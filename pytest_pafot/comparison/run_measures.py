@@ -116,7 +116,8 @@ def undriven(frame: pd.DataFrame) -> Iterator[str]:
     """Yield an error for each algorithm in most of whose runs the ego did not drive."""
     rows = frame[~frame["reused"]]
     is_short = (rows["duration"] <= IMMEDIATE) & rows["outcome"].isin(["safe", "off_road"])
-    lacks = rows["ended"].fillna(rows["outcome"]).where(is_short | (rows["outcome"] == "invalid"))
+    ended = rows["ended"].astype(object)
+    lacks = ended.where(ended.notna(), rows["outcome"]).where(is_short | (rows["outcome"] == "invalid"))
     for name, each in lacks.groupby(rows["algorithm"], sort=False):
         if 2 * each.count() > len(each):
             yield (

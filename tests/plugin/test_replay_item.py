@@ -163,7 +163,7 @@ CUT_IN = """
 @pafot.search(SHORT)  # stop_after=1
 def test_drive(run):
     if run.responsibility == "ego":
-        return
+        pafot.reject()
     assert not run.collision
 """
 """A test that an NPC makes fail, by an entry close to the ego: an ego that brakes earlier is far from there."""
@@ -248,7 +248,7 @@ def test_environment_creation_failure_is_reported_with_line(project):
 
 
 def test_a_rejected_replay_is_skipped_and_not_green(saved):
-    saved.write(PASSES.replace("!= 6", "== 6"))
+    saved.write(PASSES.replace("!= 6", "== 6").replace("        return", "        pafot.reject()"))
     saved.run(generations=0).assert_outcomes(skipped=2)
 
 

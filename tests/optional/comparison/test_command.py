@@ -224,8 +224,8 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
 
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
-    """A policy that stands still is never responsible, and a second of driving causes no collision."""
-    arguments = ["--duration", "1", "--generations", "2", "--runs", "2"]
+    """A policy that stands still is never responsible, and two seconds of driving cause no collision."""
+    arguments = ["--duration", "2", "--generations", "2", "--runs", "2"]
     arguments += ["--algorithms", "pafot,random"]
     assert compare(tmp_path, "--ads", "tests.optional.comparison.test_command:standing", *arguments) == 0
     found = tables_of((tmp_path / "report.md").read_text())
