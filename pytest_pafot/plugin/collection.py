@@ -210,8 +210,12 @@ class Collection:
             self._deselect(items, lambda item: is_search(item) and item.nodeid in failed and base_id(item) in known)
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
-        """Note the saved scenarios that are deselected by name, among others."""
-        files = [saved.path for item in items if (saved := saved_of(item)) is not None]
+        """Note the saved scenarios that are deselected by name, among others.
+
+        pytest-testmon also passes names of tests, which are no items.
+        """
+        own = (saved_of(item) for item in items if isinstance(item, pytest.Item))
+        files = [saved.path for saved in own if saved is not None]
         if files:
             from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions have one)
 

@@ -125,6 +125,13 @@ def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(proj
     assert (project.path / "runs.txt").read_text() == before
 
 
+def test_another_plugin_may_deselect_what_is_no_item(project):
+    more = "\ndef pytest_collection_modifyitems(config):\n    config.hook.pytest_deselected(items=[object()])\n"
+    project.pytester.makeconftest((project.path / "conftest.py").read_text() + more)  # as pytest-testmon does
+    project.write("@pafot.search(SHORT, runs=1)\ndef test_passes(run):\n    pass\n")
+    project.run().assert_outcomes(passed=1, deselected=1)
+
+
 def test_last_failed_runs_findings_without_their_search_once_they_are_saved(failing):
     failing.run("--pafot-save=none")
     failing.run("--lf", "--pafot-save=none").assert_outcomes(failed=2)
