@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from os import getpid
 from pathlib import Path
 from typing import Any, Self
 
@@ -83,7 +84,7 @@ class CrashRecord:
         If the process then crashes, the scenario is the cause. ``reference`` is the name of a policy that drives
         instead of the ADS, or empty.
         """
-        process = f'"owner": {self._owner}, "pid": {os.getpid()}, "world": {self._world}'
+        process = f'"owner": {self._owner}, "pid": {getpid()}, "world": {self._world}'
         if reference:
             process += f', "reference": {json.dumps(reference)}'
         if self._is_watched:
@@ -130,7 +131,7 @@ def _create(folder: Path) -> tuple[int, Path]:
             each.mkdir(mode=0o700, exist_ok=True)
         with suppress(FileNotFoundError):  # another session has removed the folder, which was empty
             _refuse_folder_of_others(folder)
-            descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
+            descriptor, name = tempfile.mkstemp(prefix=f"{getpid()}-", suffix=SUFFIX, dir=folder)
             if hold(descriptor):
                 return descriptor, Path(name)
             os.close(descriptor)

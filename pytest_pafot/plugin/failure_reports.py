@@ -7,11 +7,11 @@ tools. With ``-v`` or ``--tb=long`` the frames are in full.
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Generator
 from datetime import date
 from itertools import takewhile
+from os import getpid
 from typing import Any
 
 import pytest
@@ -62,12 +62,12 @@ class KeptOutput:
     def __init__(self, item: pytest.Item) -> None:
         self._item = item
         self._capture = item.config.pluginmanager.get_plugin("capturemanager")  # None if another plugin replaces it
-        self._process = os.getpid()
+        self._process = getpid()
         self._texts = {"stdout": ("", "", 0), "stderr": ("", "", 0)}  # beginning, end, characters between them
 
     def read(self) -> None:
         """Take the output since the last call out of pytest's capture."""
-        if self._capture is None or os.getpid() != self._process:
+        if self._capture is None or getpid() != self._process:
             return  # A process that was forked from this one writes to the same file, which this one reads.
         for key, text in zip(self._texts, self._capture.read_global_capture(), strict=True):
             begin, end, left_out = self._texts[key]

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import date, timedelta
 from functools import partial
+from os import getpid
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -176,7 +177,7 @@ def guard_exits(config: pytest.Config) -> None:
     """
     if isinstance(os._exit, partial):
         return  # in a session that a test of another one runs
-    owner, plugins = os.getpid(), config.pluginmanager
+    owner, plugins = getpid(), config.pluginmanager
     own = {name: vars(os)[name] for name in ("_exit", "abort", "execv", "execve")}
 
     def code() -> int:  # 0 until all tests have run
@@ -185,7 +186,7 @@ def guard_exits(config: pytest.Config) -> None:
     def end(name: str, /, *given: Any, **named: Any) -> None:
         # Before there are tests, only _exit: a conftest.py may call exec to start pytest anew.
         is_early = name == "_exit" and not getattr(plugins.get_plugin("session"), "items", ())
-        if os.getpid() == owner and not is_worker(config) and (is_early or plugins.has_plugin("pafot-messages")):
+        if getpid() == owner and not is_worker(config) and (is_early or plugins.has_plugin("pafot-messages")):
             if not code():
                 caller = traceback.format_stack(limit=2)[0].strip()
                 with uncaptured(config):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from multiprocessing.util import Finalize
+from os import getpid
 from typing import Any, NoReturn
 
 from pytest_pafot import Drive, Observation
@@ -81,7 +82,7 @@ def _idle_in(process: int, loader: ProgramLoader) -> list[Program]:
 
 def _idle(loader: ProgramLoader) -> list[Program]:
     """Return the programs of this process that are waiting for their next run."""
-    return _idle_in(os.getpid(), loader)
+    return _idle_in(getpid(), loader)
 
 
 class ProgramAds:

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from os import getpid
 from types import FrameType
 
 from pytest_pafot.support import monotonic
@@ -40,7 +41,7 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
     A signal that the user's code handles, or that is ignored as by ``nohup``, is left alone. Python drops what
     a handler raises while a finalizer or the callback of a weak reference runs; such an interrupt comes again shortly.
     """
-    owner, ended, told = os.getpid(), False, sys.unraisablehook
+    owner, ended, told = getpid(), False, sys.unraisablehook
 
     def received(number: int, _: object) -> None:
         nonlocal ended
@@ -50,14 +51,14 @@ def interrupted_by_signals(note: Callable[[KeyboardInterrupt], None] = lambda in
             raise error
 
     def pressed(number: int, frame: FrameType | None) -> None:
-        if os.getpid() == owner:
+        if getpid() == owner:
             note(error := KeyboardInterrupt())
             raise error
         signal.default_int_handler(number, frame)
 
     def unraisable(lost: sys.UnraisableHookArgs) -> None:
         nonlocal ended
-        if not isinstance(lost.exc_value, KeyboardInterrupt) or os.getpid() != owner:
+        if not isinstance(lost.exc_value, KeyboardInterrupt) or getpid() != owner:
             told(lost)
             return
         ended, number = False, lost.exc_value.number if isinstance(lost.exc_value, Ended) else signal.SIGINT
@@ -146,7 +147,7 @@ def bound_to(parent: int, number: int) -> bool:
     if sys.platform != "linux" or ctypes.pythonapi.prctl(1, number) != 0:  # PR_SET_PDEATHSIG
         return False
     if os.getppid() != parent:  # it has ended before that
-        os.kill(os.getpid(), number)
+        os.kill(getpid(), number)
     return True
 
 

@@ -98,12 +98,13 @@ def test_findings_are_on_the_disk_although_the_test_sees_replaced_functions_of_f
 def replaced(monkeypatch):
     for name in ("builtins.open", "os.open", "os.replace"):
         monkeypatch.setattr(name, lambda *args, **kwargs: "replaced")
+    monkeypatch.setattr("os.getpid", lambda: 0)  # the process is no copy of itself all the same
 
 @pafot.search(SHORT, runs=1)
 def test_one(run):
     assert open("any") != "replaced"
 """)
-    project.run()
+    project.run(apart=True)
     assert project.files  # in which the assertion fails, which sees the replaced function
 
 

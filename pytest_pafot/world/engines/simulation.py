@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import math
-import os
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +16,7 @@ from contextlib import contextmanager
 from itertools import product
 from multiprocessing import parent_process
 from multiprocessing.util import Finalize
+from os import getpid
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -423,9 +423,9 @@ class Simulators:
     _all: ClassVar[weakref.WeakSet[Simulators]] = weakref.WeakSet()
 
     def __init__(self, make: Callable[[], Any]) -> None:
-        is_first = all(each._process != os.getpid() for each in self._all)
+        is_first = all(each._process != getpid() for each in self._all)
         self._make = make
-        self._process: int = os.getpid()
+        self._process: int = getpid()
         self._free: list[Any] = []
         if is_first:
             atexit.register(self.close_all)
@@ -444,16 +444,16 @@ class Simulators:
 
     def take(self) -> Any:
         """Return a simulator that no other run uses."""
-        if self._process != os.getpid():  # those of the other process are not closed, because it still uses them
+        if self._process != getpid():  # those of the other process are not closed, because it still uses them
             self.__init__(self._make)  # type: ignore[misc]
         return self._free.pop() if self._free else self._make()
 
     def give(self, simulator: Any, *, is_sound: bool = True) -> None:
         """Take a simulator back after its run; one that has failed is closed instead."""
-        if is_sound and self._process == os.getpid():
+        if is_sound and self._process == getpid():
             self._free.append(simulator)
         else:
-            _close(os.getpid(), [simulator])
+            _close(getpid(), [simulator])
 
     @classmethod
     def close_all(cls) -> None:
@@ -464,7 +464,7 @@ class Simulators:
 
 def _close(process: int, simulators: list[Any]) -> None:
     """Close simulators of a process, each once, if it is this one; another one still uses them."""
-    while simulators and process == os.getpid():
+    while simulators and process == getpid():
         simulator = simulators.pop()
         call_close(simulator.close, f"{type(simulator).__name__}.close", CLOSING)
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from os import getpid  # bound here, since a test may replace os.getpid
 from types import FrameType
 from typing import Any, Self
 
@@ -127,7 +128,7 @@ class OneProcess:
     """
 
     def __init__(self) -> None:
-        self.pid = os.getpid()
+        self.pid = getpid()
         self.forked_at: float | None = None
         self._noticed = mmap.mmap(-1, 1)  # one byte that is shared with all copies
 
@@ -136,7 +137,7 @@ class OneProcess:
         return self
 
     def __exit__(self, kind: type[BaseException] | None = None, *rest: object) -> None:
-        if os.getpid() != self.pid:
+        if getpid() != self.pid:
             self._noticed[0] = 1
             os._exit(1)  # without flushing: the original process has the same data in its buffers
         if self.forked_at is not None:
