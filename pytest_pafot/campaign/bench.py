@@ -25,6 +25,7 @@ from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import UNFIT, let_through
@@ -151,12 +152,16 @@ class Bench:
         self.record.clear()
         return run
 
+    @REPLACED.shown(False)
     def rerun_in_gym(self, scenario: Scenario) -> Run | None:
         """Run a scenario with ``env.step`` of highway-env's own environment; None if the world has no environment."""
         __tracebackhide__ = True
         world = self.harness.world
         if not world.replays_in_gym:
             return None
+        # highway-env is imported before the run, in which a test's own functions are in the place of Python's.
+        from pytest_pafot.world.engines import gym_replay  # noqa: F401, PLC0415  (slow to import)
+
         policy = self.harness.policy
         with self._recorded(), refusals():
             if isinstance(self.runner, Isolated):
