@@ -20,6 +20,7 @@ from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
@@ -78,9 +79,12 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
                 case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
                     state.first_generation.is_alike = False
                     yield from _released(state, store)
+                    expect = None
                     if done is not None:
-                        state.counts.add((yield from lose(done, state, bench, store)), "lost")
-                    taken = [plan.take(unknown(plan.scenario()))]
+                        kind = yield from lose(done, state, bench, store, 1)
+                        state.counts.add(kind, "lost")
+                        expect = expectation(done) if kind == "failed" else None
+                    taken = [plan.take(unknown(plan.scenario(), expect), reused=done is None)]
             yield from _released(state, store)
             yield from _counted(taken, state, watch)
         # The algorithm learns from whole generations. Between two of them a resumable search may store its state.

@@ -606,7 +606,8 @@ class SearchSession:
             try:
                 run = bench.run(scenario)
             except ProcessLostError as error:
-                yield from lose(error, state, bench, store)
+                # An earlier session has counted the run of a finding that is forgotten above.
+                yield from lose(error, state, bench, store, runs=not is_there)
                 continue
             verdict = bench.finish(run)
             failure = verdict.failure if verdict.failed else None

@@ -383,9 +383,10 @@ class State:
         ]
 
 
-def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, str]:
+def lose(lost: LostRun, state: State, bench: Bench, store: Store, runs: int = 0) -> Generator[SearchEvent, None, str]:
     """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
 
+    ``runs`` is 1 if a run of the search died, and 0 if it was one to shrink, to examine or to compare a finding.
     Return the kind of the verdict. It is no failure if the reference does not pass the scenario either.
     """
     state.fatal.add(lost.task)
@@ -393,11 +394,12 @@ def lose(lost: LostRun, state: State, bench: Bench, store: Store) -> Generator[S
         return "common"
     signature = expectation(lost).signature
     if state.knows(signature):
-        state.repeat(signature)
+        state.repeat(signature, runs)
     else:
         sighting = store.add_lost(lost, state.generation)
         yield from store.publish(sighting)
         state.add(signature, sighting.id)
+        state.repeats[sighting.id] += runs - 1
     return "failed"
 
 

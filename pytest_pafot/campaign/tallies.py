@@ -31,6 +31,7 @@ from pytest_pafot.execution.scenario_pool import (
     Job,
     LostRun,
     Timed,
+    expectation,
     pool_for,
     run_recorded,
 )
@@ -281,7 +282,7 @@ class BlockDriver:
                 if isinstance(answer, ProcessLostError) and answer.end != KILLED:
                     count()
                     say((answer, CapturedOutput(), 0.0))
-                    block.take(unknown(scenario))
+                    block.take(unknown(scenario, expectation(answer)))
                     continue
                 digested, output, seconds = answer if isinstance(answer, tuple) else (None, CapturedOutput(), 0.0)
                 # Only the session may judge this run, or report what it raised: it goes on with the block from here.

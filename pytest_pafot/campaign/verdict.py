@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 from pytest_pafot.attribution.sentences import AT_FAULT
-from pytest_pafot.findings.finding import ads_failure, raised_failure
+from pytest_pafot.findings.finding import Expect, ads_failure, raised_failure
 from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure, Signature
 from pytest_pafot.model.grid import Cell
@@ -299,14 +299,18 @@ def evaluated(
     )
 
 
-def unknown(scenario: Scenario) -> Evaluation:
-    """Return the evaluation of a scenario in which a process died: nothing is known about it."""
+def unknown(scenario: Scenario, expect: Expect | None = None) -> Evaluation:
+    """Return the evaluation of a scenario in which a process died: the algorithm learns nothing from it.
+
+    ``expect`` is the failure, None if it does not count or if the scenario was not run again.
+    """
     return Evaluation(
         scenario=scenario,
         executed=scenario,
         fitness=0.0,
-        failing=False,
-        outcome=Outcome.SAFE,
+        failing=expect is not None,
+        kind=None if expect is None else expect.signature,
+        outcome=Outcome.ADS_ERROR if expect is None else expect.outcome,
         duration=0.0,
         genes_started=0,
         genes_reached=0,

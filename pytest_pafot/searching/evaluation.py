@@ -59,7 +59,7 @@ class Evaluation:
         genes_started: number of genes that began before the run ended, summed over all NPCs.
         genes_reached: number of started genes whose cell or lane the NPC reached.
         interaction: whether an NPC ever gave the ego a reason to react, see :func:`has_interaction`.
-        discarded: whether the user's test function declined to give a verdict on the run.
+        discarded: whether the user's test function declined to give a verdict on the run, or its process ended.
         barely_moved: whether the ego's mean speed was below 2 m/s.
         kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
         mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is

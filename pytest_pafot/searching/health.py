@@ -27,11 +27,11 @@ class Health:
     simulated: int = 0  # those of them that were run; the others were known
     invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched, or code of the user's failed
     errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which code of the user's failed
-    discarded: int = 0  # runs that the user's function declined, or whose process ended
+    discarded: int = 0  # runs that the user's function declined
     genes_started: int = 0  # over all NPCs, like the next; without runs that an ADS error cut short
     genes_reached: int = 0
     valid: int = 0  # runs that were neither invalid nor discarded; the next three are among these
-    failing: int = 0  # runs that the user's function rejected
+    failing: int = 0  # runs that failed, or whose process ended
     no_interaction: int = 0  # runs in which no NPC gave the ego a reason to react; without ADS errors, too
     barely_moved: int = 0  # runs that passed although the ego hardly drove
     ended: Counter[str] = field(default_factory=Counter)  # runs that ended early and did not fail, by what ended them
@@ -49,7 +49,10 @@ class Health:
     def of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
         """Count over the evaluations of simulated scenarios; ``evaluated`` is the number of all scenarios."""
         invalid = [each for each in runs if each.outcome is Outcome.INVALID]
-        valid = [each for each in runs if not (each.outcome is Outcome.INVALID or each.discarded)]
+        # A run that ended its process teaches the algorithm nothing, but it is an error of the ADS.
+        valid = [
+            each for each in runs if each.outcome in BROKEN or not (each.outcome is Outcome.INVALID or each.discarded)
+        ]
         driven = [each for each in valid if each.outcome not in BROKEN]
         whole = [each for each in runs if each.outcome not in BROKEN]
         early = [each for each in whole if each.ended and not (each.failing or each.outcome is Outcome.INVALID)]
@@ -130,7 +133,7 @@ class Health:
         if self.vacuous:
             found.append(
                 f"most of {plural(self.simulated, 'simulated scenario')} tested nothing: {self.invalid} were invalid, "
-                f"{self.discarded} were rejected, skipped or ended their process, {self.at_once} ended within the "
+                f"{self.discarded} were rejected or skipped, {self.at_once} ended within the "
                 "first second; use fewer NPCs, reject less, or correct what ends runs"
             )
         touched = self.invalid - self.errors.total()

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from pytest_pafot.campaign.run_table import row_of
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.verdict import Verdict, evaluated
+from pytest_pafot.campaign.verdict import Verdict, evaluated, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
@@ -202,7 +203,8 @@ def test_scenario_of_a_dead_process_is_not_run():
         lambda number: Verdict(kind="passed"), run=lambda scenario: scenarios.append(scenario) or quiet_run(scenario)
     )
     found, _ = searched(lambda number: Verdict(kind="passed"), fatal=scenarios[:1])
-    assert found.runs == everything.runs - 1
+    assert found.runs == found.health.simulated == found.health.valid == everything.runs - 1
+    assert found.health.reused == 1
 
 
 def test_dying_processes_are_one_finding_with_count():
@@ -210,7 +212,8 @@ def test_dying_processes_are_one_finding_with_count():
     assert finds == [("crash", 0)]
     assert found.repeats == {"id-1": 5}
     assert found.counts.kinds == {"failed": 6}
-    assert len(found.fatal) == 6
+    assert len(found.fatal) == found.health.failing == 6
+    assert found.finished.best is None, "a death must teach the search nothing"
 
 
 def test_hanging_process_differs_from_a_dying_one():
@@ -224,7 +227,8 @@ def test_process_crash_shared_with_reference_is_no_finding():
     assert finds == [("crash", 0)]
     assert found.repeats == {"id-1": 2}
     assert found.counts.kinds == {"failed": 3, "common": 3}
-    assert found.runs == found.health.simulated == found.health.discarded == 6
+    assert found.runs == found.health.simulated == found.health.valid == 6
+    assert (found.health.failing, found.health.vacuous) == (3, False)
 
 
 def test_dying_processes_are_known_from_saved_scenario():
@@ -233,11 +237,9 @@ def test_dying_processes_are_known_from_saved_scenario():
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
     assert found.covered == {"saved": 6}
-
-
-def test_lost_process_teaches_the_search_nothing():
-    found, _ = searched(lambda number: failed(), run=lost)
-    assert found.finished.best is None
+    row = row_of(unknown(lost_run.task, expectation(lost_run)), 0)
+    assert [row[name] for name in ("failing", "verdict", "outcome")] == [True, "failed", "ads_error"]
+    assert row["kind"] == signature.slug
 
 
 def test_search_seed_depends_on_base_seed_and_node():

@@ -154,6 +154,7 @@ def test_process_death_while_shrinking_is_a_finding(isolated):
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
     result.assert_outcomes(failed=3, passed=1)
+    result.stdout.fnmatch_lines(["*2 new findings*", "*crash-* (0 runs)*"])  # none of the search
 
 
 ONCE = """
