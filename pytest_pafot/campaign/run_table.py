@@ -106,7 +106,7 @@ def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *
         "genes": scenario.chains_text,
         "outcome": str(evaluation.outcome),
         "failing": evaluation.failing,
-        "verdict": "failed" if evaluation.failing else None,  # also of a run whose process died
+        "verdict": "failed" if evaluation.failing and not reused else None,  # also of a run whose process died
         "fitness": _finite(evaluation.fitness),
         "duration": evaluation.duration,
         "kind": kind.slug if isinstance(kind, Signature) else None,

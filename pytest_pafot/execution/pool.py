@@ -635,6 +635,8 @@ def _serve(
                 break
             try:
                 may_raise = True
+                if is_leaving:  # the signal came while the task was read, and raised nothing
+                    raise KeyboardInterrupt
                 said = _sendable((True, work(task, tell)))
                 may_raise = False
             except MemoryError:  # Not sent as an answer: the session would run the task itself and use up its memory.
