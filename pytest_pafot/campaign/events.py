@@ -120,9 +120,9 @@ class SearchSummary:
         algorithm: its name.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number; one that a limit of time or findings cut is not counted.
-        asked, budget: generations and runs after which it ends, those of earlier sessions included; null for no limit.
+        asked, budget: generations and runs after which it ends; null for no limit.
         runs, shrink_runs, moment_runs: simulated scenarios; further runs to simplify findings; to find their moments.
-        decisions, confirm_decisions, shrink_decisions, moment_decisions: decisions of the policy in this session's
+        decisions, confirm_decisions, shrink_decisions, moment_decisions: decisions of the policy in
             `runs`, to confirm findings, in `shrink_runs` and in `moment_runs`, not in replays.
         known_runs: scenarios that were not run again.
         failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in [the

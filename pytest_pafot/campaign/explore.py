@@ -28,7 +28,6 @@ from pytest_pafot.campaign.request import (
 )
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
-from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below
@@ -355,8 +354,6 @@ def replays_of(
     link = link_below(corpus, folder)
     if link is not None:
         raise request.error("corpus", refusal(link))
-    if settings.resume is not None:
-        check_states(settings.resume, Path.cwd())
     policy, world = Policy(request.ads), build_world(request, Highway())
     harness = Harness(
         request=request,
@@ -372,6 +369,5 @@ def replays_of(
         versions=installed_versions(world.packages),
         against=reference_of(settings.against, fixture, policy),
         needs_only_run=needs_only_run,
-        states=None if settings.resume is None else Path.cwd() / settings.resume,
     )
     return Replays(harness=harness)

@@ -147,7 +147,6 @@ class Harness:
     cluster: Cluster | None = None  # the workers on other machines for the runs of a search, if any
     # True if the test function takes only the run, so that a process that was forked from this one can call it, too
     needs_only_run: bool = False
-    states: Path | None = None  # the folder of states for searches that are resumed in other sessions, if any
 
     def job(self, world: BaseWorld | None = None, owner: str = "") -> Job:
         """Return the job for a worker process: everything that it needs to run scenarios with the ADS.

@@ -165,11 +165,6 @@ class Settings:
         "its next decision. A search that is cut is not reproducible.",
         is_argument=False,
     )
-    resume: str | None = option(
-        "text",
-        "Continue the searches whose states are in this folder.",
-        "[Each session adds its budget](../guide/machines.md#a-long-search-in-several-sessions).",
-    )
     stop_after: int | None = option(
         "integer", "Stop each search after N distinct new findings.", least=1, is_argument=False
     )

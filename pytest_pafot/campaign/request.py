@@ -86,7 +86,6 @@ class CommonArguments(RoadArguments, SpaceArguments, total=False):
     algorithm: AlgorithmName | type[Algorithm[Any]]
     against: str | AdsFactory
     pairs: int
-    resume: str
     shrink_rollouts: int
     isolate: bool
 

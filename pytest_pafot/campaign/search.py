@@ -35,7 +35,6 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
 
     Raises:
         SetupFaultError: if all runs of the first generation end in the same exception.
-        CheckpointError: if the plan goes on from a checkpoint of another search.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
     plan, bench = blocks.plan, blocks.bench
@@ -87,10 +86,9 @@ def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generato
                     taken = [plan.take(unknown(plan.scenario(), expect), reused=done is None)]
             yield from _released(state, store)
             yield from _counted(taken, state, watch)
-        # The algorithm learns from whole generations. Between two of them a resumable search may store its state.
+        # The algorithm learns from whole generations.
         if reason is None:
             yield from _counted(blocks.learn(), state, watch)
-            state.offer(store)
     yield from _counted(plan.finished(reason or "generations", state.clock() - began), state, watch)
 
 

@@ -30,10 +30,9 @@ from pytest_pafot.campaign.options import RUNS
 from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
-from pytest_pafot.campaign.search import save_and_confirm, search
+from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.setup_fault import SetupFaultError
-from pytest_pafot.campaign.state import State, agreed, lose
-from pytest_pafot.campaign.state_file import FLAG, StateFile, state_path
+from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import BlockDriver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
@@ -41,15 +40,14 @@ from pytest_pafot.campaign.watch import LEAST, TimedWatch, Watch
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Retried, retry, runner_for
-from pytest_pafot.findings.finding import Manner, of_failure
+from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.searching.ask_tell import Algorithm, ResumableSearch
+from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
-from pytest_pafot.searching.plan import Checkpoint, CheckpointError, plan_of
+from pytest_pafot.searching.plan import plan_of
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
@@ -241,7 +239,6 @@ def prepared(
         state = State()
         state.clock, state.space = monotonic, space
         state.began = state.clock()
-        stack.callback(state.close)
         yield Prepared(
             state=state,
             bench=Bench(
@@ -349,10 +346,9 @@ class SearchSession:
         try:
             with bench.runner:
                 reason = yield from self._searched(saved_in(harness.folder), began)
-            # All findings are reported and the state is stored before shrinking, which takes long and may be cut.
+            # All findings are reported before shrinking, which takes long and may be cut.
             self._settle(reason)
             yield from self._events(store.release())
-            state.write(store)
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
             if harness.against is not None and state.space is not None and store.count:
                 now = state.clock()
@@ -410,13 +406,8 @@ class SearchSession:
     def _refine(self) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at the decisions that led to them."""
         __tracebackhide__ = True
-        state = self.state
-        way_on = "" if state.file is None else f"; {flag('resume')} goes on"
-        try:
-            with GENERATORS.held():
-                yield from self._events(refine(state, self.bench, self.store, until=self.limit, way_on=way_on))
-        finally:  # Even after Ctrl-C, findings that were refined must not be refined again.
-            state.write(self.store)
+        with GENERATORS.held():
+            yield from self._events(refine(self.state, self.bench, self.store, until=self.limit))
 
     def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Generator[SearchEvent, None, Retried]:
         """Run the scenario again in which a process of an earlier session died; return the result.
@@ -471,19 +462,14 @@ class SearchSession:
             algorithm = request.algorithm.make(space, **given)
         except ValueError as error:
             raise RequestError(str(error)) from None
-        # What is known before the first run: the state of earlier sessions, and the failures that saved scenarios still
-        # show. The search's own findings of earlier sessions are part of that state, not known failures.
         state.random.most = getattr(algorithm, "counted_at_first", 0.0)
-        resumed = yield from self._resumed(algorithm, space, saved)
-        others = [each for each in saved if not self._is_own(each)]
-        self.store.replayed = frozenset(each.path for each in others)
-        state.fatal |= {each.finding.scenario for each in others if each.finding is not None and each.is_crash}
+        self.store.replayed = frozenset(each.path for each in saved)
+        state.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
         try:
             with runs_end_in(self.bench.refining_end - clock()):
-                state.shown = self.replays.shown_by(others)  # Their failures are not new.
-                self._manners = {each.id: Manner.of(each.finding.expect) for each in others if each.finding is not None}
-                yield from self._events(self._find_again(saved, until))
+                state.shown = self.replays.shown_by(saved)  # Their failures are not new.
+                self._manners = {each.id: Manner.of(each.finding.expect) for each in saved if each.finding is not None}
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return Ending.MAX_TIME
         watch.begin(until)
@@ -495,14 +481,9 @@ class SearchSession:
                 runs=settings.runs,
                 seed=self.store.seed,
                 seeds_matter=(self.harness.policy.sight or Sight()).is_drawn,
-                resumed=resumed,
             )
-            if resumed is None:
-                state.offer(self.store)
             blocks = Blocks(plan=plan, bench=self.bench)
             yield from self._events(search(blocks, state, self.store, watch))
-        except CheckpointError as error:
-            raise RequestError(str(error)) if state.file is None else state.file.refused(error) from None
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:
@@ -527,100 +508,9 @@ class SearchSession:
             case "stopped":
                 return Ending.FINDINGS
 
-    def _resumed(
-        self, algorithm: Algorithm[Any], space: SearchSpace, saved: Sequence[Saved]
-    ) -> Generator[SearchEvent, None, Checkpoint[Any] | None]:
-        """Go on from the state of earlier sessions; return the progress of their plan, or None for a new search.
-
-        Raises:
-            RequestError: if the algorithm cannot be resumed, or if the state belongs to another search or is in use by
-                another session.
-        """
-        harness, state = self.harness, self.state
-        state.before = tuple(each.id for each in saved)
-        if harness.states is None:
-            return None
-        if not isinstance(algorithm, ResumableSearch):
-            raise RequestError(
-                f"{FLAG}: expected an algorithm that can be resumed, such as distinct or random, received "
-                f"{harness.request.algorithm.name!r}; search without {FLAG}, or add the methods stored and restored to "
-                "your own algorithm (pytest_pafot.searching.ResumableSearch)"
-            )
-        path, settings = state_path(harness.states, harness.node_id), agreed(harness, algorithm, space)
-        state.file = StateFile(path=path, settings=settings, algorithm=algorithm, clock=state.clock)
-        state.file.claim()
-        found = state.file.read(State)
-        if found is None:
-            return None
-        earlier, checkpoint = found
-        state.resume(earlier, runs=checkpoint.sums.simulated, generations=checkpoint.generation)
-        # A session that was killed may have saved failures that its state does not know yet.
-        known = {each.id for each in state.earlier}
-        self.store.pending = {
-            each.finding.signature: (each.path, None)
-            for each in saved
-            if each.finding is not None and each.id not in known and self._is_own(each)
-        }
-        if checkpoint.sums.evaluated:  # A fault of the set-up would have ended the search in its first session.
-            state.first_generation.is_alike = False
-            yield from self._events(self.store.release())
-        return checkpoint
-
-    def _is_own(self, saved: Saved) -> bool:
-        """Return whether a saved scenario is a finding of this search from an earlier session.
-
-        What a session that was killed has left is none, but a known failure, if somebody has accepted it since.
-        """
-        found = None if saved.finding is None else saved.finding.found
-        if saved.finding is not None and saved.finding.xfail is not None:
-            found = found if any(each.id == saved.id for each in self.state.earlier) else None
-        algorithm = self.harness.request.algorithm.name
-        is_of_search = found is not None and (found.seed, found.algorithm) == (self.store.seed, algorithm)
-        return self.state.file is not None and is_of_search and saved.id not in self.state.before
-
-    def _find_again(self, saved: Sequence[Saved], until: float) -> Iterator[SearchEvent]:
-        """Run again the findings that earlier sessions have not shrunk, and the findings that have no file.
-
-        If findings without a file were skipped, a search that saves none, or whose corpus was lost, would pass forever.
-        After the time ``until`` [s], findings with a file are left to a later session.
-        """
-        __tracebackhide__ = True
-        state, bench, store = self.state, self.bench, self.store
-        for find in state.earlier:
-            # There is a file of the same name, or a simpler one of the same kind.
-            is_there = any(
-                each.id == find.id or (each.finding is not None and each.finding.signature == find.signature)
-                for each in saved
-            )
-            if find.found is None:
-                continue
-            if is_there and not find.is_due:
-                continue
-            if is_there and state.clock() >= until:
-                state.postponed.add(find.id)
-                state.answers[find.id] = list(find.answers)
-                continue
-            if not is_there:  # forget it, so that it counts as new again, even if the process dies in it
-                del state.finds[find.signature]
-            scenario, generation, number = find.found
-            try:
-                run = bench.run(scenario)
-            except ProcessLostError as error:
-                # An earlier session has counted the run of a finding that is forgotten above.
-                yield from lose(error, state, bench, store, runs=not is_there)
-                continue
-            verdict = bench.finish(run)
-            failure = verdict.failure if verdict.failed else None
-            if failure is not None and of_failure(run, failure) == find.signature:
-                find_id = yield from save_and_confirm(run, verdict, generation, number, bench, store, self.watch)
-                state.add(find.signature, find_id)
-                state.answers[find_id] = list(find.answers)
-
     def _summary(self, reason: Ending) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
-        budget, generations = state.budget(settings)
-        # With a file of its state the search goes on where it was cut, so the result does not depend on the machine.
-        is_cut = reason is Ending.MAX_TIME and self.state.file is None
+        is_cut = reason is Ending.MAX_TIME
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
         notes = (
             state.doubt,
@@ -643,10 +533,10 @@ class SearchSession:
             base_seed=settings.seed,
             seed=self.store.seed,
             generations=state.generation if state.finished is None else state.finished.generations,
-            asked=generations,
-            budget=budget,
+            asked=settings.generations,
+            budget=settings.runs,
             reason=reason,
-            seconds=state.seconds_so_far,
+            seconds=state.seconds,
             runs=state.runs,
             known_runs=health.reused,
             npc=state.counts.kinds["npc"] + state.counts.kinds["avoidable"],
@@ -660,11 +550,11 @@ class SearchSession:
             confirm_decisions=self.bench.confirm_decisions,
             shrink_decisions=state.shrink_decisions,
             moment_decisions=state.moment_decisions,
-            known=dict(state.covered + state.found_before(self.store)),
+            known=dict(state.covered),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},
             warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
-            notes=(*state.notes, *self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            notes=(*self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
             process_notes=tuple(self.process_notes),
             against=self.harness.against_name,
             paired=None if self._worse is None else self._worse.paired,
@@ -748,13 +638,10 @@ class SearchSession:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete its files and " if any(each.file for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
-            resume = request.option("resume", settings.resume or "FOLDER")
-            if not is_broken_off:
-                how = f"{again} and more time, or with {resume}"
-                how = f"{resume} goes on" if self.state.file is not None else how
-                yield f"{Ending.MAX_TIME} ended before {what} shrunk: {how}"
-            elif self.state.file is None:
+            if is_broken_off:
                 yield f"ended before {what} shrunk: {again}"
+            else:
+                yield f"{Ending.MAX_TIME} ended before {what} shrunk: {again} and more time"
         is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
             yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"

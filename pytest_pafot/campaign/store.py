@@ -58,9 +58,8 @@ class Store:
     first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
-    # failures of blocks that are not counted yet, and their files, if any; without the failure, what a session that was
-    # killed has left
-    pending: dict[Signature, tuple[Path | None, PendingFailure | None]] = field(default_factory=dict)
+    # failures of blocks that are not counted yet, and their files, if any
+    pending: dict[Signature, tuple[Path | None, PendingFailure]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -116,12 +115,9 @@ class Store:
     def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str, tuple[str, str | None]]]:
         """End the search with failures that are saved before their turn: take them as findings, or remove their files.
 
-        Yield what is taken: its id, its outcome and who was responsible; ``number`` is that of its run. What an earlier
-        session has left stays.
+        Yield what is taken: its id, its outcome and who was responsible; ``number`` is that of its run.
         """
         for signature, (path, pending) in [*self.pending.items()]:
-            if pending is None:
-                continue
             if not keeps:
                 if path is not None:
                     _remove_pending(path)

@@ -153,10 +153,11 @@ class TimedWatch(Watch):
         if now - self._reported_at < self.progress_seconds:
             return
         self._reported_at = now
-        budget, generations = state.budget(self.bench.harness.request.settings)
+        settings = self.bench.harness.request.settings
+        budget, generations = settings.runs, settings.generations
         run_seconds = self._run_seconds
         runs_left = 0 if budget is None else budget - state.runs
-        decisions = 0 if state.done_before else self.bench.decisions  # some of the runs are of an earlier session
+        decisions = self.bench.decisions
         yield Progress(
             node_id=self.node_id,
             generation=min(state.generation + 1, generations or state.generation + 1),
@@ -165,7 +166,7 @@ class TimedWatch(Watch):
             budget=budget,
             failing=state.counts.kinds["failed"],
             finds=self.store.count,
-            seconds=state.seconds_so_far,
+            seconds=state.seconds,
             left=runs_left * run_seconds / max(runner.in_use, 1),
             decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
             is_limited=self.limit < math.inf,

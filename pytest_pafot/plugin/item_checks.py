@@ -75,9 +75,6 @@ class Checks:
             option = BY_NAME["generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
                 messages.send(item, "note", {"text": f"no search ran: {option.key} is 0 in the settings"})
-            if item.config.getoption(BY_NAME["resume"].key) is not None:
-                text = f"{flag('resume')}: no search went on, and nothing was shrunk; {flag('runs', 1)} does that"
-                messages.send(item, "note", {"text": f"{text}, {flag('generations', 0)} does not"})
             pytest.skip(f"{IDLE}: {flag('generations', 0)}")
 
     @pytest.hookimpl(wrapper=True)

@@ -34,7 +34,6 @@ from pytest_pafot.campaign.search_session import (
     isolated_after_a_death,
     prepared,
 )
-from pytest_pafot.campaign.state import check_states
 from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
 from pytest_pafot.corpus.saved import refusal
@@ -103,8 +102,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     world = build_world(request, item.funcargs[marks.WORLD_FIXTURE])
     name, root = marks.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
-    against, resume = request.settings.against, request.settings.resume
-    here = item.config.invocation_params.dir
+    against = request.settings.against
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
     tidied = item.config.stash.setdefault(TIDIED, set())
     if link is None and folder not in tidied:  # once per session: listing thousands of files takes as long as a replay
@@ -113,8 +111,6 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     # A search that saves nothing may look through a link.
     if link is not None and writes and request.settings.save != "none":
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
-    if writes and resume is not None:
-        check_states(resume, here)
     # Processes of processes would be as many as the product of both numbers.
     if request.settings.workers > 1 and is_worker(item.config):
         messages.send(item, "note", {"text": IN_WORKER})
@@ -135,7 +131,6 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name), policy),
         cluster=_cluster_of(item.config),
         needs_only_run=_needs_only_run(item, request.arg),
-        states=None if resume is None else here / resume,
     )
 
 

@@ -9,17 +9,16 @@ from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmCla
 from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, ResumableSearch, SearchState
+from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, SearchState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
-from pytest_pafot.searching.plain import from_plain, plain
-from pytest_pafot.searching.plan import Checkpoint, Plan, plan_of
+from pytest_pafot.searching.plan import Plan, plan_of
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
-    "ALGORITHMS", "Algorithm", "AlgorithmClass", "Checkpoint", "DistinctSearch", "Evaluation", "GenerationState",
-    "GenerationalSearch", "Health", "PafotSearch", "Plan", "RandomManoeuvreSearch", "RandomSearch", "ResumableSearch",
-    "SearchSpace", "SearchState", "crossover", "from_plain", "mutate", "plain", "plan_of", "resolve_algorithm",
+    "ALGORITHMS", "Algorithm", "AlgorithmClass", "DistinctSearch", "Evaluation", "GenerationState",
+    "GenerationalSearch", "Health", "PafotSearch", "Plan", "RandomManoeuvreSearch", "RandomSearch",
+    "SearchSpace", "SearchState", "crossover", "mutate", "plan_of", "resolve_algorithm",
     "sample", "sample_manoeuvres", "tournament",
 ]  # fmt: skip

@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from numpy.random import Generator as Rng
 
@@ -67,21 +67,6 @@ class Algorithm(Protocol[StateT]):
         Raises:
             RuntimeError: if ``ask`` was not called before.
             ValueError: if the evaluations are not those of the requested scenarios.
-        """
-
-
-@runtime_checkable
-class ResumableSearch(Protocol):
-    """The additional methods of an algorithm whose search ``--pafot-resume`` can continue in a later session."""
-
-    def stored(self, state: Any) -> Any:
-        """Return a state between two generations as plain data; see :func:`~pytest_pafot.searching.plain.plain`."""
-
-    def restored(self, data: Any) -> Any:
-        """Return the state from plain data; the search then continues as if it had never stopped.
-
-        Raises:
-            ValueError: for data that is not from this algorithm.
         """
 
 

@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from typing import Any, Self
 
 import numpy as np
@@ -248,9 +247,6 @@ Chains = tuple[tuple[Hashable, ...], ...]  # one number per gene, or the whole g
 _Key = tuple[object, ...]
 _Place = tuple[_Key, int | None]  # a key, and the seed if it matters
 
-Remembered = tuple[Evaluation | None, tuple[int, ...]]
-"""A run, and the numbers, from 0, of the keys that lead to it; None for the run if no key does."""
-
 EVALUATIONS = 10_000
 """The largest number of remembered runs, in 25 MB with two NPCs and 90 MB with six; a forgotten run is simulated
 again."""
@@ -273,45 +269,18 @@ class EvaluationCache:
         self._seeds_matter = seeds_matter
         self._evaluations: dict[_Key, dict[int | None, Evaluation]] = {}  # by key, then by the seed if it matters
         self._depths: list[int] = []
-        # each run, the oldest first, with the places that lead only to it
-        self._runs: deque[tuple[Remembered, list[_Place]]] = deque()
+        self._runs: deque[list[_Place]] = deque()  # the places that lead only to each run, the oldest first
         for evaluation in evaluations:
             self.add(evaluation)
 
     def add(self, evaluation: Evaluation) -> None:
         """Remember a run; if several runs have the same key, the first one stays."""
-        own = [
-            (number, (key, needed))
-            for number, (key, needed) in enumerate(self._places(evaluation))
-            if needed not in self._evaluations.get(key, {})
-        ]
-        numbers, places = tuple(number for number, _ in own), [place for _, place in own]
-        self._put((evaluation if own else None, numbers), places)
-
-    def restore(self, remembered: Iterable[Remembered]) -> None:
-        """Add the runs that :meth:`remembered` of a different cache returned.
-
-        Raises:
-            ValueError: for a number of a key that its run does not have.
-        """
-        for evaluation, numbers in remembered:
-            places = [] if evaluation is None else self._places(evaluation)
-            if any(not 0 <= number < len(places) for number in numbers):
-                raise ValueError(f"expected numbers of {len(places)} keys, received {numbers} of {evaluation!r:.60}")
-            self._put((evaluation, numbers), [places[number] for number in numbers])
-
-    def remembered(self, but: int = 0) -> tuple[Remembered, ...]:
-        """Return the remembered runs, the oldest first, without the last ``but`` runs."""
-        return tuple(run for run, _ in islice(self._runs, len(self._runs) - but))
-
-    def _put(self, run: Remembered, places: list[_Place]) -> None:
-        evaluation = run[0]
-        if evaluation is not None:
-            if evaluation.depth not in self._depths:
-                self._depths = sorted([*self._depths, evaluation.depth])
-            for key, needed in places:
-                self._evaluations.setdefault(key, {})[needed] = evaluation
-        self._runs.append((run, places))
+        if evaluation.depth not in self._depths:
+            self._depths = sorted([*self._depths, evaluation.depth])
+        own = [(key, need) for key, need in self._places(evaluation) if need not in self._evaluations.get(key, {})]
+        for key, needed in own:
+            self._evaluations.setdefault(key, {})[needed] = evaluation
+        self._runs.append(own)
 
     def _places(self, evaluation: Evaluation) -> list[_Place]:
         """Return the keys under which a run is found: its chains as driven, and as requested if they differ."""
@@ -326,7 +295,7 @@ class EvaluationCache:
     def forget(self, room: int = EVALUATIONS) -> None:
         """Forget the oldest runs until at most ``room`` runs are left."""
         while len(self._runs) > room:
-            for key, needed in self._runs.popleft()[1]:
+            for key, needed in self._runs.popleft():
                 del self._evaluations[key][needed]
                 if not self._evaluations[key]:
                     del self._evaluations[key]

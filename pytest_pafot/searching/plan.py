@@ -19,7 +19,7 @@ from numpy.random import Generator as Rng
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, StateT, block_runs, check_order
-from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache, Remembered
+from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache
 from pytest_pafot.searching.events import (
     AlgorithmEvent,
     CampaignFinished,
@@ -33,33 +33,6 @@ from pytest_pafot.searching.events import (
 )
 from pytest_pafot.searching.operators import improves
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Checkpoint(Generic[StateT]):
-    """The progress of a campaign: with the arguments of :func:`plan_of` it determines how the campaign continues.
-
-    Attributes:
-        state: state of the algorithm at the last boundary between two generations.
-        sums: totals over all evaluations so far.
-        remembered: runs that were known at that boundary and need not be simulated again.
-        begun: evaluations so far in the generation after that boundary, each with True if an earlier run was reused.
-    """
-
-    state: StateT
-    sums: CampaignFinished
-    remembered: tuple[Remembered, ...] = ()
-    begun: tuple[tuple[Evaluation, bool], ...] = ()
-
-    @property
-    def generation(self) -> int:
-        """The number of the generation with which the campaign continues."""
-        return self.state.generation
-
-
-class CheckpointError(ValueError):
-    """A checkpoint that does not belong to the campaign that should continue from it."""
-
-
 LEAST_GENERATIONS = 4
 """The least number of generations of a block. The first one is random, so in fewer hardly anything would be bred."""
 
@@ -71,7 +44,6 @@ def plan_of(
     seed: int,
     runs: int | None = None,
     seeds_matter: bool = False,
-    resumed: Checkpoint[StateT] | None = None,
 ) -> Plan[StateT]:
     """Return the plan of a search.
 
@@ -89,24 +61,15 @@ def plan_of(
         runs: number of simulated scenarios after which the search ends, at least 1; None for no limit. If the limit
             is reached inside a generation, it is reported as finished, but the algorithm does not receive its results.
         seeds_matter: True if the seed of a scenario can change its run even if the NPCs drive the same chains.
-        resumed: checkpoint of an earlier search with the same arguments, from which ``generations`` and ``runs`` are
-            counted. The events of both, one after the other, are those of one uninterrupted search, except for
-            :class:`CampaignStarted` and :class:`CampaignFinished`. If the limit on runs cut a generation, both report
-            it as finished.
 
     Raises:
         ValueError: for an argument out of range.
-        CheckpointError: for a checkpoint of a different search.
     """
     if generations is None and runs is None:
         raise ValueError("generations, runs: expected at least one of them, received neither")
     for name, value, least in (("generations", generations, 1), ("runs", runs, 1), ("seed", seed, 0)):
         if value is not None and value < least:
             raise ValueError(f"{name}: expected a whole number, at least {least}, received {value!r}")
-    # A new search is one that goes on from nothing, so there is one way to begin.
-    if resumed is None:
-        sums = CampaignFinished(reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0)
-        resumed = Checkpoint(state=algorithm.start(generation_rng(seed)), sums=sums)
     length, of_block = None, block_runs(algorithm)
     if of_block is not None:
         # Whole generations, since an algorithm learns from nothing less.
@@ -115,9 +78,8 @@ def plan_of(
         started=CampaignStarted(algorithm=algorithm.name, generations=generations, seed=seed),
         algorithm=algorithm,
         length=length,
-        last_generation=resumed.generation + (generations or (runs or 0) + bool(resumed.begun)),
-        last_run=sys.maxsize if runs is None else resumed.sums.simulated + runs,
-        resumed=resumed,
+        last_generation=generations or runs or 0,
+        last_run=runs or sys.maxsize,
         seeds_matter=seeds_matter,
     )
 
@@ -134,7 +96,6 @@ class Plan(Generic[StateT]):
         length: the number of generations of a block; None if the whole search is one.
         last_generation: the number of the generation before which the search ends.
         last_run: the number of simulated scenarios after which it ends.
-        resumed: the progress from which it goes on.
         seeds_matter: as for :func:`plan_of`.
     """
 
@@ -146,11 +107,12 @@ class Plan(Generic[StateT]):
         length: int | None,
         last_generation: int,
         last_run: int,
-        resumed: Checkpoint[StateT],
         seeds_matter: bool,
     ) -> None:
         self.started = started
-        self.sums = resumed.sums
+        self.sums = CampaignFinished(
+            reason="generations", generations=0, evaluated=0, simulated=0, best=None, seconds=0.0
+        )
         """The totals over all evaluations so far."""
         self.length = length
         self.last_generation = last_generation
@@ -158,15 +120,7 @@ class Plan(Generic[StateT]):
         self.algorithm: Any = algorithm
         self._is_announced = False
         cache = None if length is not None else EvaluationCache(seeds_matter=seeds_matter)
-        try:
-            if cache is not None:
-                cache.restore(resumed.remembered)
-        except ValueError as error:
-            raise CheckpointError(f"remembered: {error}") from None
-        state: Any = resumed.state
-        if length is not None and resumed.sums.evaluated != (right := state.proposed + len(resumed.begun)):
-            raise CheckpointError(f"sums: expected {right} evaluated scenarios, received {resumed.sums.evaluated}")
-        self.block = Block(self.algorithm, started.seed, state, begun=resumed.begun, cache=cache)
+        self.block = Block(algorithm, started.seed, algorithm.start(generation_rng(started.seed)), cache=cache)
         """The block that is under way."""
 
     @property
@@ -247,32 +201,23 @@ class Plan(Generic[StateT]):
             self.block = self.beginning(self.number)
         return happened
 
-    def checkpoint(self) -> Checkpoint[StateT]:
-        """Return the progress so far."""
-        state, begun, remembered = self.block.progress()
-        return Checkpoint(state=state, sums=self._summed(begun), begun=begun, remembered=remembered)
-
     def finished(self, reason: EndReason, seconds: float = 0.0) -> Iterator[Event]:
         """Yield the last events. A generation that the limit on runs cut is reported, but not learnt.
 
-        No other generation follows, and the next session goes on with the rest of this one.
+        No other generation follows.
         """
-        state, begun, _ = self.block.progress()
-        sums = self._summed(begun)
+        begun = self.block.evaluations()
+        best = self.sums.best
+        for each, _ in begun:
+            best = each if improves(each, best) else best
+        sums = replace(self.sums, best=best)
         if reason == "runs" and begun:
-            population, local = tuple(each for each, _ in begun), state.local_generation
+            population, local = tuple(each for each, _ in begun), self.block.state.local_generation
             yield GenerationFinished(
                 generation=self.generation, local_generation=local, population=population, elites=0
             )
             sums = replace(sums, generations=sums.generations + (local == 0))
         yield replace(sums, reason=reason, seconds=seconds)
-
-    def _summed(self, begun: Iterable[tuple[Evaluation, bool]]) -> CampaignFinished:
-        """Return the totals with the best of a generation that was not learnt yet."""
-        best = self.sums.best
-        for each, _ in begun:
-            best = each if improves(each, best) else best
-        return replace(self.sums, best=best)
 
     # Blocks, of which other processes can drive later ones.
 
@@ -328,23 +273,19 @@ class Block(Generic[StateT]):
         seed: int,
         state: StateT,
         *,
-        begun: Sequence[tuple[Evaluation, bool]] = (),
         cache: EvaluationCache | None = None,
     ) -> None:
         self.generation = state.generation
         """The number of the generation that is evaluated, or of the next one."""
-        self.index = len(begun)
+        self.index = 0
         """The number of evaluated scenarios of that generation."""
         self.learnt: Learnt | None = None
         """What another process has learnt from that generation; None if this process learns from it."""
         self._algorithm, self._seed, self._cache = algorithm, seed, cache
         self._state: StateT | bytes = state  # at the last border between two generations
-        self._begun: list[tuple[Evaluation, bool] | bytes] = [*begun]  # since then
+        self._begun: list[tuple[Evaluation, bool] | bytes] = []  # since then
         self._drawing: Drawing[StateT] | None = None  # of this generation, once it has begun
         self._rng = generation_rng(seed)
-        for evaluation, reused in begun:
-            if cache is not None and not reused:
-                cache.add(evaluation)
 
     @property
     def is_whole(self) -> bool:
@@ -414,12 +355,6 @@ class Block(Generic[StateT]):
         self._begun = [*unpacked]
         return tuple(unpacked)
 
-    def progress(self) -> tuple[StateT, tuple[tuple[Evaluation, bool], ...], tuple[Remembered, ...]]:
-        """Return the state, the evaluations and the remembered runs of a :class:`Checkpoint`."""
-        begun = self.evaluations()
-        new = sum(not reused for _, reused in begun)  # which are not listed twice
-        return self.state, begun, () if self._cache is None else self._cache.remembered(but=new)
-
     @property
     def state(self) -> StateT:
         """The state of the algorithm at the last border between two generations."""
@@ -442,16 +377,8 @@ class Block(Generic[StateT]):
         state = self.state
         self._rng = generation_rng(self._seed, state.generation, state.local_generation)
         self._drawing = Drawing(self._algorithm, state, self._rng)
-        if not self._begun:
-            if self._cache is not None:
-                self._cache.forget()  # only here, between two generations, where checkpoints are made
-            return self._drawing
-        # A resumed search may request other scenarios than the one that began the generation.
-        self._drawing.finished()
-        try:
-            check_order("begun", self._drawing.scenarios[: self.index], [each for each, _ in self.evaluations()])
-        except ValueError as error:
-            raise CheckpointError(str(error)) from None
+        if self._cache is not None:
+            self._cache.forget()
         return self._drawing
 
 

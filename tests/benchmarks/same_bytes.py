@@ -125,20 +125,18 @@ class Session(NamedTuple):
     """How long each run takes at least [s]."""
 
 
-TWO, XDIST, RESUMED, STOPS = "--pafot-workers=2", "-p xdist -n 2", "--pafot-resume=states", "--pafot-stop-after=2"
+TWO, XDIST, STOPS = "--pafot-workers=2", "-p xdist -n 2", "--pafot-stop-after=2"
 DEAR = 0.02
 SHRINKING = 29
-"""The number of the first run that shrinks a finding. The state is always stored before it; between two generations or
-two such runs, only if storing it takes a small share of the time, so an end there is resumed from varying places."""
+"""The number of the first run that shrinks a finding."""
 REPLAY = "--pafot-generations=0 -v"
 SESSIONS: Mapping[str, Session] = {
     "highway": Session("highway", ("", REPLAY)),
     "highway-workers": Session("highway", always=TWO, slow=DEAR),
     "highway-isolated": Session("highway", always="--pafot-isolate"),
-    "highway-nights": Session("highway", ("--pafot-runs=10", "--pafot-runs=20"), RESUMED),
-    "highway-interrupted": Session("highway", ("", ""), RESUMED, signal.SIGINT, SHRINKING),
-    "highway-killed": Session("highway", ("", ""), RESUMED, signal.SIGKILL, SHRINKING),
-    "highway-killed-isolated": Session("highway", ("", ""), f"{RESUMED} --pafot-isolate", signal.SIGKILL, SHRINKING),
+    "highway-interrupted": Session("highway", ("", ""), "", signal.SIGINT, SHRINKING),
+    "highway-killed": Session("highway", ("", ""), "", signal.SIGKILL, SHRINKING),
+    "highway-killed-isolated": Session("highway", ("", ""), "--pafot-isolate", signal.SIGKILL, SHRINKING),
     "paper": Session("paper"),
     "paper-workers": Session("paper", always=TWO, slow=DEAR),
     "intersection": Session("intersection", ("", REPLAY), STOPS),

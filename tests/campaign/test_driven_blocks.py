@@ -1,6 +1,5 @@
 """A search is the same whether the session drives its blocks, scenario by scenario, or other processes drive them."""
 
-import json
 import math
 import multiprocessing
 import os
@@ -115,20 +114,6 @@ def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
         assert searched(f"{count} driven", drives=True, workers=count, algorithm=algorithm) == (alone, driven)
 
 
-def test_a_search_goes_on_inside_of_a_block_that_another_process_drove(searched, tmp_path):
-    alone, _ = searched("alone", runs=144, seed=7)
-    given = {"seed": 7, "drives": True, "workers": 2, "resume": str(tmp_path / "states")}
-    first, _ = searched("parts", runs=144, stop_after=STOP, **given)
-    done = len(first["rows"])
-    assert done > 16
-    assert done % 4
-    rest, numbers = searched("parts", runs=144 - done, **given)
-    assert numbers
-    assert rest["files"] == alone["files"]
-    assert rest["counts"] == alone["counts"]
-    assert first["rows"] + rest["rows"] == alone["rows"]
-
-
 def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
     """At the first death the session goes on with the block; later ones are in processes of those that drive."""
     given = {"ads": mortal, "isolate": True, "workers": 2}
@@ -188,16 +173,6 @@ def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_th
     monkeypatch.setattr(bench.Bench, "evaluate_ahead", lambda *given: early.append(given) or evaluated(*given))
     assert searched("ahead", workers=3, fitness=speed) == (alone, [])
     assert early
-
-
-def test_sessions_of_5_16_and_40_runs_are_one_long_one(searched, tmp_path):
-    alone, _ = searched("alone", runs=161)
-    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
-    sessions = [searched("parts", runs=runs, **given) for runs in (5, 16, 40, 100)]
-    assert sessions[-1][1] == [4, 5, 6, 7, 8, 9]
-    assert sessions[-1][0]["files"] == alone["files"]
-    assert sessions[-1][0]["counts"] == alone["counts"]
-    assert [row for session, _ in sessions for row in session["rows"]] == alone["rows"]
 
 
 class Early(list):
@@ -398,30 +373,9 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
     session.join()
 
 
-def test_what_a_session_that_was_killed_has_left_is_known_if_it_is_accepted(
-    searched, alone, saved_early, tmp_path, monkeypatch
-):
-    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
-    end_when_something_is_saved_early(signal.SIGKILL, lambda: searched("parts", **given), monkeypatch)
-    before = {path.name: path for path in (tmp_path / "parts").rglob("*.yaml")}
-    (left,) = before.keys() - {*alone["files"]}
-    before[left].write_text(before[left].read_text() + "xfail: {reason: known, until: 2999-12-31}\n")
-    rest, _ = searched("parts", **given)
-    kind = left.rpartition("-")[0]
-    assert [name for name in rest["files"] if name.startswith(kind)] == [left]
-    assert "xfail: {reason: known, until: 2999-12-31}" in rest["files"][left]
-
-
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_a_session_that_is_killed_keeps_what_failed_and_the_next_one_has_all_in_order(
-    searched, alone, saved_early, tmp_path, monkeypatch, end
-):
-    given = {"drives": True, "workers": 2, "resume": str(tmp_path / "states")}
+def test_a_session_that_is_killed_keeps_what_failed(searched, alone, saved_early, tmp_path, monkeypatch, end):
+    given = {"drives": True, "workers": 2}
     end_when_something_is_saved_early(end, lambda: searched("parts", **given), monkeypatch)
     left = {each.name for each in (tmp_path / "parts").rglob("*.yaml")}
     assert left - {*alone["files"]}
-    (state,) = (tmp_path / "states").glob("*.json")
-    done = json.loads(state.read_text())["sums"][3]
-    rest, _ = searched("parts", **given | {"runs": RUNS - done})
-    assert rest["files"] == alone["files"]
-    assert rest["counts"] == alone["counts"]

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from types import SimpleNamespace
@@ -12,7 +11,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import bench, explore, search_session, state_file, watch
+from pytest_pafot.campaign import bench, explore, search_session, watch
 from pytest_pafot.campaign.events import Progress
 from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
@@ -201,10 +200,7 @@ def test_unused_share_of_time_goes_to_other_findings(clock):
 def test_unshrunk_finding_says_how_to_continue(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
     assert set(unshrunk(result)) == {"not shrunk: out of time"}
-    assert any("ended before" in note and "with resume='FOLDER'" in note for note in result.summary.notes)
-    going_on = searched(clock, fails_in_three_ways, "other", runs=1000, max_time=3, resume="states")
-    assert set(unshrunk(going_on)) == {"not shrunk: out of time; --pafot-resume goes on"}
-    assert any(note.endswith(": resume='states' goes on") for note in going_on.summary.notes)
+    assert any("ended before" in note and note.endswith(" and more time") for note in result.summary.notes)
 
 
 def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
@@ -216,102 +212,11 @@ def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     assert all(find.unshrunk and "out of time" in find.summary for find in last_told.values())
 
 
-@pytest.mark.parametrize(("holds", "limit"), [(never_collides, 30), (fails_in_three_ways, 30)])
-def test_resumed_sessions_write_the_same_files_as_one(clock, tmp_path, holds, limit):
-    given = {"gene_seconds": 5 if holds is never_collides else 2}
-    whole = searched(clock, holds, "whole", runs=12, **given)
-    assert whole.findings
-    done = sessions = 0
-    while done < 12:
-        part = searched(clock, holds, runs=12 - done, max_time=limit, resume="states", **given)
-        done, sessions = part.summary.runs, sessions + 1
-    while any(unshrunk(part)) and sessions < 20:
-        part = searched(clock, holds, runs=1, max_time=limit, resume="states", **given)
-        sessions += 1
-    assert 1 < sessions < 20
-    saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
-    assert {name: saved[name] for name in expected} == expected
-
-
-def test_session_continues_open_findings_as_time_allows(clock, tmp_path):
-    first = searched(clock, fails_in_three_ways, runs=18, max_time=33, shrink_rollouts=30, resume="states")
-    assert len(first.findings) == sum(map(bool, unshrunk(first))) == 3
-    began = clock.now
-    second = searched(clock, fails_in_three_ways, runs=1, max_time=2, shrink_rollouts=30, resume="states")
-    assert clock.now - began <= 4
-    assert len(second.findings) == 2
-    assert "no time was left to shrink 1 finding of earlier sessions" in second.summary.notes
-    third = searched(clock, fails_in_three_ways, runs=1, shrink_rollouts=30, resume="states")
-    assert len(third.findings) == 3
-    assert not any(unshrunk(third))
-
-
-def test_answers_to_other_questions_are_not_used(clock, tmp_path):
-    given = {"runs": 1, "resume": "states"}
-    first = searched(clock, fails_in_three_ways, runs=12, max_time=24, resume="states", shrink_rollouts=300)
-    assert any(unshrunk(first))
-    searched(clock, fails_in_three_ways, **given)
-    searched(clock, fails_in_three_ways, "whole", runs=first.summary.runs)
-    saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
-    assert {name: saved[name] for name in expected} == expected
-
-
-def test_answers_of_another_ads_are_not_believed(clock):
-    def fails_sometimes(run):
-        assert run.scenario.npcs[0][0].speed < fails_sometimes.limit, "too fast"
-
-    fails_sometimes.limit = 1
-    given = {"shrink_rollouts": 25, "resume": "states"}
-    first = searched(clock, fails_sometimes, runs=4, max_time=24, **given)
-    assert set(unshrunk(first)) == {"shrunk in part: out of time; --pafot-resume goes on"}
-    assert first.findings[0].scenario.npcs[0][0].speed < 10
-    fails_sometimes.limit = 10
-    second = searched(clock, fails_sometimes, runs=1, **given)
-    again = next(each for each in second.findings if each.id == first.findings[0].id)
-    assert again.shrunk.is_minimal
-    assert again.scenario.npcs[0][0].speed == 10
-    assert again.flaky is None
-
-
-def test_a_session_that_only_replays_shrinks_nothing(clock, tmp_path, monkeypatch):
-    searched(clock, fails_in_three_ways, runs=20, max_time=3, resume="states")
-    before = files(tmp_path)
-    made = explore.request_of
-
-    def as_by_the_option(given):
-        request = made(given)
-        return replace(request, settings=replace(request.settings, runs=None, generations=0))
-
-    monkeypatch.setattr(explore, "request_of", as_by_the_option)
-    replayed = searched(clock, fails_in_three_ways, resume="states")
-    assert (replayed.summary.reason, replayed.summary.shrink_runs) == ("replay only", 0)
-    assert files(tmp_path) == before
-
-
-def test_without_a_limit_no_clock_decides_anything(clock, tmp_path, monkeypatch):
-    monkeypatch.setattr(state_file, "SHARE", 0)
+def test_without_a_limit_no_clock_decides_anything(clock, tmp_path):
     searched(clock, never_collides, "usual", runs=12, gene_seconds=5)
     clock.step = lambda: 1e9 * math.cos(clock.now)  # this clock also runs backwards
     searched(clock, never_collides, "strange", runs=12, gene_seconds=5)
     assert files(tmp_path / "usual") == files(tmp_path / "strange") != {}
-
-
-def test_finished_shrinking_is_not_repeated_after_an_interrupt(clock, tmp_path):
-    whole = searched(clock, fails_in_three_ways, "whole", runs=12)
-    left = [12 + whole.summary.shrink_runs - 8]
-
-    def breaks_off(run):
-        left[0] -= 1
-        if left[0] == 0:
-            raise KeyboardInterrupt
-        fails_in_three_ways(run)
-
-    with pytest.raises(KeyboardInterrupt):
-        searched(clock, breaks_off, runs=12, resume="states")
-    again = searched(clock, fails_in_three_ways, runs=1, resume="states")
-    assert again.summary.shrink_runs < whole.summary.shrink_runs - 10
-    saved, expected = files(tmp_path / "corpus"), files(tmp_path / "whole")
-    assert {name: saved[name] for name in expected} == expected
 
 
 def out_of_time(run):

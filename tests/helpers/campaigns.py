@@ -24,8 +24,7 @@ def run_campaign(
     new search, and after each generation, even if the limit on runs cut it.
     """
     plan = plan_of(algorithm, **arguments)
-    if arguments.get("resumed") is None:
-        border(plan)
+    border(plan)
     yield plan.started
     while not (plan.is_over or plan.has_all_runs):
         while not (plan.is_whole or plan.has_all_runs):

@@ -63,7 +63,7 @@ def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("args", [(), ("-n2",), ("--pafot-resume=states",)], ids=["serial", "xdist", "resumed"])
+@pytest.mark.parametrize("args", [(), ("-n2",)], ids=["serial", "xdist"])
 def test_a_search_that_finds_the_failure_says_where(project, args):
     fixed(project, "braking")
     result, (replayed,), (new,) = searched(project, "--pafot-report=page.html", *args)
@@ -84,19 +84,6 @@ def test_a_saved_scenario_that_fails_in_the_same_way_is_elsewhere_as_well(projec
     told = {each["id"]: (each["status"], each["elsewhere"]) for each in replayed}
     assert told[new][0] == "still failing"
     assert told[first["id"]] == ("still failing elsewhere", new)
-
-
-def test_a_resumed_search_says_only_what_its_runs_of_this_session_showed(project, monkeypatch):
-    fixed(project, "braking")
-    policies = project.path / "policies.py"
-    mended = "def braking():\n    if os.environ.get('MENDED'):\n        return careful()\n"
-    policies.write_text(policies.read_text().replace("def braking():\n", mended))
-    _, (first,), _ = searched(project, "--pafot-resume=states")
-    assert first["status"] == "still failing elsewhere"
-    monkeypatch.setenv("MENDED", "1")
-    result, replayed, _ = searched(project, "--pafot-resume=states", runs="10")
-    assert result.ret == pytest.ExitCode.OK
-    assert {each["id"]: each["status"] for each in replayed}[first["id"]] == "fixed"
 
 
 def test_the_job_summary_names_what_fails_elsewhere(project, monkeypatch):

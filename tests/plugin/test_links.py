@@ -128,12 +128,3 @@ def test_corpus_link_out_of_project_is_not_listed(project, elsewhere):
     result = project.run(generations=0)
     result.stdout.fnmatch_lines([f"*problem: expected a folder, received the link {corpus}, which may lead to*"])
     assert "secret_name" not in result.stdout.str()
-
-
-def test_states_behind_a_link_stay_unchanged(failing, elsewhere):
-    (failing.path / "states").symlink_to(elsewhere)
-    before = all_in(elsewhere)
-    result = failing.run("--pafot-resume=states")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines([f"--pafot-resume: expected a folder, received the link {failing.path / 'states'}, *"])
-    assert all_in(elsewhere) == before

@@ -210,10 +210,3 @@ def test_no_search_because_of_a_setting_is_told(project):
     told = "  note: no search ran: pafot_generations is 0 in the settings"
     assert told in project.run(generations=None).outlines
     assert told not in project.run(generations=0).outlines
-
-
-def test_a_session_that_only_replays_says_that_it_continues_no_other(project):
-    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
-    told = "--pafot-resume: no search went on, and nothing was shrunk; --pafot-runs=1 does that, --pafot-generations=0"
-    assert told in " ".join(line.strip() for line in project.run("--pafot-resume=states", generations=0).outlines)
-    assert "--pafot-resume" not in project.run(generations=0).stdout.str()

@@ -149,35 +149,21 @@ def test_process_death_while_shrinking_preserves_the_finding(project):
     result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
 
 
-def test_time_limit_ends_shrinking_until_resumed(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
-    result = run(
-        project, "--pafot-max-time=0", "--pafot-resume=states", "--pafot-json=out.json", "--pafot-report=page.html"
-    )
-    result.assert_outcomes(failed=2)
-    told = "not shrunk: out of time; --pafot-resume goes on"
-    result.stdout.fnmatch_lines([f"note       {told}"])
-    assert [each["unshrunk"] for each in json.loads((project.path / "out.json").read_text())["findings"]] == [told]
-    assert f"new ({told})" in (project.path / "page.html").read_text()
-    assert load(project.only_file).original is None
-    again = run(project, "--pafot-resume=states", "--pafot-json=out.json", "-k", "search")
-    again.stdout.fnmatch_lines(["*shrunk     from *"])
-    assert [each["unshrunk"] for each in json.loads((project.path / "out.json").read_text())["findings"]] == [""]
-    assert load(project.only_file).shrunk.is_minimal
-
-
-def test_finding_cut_again_says_so_despite_replay(project, monkeypatch):
+def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
     def check(turn, now):
         turn.is_over = True
         raise OutOfBudget
 
     monkeypatch.setattr(Turn, "check", check)
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
-    for _ in range(2):
-        result = run(project, "--pafot-resume=states", "--pafot-json=out.json")
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    result = run(project, "--pafot-json=out.json", "--pafot-report=page.html")
+    result.assert_outcomes(failed=2)
+    told = "not shrunk: out of time"
+    result.stdout.fnmatch_lines([f"note       {told}"])
     (finding,) = json.loads((project.path / "out.json").read_text())["findings"]
-    assert finding["unshrunk"] == "not shrunk: out of time; --pafot-resume goes on"
+    assert finding["unshrunk"] == told
+    assert f"new ({told})" in (project.path / "page.html").read_text()
+    assert load(project.only_file).original is None
 
 
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):

@@ -23,7 +23,6 @@ from pytest_pafot.searching.algorithms.av_fuzzer import (
     roulette,
     swapped,
 )
-from pytest_pafot.searching.ask_tell import ResumableSearch
 from pytest_pafot.searching.events import (
     Evaluated,
     GenerationFinished,
@@ -297,10 +296,6 @@ class TestTurns:
     def test_wrong_parameters_are_refused(self, fields, message):
         with pytest.raises(ValueError, match=message):
             AvFuzzerSearch(**fields)
-
-
-def test_av_fuzzer_cannot_go_on_in_a_later_session():
-    assert not issubclass(AvFuzzerSearch, ResumableSearch)
 
 
 def test_av_fuzzer_draws_without_zones_as_it_did_before(make_evaluation):

@@ -109,7 +109,7 @@ def test_generations_that_another_process_has_driven_are_unpacked_when_they_are_
             each for each in here.learn() if isinstance(each, NewBest)
         ][-1:]
     assert there.scenario() == here.scenario()
-    assert there.checkpoint().state == here.checkpoint().state
+    assert there.block.state == here.block.state
 
 
 @pytest.mark.parametrize(("limits", "blocks"), [({"runs": 64}, 0), ({"runs": 65}, 1), ({"generations": 25}, 1)])

@@ -92,7 +92,7 @@ class Simplest:
     Attributes:
         scenario, shrunk: the scenario as driven, and the statistics of shrinking.
         rate: how often the scenario itself fails; None if that is not by chance, or not known yet.
-        attempts: the number of attempts, without those of earlier turns and sessions.
+        attempts: the number of attempts, without those of earlier turns.
         is_cut: True if no time was left for further attempts.
     """
 
@@ -113,7 +113,7 @@ def simplest_of(
     answers = state.answers.setdefault(id_, [])
     asked, rollouts, top_speed = 0, rollouts_for(harness), harness.world.speed_limit
     repeats = _repeats_collision(sighting, harness)
-    # What the ego did in failing scenarios. One that an earlier session has driven is driven again.
+    # What the ego did in failing scenarios. One that an earlier turn has driven is driven again.
     actions = {} if sighting.run is None else {driven(sighting.run): sighting.run.trace.actions}
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
@@ -121,11 +121,9 @@ def simplest_of(
             actions[scenario] = bench.rerun(scenario).trace.actions
         return actions[scenario]
 
-    def answered(ids: tuple[str, ...], work: Refining[Answered]) -> Refining[Answered]:
+    def answered(work: Refining[Answered]) -> Refining[Answered]:
         nonlocal asked
-        # Shrinking asks the same questions in the same order, so an earlier session's answers serve as a prefix.
-        if asked < len(answers) and answers[asked][0] not in ids:
-            del answers[asked:]  # They are from a session with other settings, which made other attempts.
+        # Shrinking asks the same questions in the same order, so the answers of an earlier turn serve as a prefix.
         if asked == len(answers):
             began = bench.clock()
             turn.check(began)
@@ -138,7 +136,6 @@ def simplest_of(
             answers.append(given)
             seconds = 0.0 if shown is None else min(shown[0].seconds, harness.world.longest_run)
             turn.took(bench.clock() - began, None if shown is None else bench.pace * seconds)
-            state.offer(store)
         asked += 1
         return answers[asked - 1]
 
@@ -173,7 +170,7 @@ def simplest_of(
                 try:
                     match question:
                         case Attempt(candidate, best):
-                            _, reply = yield from answered((candidate.id,), attempt(candidate, best))
+                            _, reply = yield from answered(attempt(candidate, best))
                         case Likely(candidate, simplest) if is_likely is not None:
                             reply = is_likely(candidate, simplest)
                         case Ahead() if asked == len(answers):  # What is answered is not run again.

@@ -32,7 +32,7 @@ EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
 or raises an error, ends them for this finding."""
 
 
-def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf, way_on: str = "") -> Refining[None]:
+def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf) -> Refining[None]:
     """Refine the findings in the order of discovery; yield what becomes of them.
 
     First each is shrunk, confirmed and tried with other drivers, in turns. This leaves out findings that cannot be
@@ -42,7 +42,6 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf,
     Args:
         state, bench, store: the parts of the search. What is done is counted in the state, at once.
         until: the time at which all this must end [s].
-        way_on: how the user can go on with a finding that this time cuts, for its remark.
     """
     __tracebackhide__ = True
     bench.refining_end = until
@@ -51,19 +50,18 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf,
     before = bench.decisions
     with bench.runner:
         try:
-            refined = yield from _in_turns(state, bench, store, way_on)
+            refined = yield from _in_turns(state, bench, store)
         finally:
             state.shrink_decisions = bench.decisions - before
         try:
             for sighting in list(store.findings.values()):
                 if sighting.is_firm and sighting.id in refined:
                     yield from _examined(sighting, state, bench, store)
-                    state.refined.add(sighting.id)
         finally:
             state.moment_decisions = bench.decisions - before - state.shrink_decisions
 
 
-def _in_turns(state: State, bench: Bench, store: Store, way_on: str) -> Refining[set[str]]:
+def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
     """Give each finding its turns; return the ids of those for which none is left to do.
 
     Each turn is an equal share of the time that is left. Unused time goes to the next findings, then to findings that
@@ -79,16 +77,15 @@ def _in_turns(state: State, bench: Bench, store: Store, way_on: str) -> Refining
         waiting = [id_ for id_ in round_ if id_ not in done]
     for sighting in [store.findings[id_] for id_ in waiting]:
         cut = "not shrunk: out of time" if sighting.finding.shrunk is None else "shrunk in part: out of time"
-        unshrunk = f"{sighting.unshrunk or cut}{way_on}"
-        yield from store.publish(replace(sighting, unshrunk=unshrunk, is_first=False))
+        yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut, is_first=False))
     return done
 
 
 def _turn(sighting: Sighting, state: State, bench: Bench, store: Store, *, sharing: int) -> Refining[bool]:
     """Simplify a finding in one of ``sharing`` equal shares of the time that is left; return True if it is done.
 
-    If time ends, the finding stays as it is. A later turn or session makes the same attempts to shrink it in the same
-    order, and begins with their answers, which the state stores. So it has the same result.
+    If time ends, the finding stays as it is. A later turn makes the same attempts to shrink it in the same order,
+    and begins with their answers, which the state has. So it has the same result.
     """
     __tracebackhide__ = True
     now = bench.clock()
@@ -127,9 +124,6 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
         return False
     simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
     answers = state.answers[sighting.id]
-    if differs and len(answers) > simplest.attempts:
-        answers.clear()  # Some are from earlier sessions: the ADS may have changed since.
-        return (yield from _simplified(sighting, state, bench, store, turn_ends))
     if differs and simplest.scenario != original:
         # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
         shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)

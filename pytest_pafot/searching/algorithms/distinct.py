@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from numpy.random import Generator
 
@@ -22,7 +22,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState, check_parameters
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.operators import first_crossed, improves, mutate, tournament
-from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.space import sample
 
 SPEED_NICHE = 5.0  # width of a niche in closing speed [m/s]
@@ -91,14 +90,6 @@ class DistinctSearch(GenerationalSearch[DistinctState]):
     def start(self, rng: Generator) -> DistinctState:
         """Return the state before the first generation, without using a random number."""
         return DistinctState()
-
-    def stored(self, state: DistinctState) -> Any:
-        """Return the state as plain data, without random numbers: these follow from the seed and the generation."""
-        return plain(state)
-
-    def restored(self, data: Any) -> DistinctState:
-        """Return the state from the data of :meth:`stored`."""
-        return from_plain(DistinctState, data)
 
     def propose(self, state: DistinctState, rng: Generator) -> tuple[DistinctState, Iterable[Scenario]]:
         """Propose ``random_runs`` random scenarios, and more while there is no parent.

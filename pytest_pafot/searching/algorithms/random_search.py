@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from numpy.random import Generator
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
-from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.searching.space import sample, sample_manoeuvres
 
 
@@ -30,14 +29,6 @@ class RandomSearch(GenerationalSearch[GenerationState]):
     def start(self, rng: Generator) -> GenerationState:
         """Return the state before the first generation, without using a random number."""
         return GenerationState()
-
-    def stored(self, state: GenerationState) -> Any:
-        """Return the state as plain data, without random numbers: these follow from the seed and the generation."""
-        return plain(state)
-
-    def restored(self, data: Any) -> GenerationState:
-        """Return the state from the data of :meth:`stored`."""
-        return from_plain(GenerationState, data)
 
     def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
         """Propose a generation of random scenarios."""
