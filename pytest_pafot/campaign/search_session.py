@@ -510,8 +510,7 @@ class SearchSession:
 
     def _summary(self, reason: Ending) -> SearchSummary:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
-        is_cut = reason is Ending.MAX_TIME
-        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * is_cut
+        cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
         notes = (
             state.doubt,
             self._excused_late,

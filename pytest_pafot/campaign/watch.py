@@ -154,16 +154,15 @@ class TimedWatch(Watch):
             return
         self._reported_at = now
         settings = self.bench.harness.request.settings
-        budget, generations = settings.runs, settings.generations
         run_seconds = self._run_seconds
-        runs_left = 0 if budget is None else budget - state.runs
+        runs_left = 0 if settings.runs is None else settings.runs - state.runs
         decisions = self.bench.decisions
         yield Progress(
             node_id=self.node_id,
-            generation=min(state.generation + 1, generations or state.generation + 1),
-            generations=generations,
+            generation=min(state.generation + 1, settings.generations or state.generation + 1),
+            generations=settings.generations,
             runs=state.runs,
-            budget=budget,
+            budget=settings.runs,
             failing=state.counts.kinds["failed"],
             finds=self.store.count,
             seconds=state.seconds,

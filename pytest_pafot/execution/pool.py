@@ -439,7 +439,7 @@ class _Worker(Generic[TaskT]):
         arguments = (work, end, inherited, self._beats, self.gave_up, grace, idle, leave, patience)
         # A daemon, so that a worker of a cluster that ends kills it and does not wait for it.
         self.process = context.Process(target=_serve, args=arguments, name="pafot-worker", daemon=True)
-        with warnings.catch_warnings(), _no_interrupts(context.get_start_method()):
+        with warnings.catch_warnings(), _blocked({signal.SIGINT}, context.get_start_method()):
             # Python warns about any thread. This module has none, and those of numerical libraries are documented.
             warnings.filterwarnings("ignore", message=".*multi-threaded.*fork", category=DeprecationWarning)
             self.process.start()
@@ -569,7 +569,9 @@ def _end_with_session(patience: float | None) -> None:
     if patience is None and bound_to(session.pid, signal.SIGKILL):
         os.register_at_fork(after_in_child=bind_child)
     else:
-        threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
+        # A signal that this thread took would not wake the main thread, which waits or sleeps.
+        with _blocked(signal.valid_signals()):
+            threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
 
 
 def _serve(
@@ -656,14 +658,14 @@ def _serve(
 
 
 @contextmanager
-def _no_interrupts(method: str) -> Iterator[None]:
-    """Block SIGINT while a process starts, because an interrupt could end that process before it has a handler."""
+def _blocked(signals: set[signal.Signals], method: str = "") -> Iterator[None]:
+    """Block signals while a thread starts, or a process, which an interrupt could end before it has a handler."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     if method == "spawn":
         resource_tracker.ensure_running()  # It unblocks SIGINT when it starts.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
     finally:
