@@ -475,7 +475,7 @@ class SearchSession:
         watch.begin(until)
         runs_before = state.runs
         try:
-            plan = state.plan = plan_of(
+            plan = plan_of(
                 algorithm,
                 generations=settings.generations,
                 runs=settings.runs,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Judged, SearchEvent
@@ -22,7 +21,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import events
 from pytest_pafot.searching.health import Health
-from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.text import plural
@@ -107,7 +105,6 @@ class State:
     counted: Health = field(default_factory=Health)  # health of the evaluations that were counted
 
     space: SearchSpace | None = field(init=False, default=None)  # None for replays only
-    plan: Plan[Any] | None = field(init=False, default=None)  # None before the first run
     clock: Callable[[], float] = field(init=False, default=monotonic)  # returns the seconds since some moment
     began: float = field(init=False, default=0.0)  # the time at which this session began [s]
     shown: Mapping[Signature, str] = field(init=False, default_factory=dict)  # ids of saved scenarios by their failure

@@ -65,8 +65,9 @@ class Collection:
         call, is_given = call_of(config), config.args_source is pytest.Config.ArgsSource.ARGS
         is_listed = any(arg.startswith("@") for arg in call)  # in a file, which pytest has read
         config.stash[GIVEN] = [arg for arg in config.args if is_given and (is_listed or arg in call)]
-        if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR and Path.cwd() != config.rootpath:
-            config.stash[GIVEN] = [str(Path.cwd())]  # pytest collects only what is in the folder of the call
+        here = config.invocation_params.dir
+        if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR and here != config.rootpath:
+            config.stash[GIVEN] = [str(here)]  # pytest collects only what is in the folder of the call
         self._given_files, self._modules_for_them = accept_files(config)
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}

@@ -68,7 +68,7 @@ class SummaryLines:
 
 
 class Inventory(NamedTuple):
-    """What a process has collected, as texts, which a worker of pytest-xdist can send to its controller."""
+    """The items and files that a process has collected, as texts that pytest-xdist can send to the controller."""
 
     driven: set[str]  # node ids of the items to run that drive policies
     corpora: set[str]  # the corpora of the collected tests
