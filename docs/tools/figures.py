@@ -48,14 +48,12 @@ REPORTS = {
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
 BENCHMARKS: Mapping[str, str] = {
-    "planted-defects": "planted_defects --half set-aside --arms default random cells random-cells lanes --seeds {20|1} "
+    "planted-defects": "planted_defects --arms default random cells random-cells lanes --seeds {20|1} "
     "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
     "margins": "margins --seeds {40|1} --runs {240|12} --workers WORKERS",
     "margins-of-others": "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} "
     "--workers WORKERS",
-    "distinctness": "distinctness --seeds {10|1} --runs {400|30} --workers WORKERS",
     "speed": "speed --rounds {9|1} --parts {engines ads search start memory|start}",
-    "negative-control": "negative_control --seeds {10|1} --runs {400|8} --workers WORKERS",
 }
 """Arguments of the programs in tests/benchmarks."""
 

@@ -1,8 +1,7 @@
-"""How soon does a search find a planted rare defect? Survival curves of 40 policies with one defect each.
+"""How soon does a search find a planted rare defect? Survival curves of 20 policies with one defect each.
 
-    python -m tests.benchmarks.planted_defects [--half tuning] [--policies NAME ...] [--arms NAME ...]
-        [--seeds 20] [--first-seed 0] [--runs 2000] [--seconds 600] [--workers 2]
-        [--save FILE] [--load FILE ...] [--picture FILE]
+    python -m tests.benchmarks.planted_defects [--policies NAME ...] [--arms NAME ...] [--seeds 20] [--first-seed 0]
+        [--runs 2000] [--seconds 600] [--workers 2] [--save FILE] [--picture FILE]
 
 Each policy of ``tests.benchmarks.planted`` has a twin, which is the same without the defect. A search with
 ``blame="ego"`` ends at the first failure in whose scenario the twin does not fail by its own fault. Failures that the
@@ -10,7 +9,7 @@ twin shares are counted, and the search continues. It is censored after a number
 The twin's runs and time do not count.
 
 ``--save`` appends each search to a file of JSON lines as soon as it ends. Searches that are already in the file are not
-repeated, so the same command continues after an interruption. ``--load`` evaluates such files, and searches nothing.
+repeated, so the same command continues after an interruption.
 ``--picture`` draws the survival curves of all defects together into a file, and those of each defect into a second
 file, whose name ends in ``-of-each``.
 
@@ -39,21 +38,18 @@ from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
-from pytest_pafot.searching import PafotSearch, RandomSearch
+from pytest_pafot.searching import RandomSearch
 from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of
-from tests.benchmarks.planted import PLANTED, SET_ASIDE, TUNING, Planted
+from tests.benchmarks.planted import PLANTED
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
 
-HALVES: Mapping[str, Sequence[str]] = {"tuning": TUNING, "set-aside": SET_ASIDE}
 DEFAULT = "default"
 ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
     "random": {"algorithm": RandomSearch},
-    "pafot": {"algorithm": PafotSearch},
     "cells": {"instructions": "cells"},
     "lanes": {"instructions": "lanes"},
     "random-cells": {"algorithm": RandomSearch, "instructions": "cells"},
-    "cars": {"vehicles": "car"},
 }
 """Further arguments of ``pafot.explore`` for each search; to add a search, add a line."""
 
@@ -85,11 +81,9 @@ class EndedError(Exception):
     """The signal that the search has found the defect, or has no budget left."""
 
 
-def searched(
-    policy: str, arm: str, seed: int, runs: int, seconds: float, planted: Planted | None = None, world: Any = None
-) -> Searched:
-    """Search until the defect of a policy is found or the budget is used; by default, one of PLANTED."""
-    planted, world = planted or PLANTED[policy], world or pafot.Highway()
+def searched(policy: str, arm: str, seed: int, runs: int, seconds: float) -> Searched:
+    """Search until the defect of a policy is found or the budget is used."""
+    planted, world = PLANTED[policy], pafot.Highway()
     twin = planted.twin()
     began = spent = simulated = 0.0
     count = shared = 0
@@ -124,10 +118,9 @@ def searched(
     return Searched(policy, arm, seed, found, count, simulated, spent, shared)
 
 
-def loaded(paths: Iterable[str]) -> list[Searched]:
-    """Return the searches in files of JSON lines; for repeated ones, the last."""
-    lines = [json.loads(line) for path in paths for line in Path(path).read_text(encoding="utf-8").splitlines()]
-    return list({(line["policy"], line["arm"], line["seed"]): Searched(**line) for line in lines}.values())
+def loaded(path: str) -> list[Searched]:
+    """Return the searches in a file of JSON lines."""
+    return [Searched(**json.loads(line)) for line in Path(path).read_text(encoding="utf-8").splitlines()]
 
 
 def saved(searches: Iterable[Searched], path: str) -> Iterator[Searched]:
@@ -143,16 +136,17 @@ def sample(group: Group, measure: str) -> Sample:
     return Sample.of([MEASURES[measure](each) for each in group], [each.found for each in group])
 
 
-def overall_rows(half: str, by_arm: Mapping[str, Group]) -> Iterator[str]:
-    """Yield the lines about all defects of a half together; each search is one observation."""
+def overall_rows(by_arm: Mapping[str, Group]) -> Iterator[str]:
+    """Yield the lines about all defects together; each search is one observation."""
     for measure in MEASURES:
         curves = {arm: sample(group, measure).curve for arm, group in by_arm.items()}
         limit = common_limit(list(curves.values()))
         for arm, group in by_arm.items():
             found = f"{sum(each.found for each in group)} of {len(group)}"
             shared = f"{sum(each.shared for each in group) / len(group):.2f}"
-            cells = [half, arm, found, shared, measure, with_interval(curves[arm].median, *curves[arm].median_interval)]
-            cells += [f"{number(curves[arm].mean(limit))} (to {number(limit)})"]
+            median = with_interval(curves[arm].median, *curves[arm].median_interval)
+            mean = f"{number(curves[arm].mean(limit))} (to {number(limit)})"
+            cells = ["set-aside", arm, found, shared, measure, median, mean]
             for figure in (lambda each: each.median, lambda each, limit=limit: each.mean(limit)):
                 cells += [ratio_to_default(figure, by_arm, arm, measure)]
             yield f"| {' | '.join(cells)} |"
@@ -198,17 +192,15 @@ def number(value: float) -> str:
     return f"{value:.0f}" if 100 <= value < math.inf else f"{value:.3g}" if math.isfinite(value) else "-"
 
 
-def draw(path: str, halves: Mapping[str, Mapping[str, Group]], policies: Mapping[str, Mapping[str, Group]]) -> None:
-    """Draw all defects of a half together, by runs and by wall clock, and each defect by runs into a second file."""
+def draw(path: str, overall: Mapping[str, Group], policies: Mapping[str, Mapping[str, Group]]) -> None:
+    """Draw all defects together, by runs and by wall clock, and each defect by runs into a second file."""
     with mpl.rc_context(SETTINGS):
-        figure = Figure(figsize=(8.4, 3.4 * len(halves)), layout="constrained")
-        panels = figure.subplots(len(halves), 2, squeeze=False)
-        for row, (half, by_arm) in zip(panels, halves.items(), strict=True):
-            for axes, measure in zip(row, ("runs", "wall clock [s]"), strict=True):
-                draw_curves(axes, by_arm, measure)
-                axes.set(xlabel=measure, ylabel="not found yet [%]")
-                axes.set_title(f"{half} defects; band: 95 %", fontsize=9, loc="left")
-            row[0].legend(loc="lower left")
+        figure = Figure(figsize=(8.4, 3.4), layout="constrained")
+        for axes, measure in zip(panels := figure.subplots(1, 2), ("runs", "wall clock [s]"), strict=True):
+            draw_curves(axes, overall, measure)
+            axes.set(xlabel=measure, ylabel="not found yet [%]")
+            axes.set_title("all defects; band: 95 %", fontsize=9, loc="left")
+        panels[0].legend(loc="lower left")
         figure.savefig(path, dpi=160)
 
         columns = min(5, len(policies))
@@ -223,12 +215,7 @@ def draw(path: str, halves: Mapping[str, Mapping[str, Group]], policies: Mapping
         figure.supxlabel("runs", fontsize=9.5)
         figure.supylabel("not found yet [%]", fontsize=9.5)
         figure.legend(*places[0].get_legend_handles_labels(), loc="outside upper right", ncols=len(ARMS))
-        figure.savefig(of_each(path), dpi=160)
-
-
-def of_each(path: str) -> Path:
-    """Return the path of the picture of each defect."""
-    return Path(path).with_stem(f"{Path(path).stem}-of-each")
+        figure.savefig(Path(path).with_stem(f"{Path(path).stem}-of-each"), dpi=160)
 
 
 def draw_curves(axes: Axes, by_arm: Mapping[str, Group], measure: str) -> None:
@@ -253,31 +240,28 @@ def grouped(searches: Iterable[Searched], policies: Sequence[str], arms: Sequenc
 
 def main() -> None:
     given = options(
-        __doc__, half=HALVES, policies=PLANTED, arms=ARMS, seeds=20, first_seed=0, runs=2000, seconds=600.0, workers=2,
-        save="", load=[], picture="",
+        __doc__, policies=PLANTED, arms=ARMS, seeds=20, first_seed=0, runs=2000, seconds=600.0, workers=2, save="",
+        picture="",
     )  # fmt: skip
-    halves = {half: [name for name in HALVES[half] if name in given.policies] for half in given.half}
-    names = [name for policies in halves.values() for name in policies]
-    done = loaded(given.load or ([given.save] if given.save and Path(given.save).exists() else []))
-    if not given.load:
-        # Seeds come first, so that an interrupted run has equally many searches of each defect by each arm.
-        tasks = [(policy, arm, seed) for seed, policy, arm in product(seeds_of(given), names, given.arms)]
-        known = {(each.policy, each.arm, each.seed) for each in done}
-        missing = [(*task, given.runs, given.seconds) for task in tasks if task not in known]
-        new = as_they_end(given.workers, searched, missing)
-        done += saved(new, given.save) if given.save else new
+    done = loaded(given.save) if given.save and Path(given.save).exists() else []
+    # Seeds come first, so that an interrupted run has equally many searches of each defect by each arm.
+    tasks = [(policy, arm, seed) for seed, policy, arm in product(seeds_of(given), given.policies, given.arms)]
+    known = {(each.policy, each.arm, each.seed) for each in done}
+    new = as_they_end(
+        given.workers, searched, [(*task, given.runs, given.seconds) for task in tasks if task not in known]
+    )
+    done += saved(new, given.save) if given.save else new
     arms = [arm for arm in given.arms if any(each.arm == arm for each in done)]
-    of_halves = {half: group for half, policies in halves.items() if (group := grouped(done, policies, arms))}
-    of_policies = {name: group for name in names if (group := grouped(done, [name], arms))}
+    overall = grouped(done, given.policies, arms)
+    of_policies = {name: group for name in given.policies if (group := grouped(done, [name], arms))}
     print_head("defects", "search", "found", "failures of the twin, too", "until found", *FIGURES)
-    for half, group in of_halves.items():
-        print("\n".join(overall_rows(half, group)), flush=True)
+    print("\n".join(overall_rows(overall)), flush=True)
     print()
     print_head("defect", "kind", "conditions", *(f"{arm}, median of runs; found" for arm in arms))
     for name, group in of_policies.items():
         print(row_of(name, group, arms))
     if given.picture:
-        draw(given.picture, of_halves, of_policies)
+        draw(given.picture, overall, of_policies)
 
 
 if __name__ == "__main__":

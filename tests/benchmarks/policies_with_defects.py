@@ -336,26 +336,10 @@ class FirstLaneOnly:
         return super().free(o, k, seen)
 
 
-class Nudges:
-    """Makes room for a vehicle alongside by 2.3 m to the other side, even if a vehicle is there."""
-
-    def goal(self, o, seen):
-        y = super().goal(o, seen)
-        if not self.bad("nudge-unchecked") or self.old is not None:
-            return y
-        for s in seen:
-            if abs(s.x - o.ego.x) < 7 and 1.5 < abs(s.y - y) < 4.6:
-                self.nudge = (o.time + 3.0, -2.3 if s.y > y else 2.3)
-                break
-        until, by = getattr(self, "nudge", (-1, 0))
-        return clip(y + by, 0, (o.lanes - 1) * o.lane_width) if o.time < until else y
-
-
 MADE_OF: dict[str, tuple[tuple[type, ...], tuple[str, ...]]] = {
     "OneSpeedNear": ((SpeedNearOnly, GippsBased), ("speed-near-only",)),
     "OneResumes": ((ResumesUnasked, IdmBased), ("resumes-unasked",)),
     "OneCentred": ((CentredOnly, Planner), ("cut-in-centred-only",)),
-    "OneNudge": ((Nudges, IdmBased), ("nudge-unchecked",)),
 }
 """The classes of each policy, and its defects."""
 POLICIES: dict[str, tuple[type, tuple[str, ...]]] = {

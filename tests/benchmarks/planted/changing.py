@@ -44,53 +44,10 @@ class Changer(Driver):
         return c.gap > 14 + 1.3 * max(c.v, v) + 4 * closing + closing * closing / 6
 
 
-class RearRange(Changer):
-    """The radar to the rear ends at 45 m, so the ego moves in ahead of a much faster vehicle that is farther behind."""
-
-    RANGE = 45.0
-
-    def concerns(self, o, c, k):
-        return (self.repaired or c.dx > -self.RANGE) and super().concerns(o, c, k)
-
-
-class PermissionKept(Changer):
-    """A gap is checked when the indicator goes on, but not again when the lane change begins two seconds later. A
-    vehicle that has entered the gap is missed.
-    """
-
-    INDICATES, VALID = 2.0, 8.0  # before it moves; until it checks again [s]
-
-    def begin(self):
-        self.permitted, self.since = None, -math.inf
-
-    def clear(self, o, cars, k):
-        known = k == self.permitted and o.time < self.since + self.VALID
-        is_clear = super().clear(o, cars, k) if self.repaired or not known else True
-        if self.old is not None:
-            return is_clear
-        if not is_clear:
-            self.permitted = None
-        elif not known:
-            self.permitted, self.since = k, o.time
-        return is_clear and o.time >= self.since + self.INDICATES
-
-
 class SecondLane(FirstLaneOnly, GippsBased):
     """If the lane after the next is no slower, the ego crosses both at once but has only checked the first."""
 
     DEFECTS = ("second-lane-unchecked",)
-
-
-class LeavingIsGone(Changer):
-    """A vehicle that leaves the wanted lane counts as gone, even if it comes into the ego's lane next to the ego."""
-
-    SIDEWAYS, NEAR = 0.3, 20.0
-
-    def concerns(self, o, c, k):
-        leaves = (c.y - k * WIDE) * c.w > 0 and abs(c.w) > self.SIDEWAYS and c.gap < self.NEAR
-        if leaves and not self.repaired:
-            return False
-        return super().concerns(o, c, k)
 
 
 class OutOfQueue(Changer):
@@ -122,9 +79,6 @@ class OutOfQueue(Changer):
 PLANTED = listed(
     "changing",
     {
-        "rear-range": (RearRange, 1),
-        "permission-kept": (PermissionKept, 2),
-        "leaving-is-gone": (LeavingIsGone, 3),
         "out-of-queue": (OutOfQueue, 3),
     },
 ) | {

@@ -25,26 +25,6 @@ class Keeper(Driver):
         return min(a, -1.25 * needed) if needed > 1.8 else a
 
 
-class TrackAgeWraps(Keeper):
-    """The age of a track, in radar cycles of 0.2 s, is stored in eight bits. A vehicle that has been ahead for 25 s
-    becomes unconfirmed, and the ego does not brake for it.
-    """
-
-    CYCLE = 0.2
-
-    def begin(self):
-        self.since = {}
-
-    def leaders(self, o, cars):
-        leaders = super().leaders(o, cars)
-        self.since = {c.i: self.since.get(c.i, o.time) if c.v > 1.0 else o.time for c in leaders}
-        return [c for c in leaders if self.age(o.time - self.since[c.i]) >= 0]
-
-    def age(self, seconds):
-        cycles = int(seconds / self.CYCLE)
-        return cycles if self.repaired else (cycles + 128) % 256 - 128
-
-
 class HandOver(Keeper):
     """Below 8 m/s a different controller takes over, which builds its braking up from 0, not from the present value."""
 
@@ -80,52 +60,10 @@ class Clutter(Keeper):
         return leaders if self.repaired else [c for c in leaders if c.i in self.moving]
 
 
-class SpeedsByRank(Keeper):
-    """The speeds of leaders are smoothed by rank, nearest first. A slow vehicle that becomes the nearest has its
-    predecessor's speed for some seconds.
-    """
-
-    TAU = 1.0
-
-    def begin(self):
-        self.smooth = {}
-
-    def leaders(self, o, cars):
-        leaders = sorted(super().leaders(o, cars), key=lambda c: c.dx)
-        smooth, self.smooth, share = self.smooth, {}, self.dt / (self.TAU + self.dt)
-        for rank, c in enumerate(leaders):
-            key = c.i if self.repaired else rank
-            before = smooth.get(key, c.v)
-            self.smooth[key] = c.v = before + (c.v - before) * share
-        return leaders
-
-
-class RearGuard(Keeper):
-    """A guard against rear-end collisions limits braking to 1.5 m/s^2 for two seconds after a vehicle behind has closed
-    in, however hard the vehicle ahead brakes.
-    """
-
-    NEAR, CLOSING, GENTLE, HOLD = 9.0, 0.5, -1.5, 2.0
-
-    def begin(self):
-        self.until = -1.0
-
-    def along(self, o, cars):
-        a, e = super().along(o, cars), o.ego
-        if any(c.dx < 0 and c.gap < self.NEAR and abs(c.y - e.y) < 1.5 and c.v > e.speed + self.CLOSING for c in cars):
-            self.until = o.time + self.HOLD
-        if o.time < self.until and (not self.repaired or a > -2.5):  # in an emergency, the vehicle ahead takes priority
-            a = max(a, self.GENTLE)
-        return a
-
-
 PLANTED = listed(
     "keeping",
     {
-        "track-age-wraps": (TrackAgeWraps, 1),
         "hand-over-from-nothing": (HandOver, 1),
         "standing-is-clutter": (Clutter, 2),
-        "speeds-by-rank": (SpeedsByRank, 2),
-        "rear-guard-releases": (RearGuard, 3),
     },
 )

@@ -1,4 +1,4 @@
-"""Learned policies: small networks that ``fit.py`` fitted to a sound driver's actions, some with a hole in the data.
+"""Learned policies: small networks, fitted to a sound driver's actions, some with a hole in the data.
 
 One network gives the acceleration behind each vehicle in the way, and the lowest acceleration counts. The other says
 how much room a gap behind in the next lane leaves. ``weights.npz`` has both as learned from sound data, and one more
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.planted.policy import Driver, braking_needed, clip, listed
+from tests.benchmarks.planted.policy import Driver, clip, listed
 
 WEIGHTS = Path(__file__).with_name("weights.npz")
 FOLLOW_SCALE = np.array([15.0, 20.0, 8.0, 4.0, 1.0, 1.0])
@@ -22,19 +22,6 @@ the first seconds after an own lane change.
 GATE_SCALE = np.array([15.0, 15.0, 30.0, 1.0])
 """Scales of own speed, speed of the vehicle behind, gap, and 1 for the rightmost lane."""
 FAR = 70.0  # the largest gap in the networks' data [m]
-
-
-def followed(v, c):
-    """Return the sound driver's acceleration behind a vehicle [m/s^2]."""
-    a = clip(0.25 * (c.gap - 4.5 - 1.8 * v) + 0.9 * (c.v - v), -4.0, 2.0)
-    needed = braking_needed(v, c)
-    return max(min(a, -1.3 * needed) if needed > 1.5 else a, -8.0)
-
-
-def spare(v, f, gap):
-    """Return the excess of a gap behind over the needed one [m]; v is the own speed and f the other's."""
-    closing = max(f + 1.0 - v, 0.0)
-    return gap - 15.0 - 1.3 * max(f, v) - 4.0 * closing - closing * closing / 6
 
 
 @cache
@@ -96,28 +83,12 @@ class StandersUnlabelled(Learned):
     FOLLOW = "standers"
 
 
-class OffCentreUnanswered(Learned):
-    """In the data, the driver was passing every vehicle that was off the middle of the lane and slower by more than 3
-    m/s. So the ego does not answer a slower vehicle before it is in the middle.
-    """
-
-    FOLLOW = "off-centre"
-
-
 class GentleWhenSlow(Learned):
     """The data for less than 6 m/s came from a traffic jam, in which no vehicle ever braked harder than 1 m/s^2. So the
     ego answers too weakly if a vehicle brakes hard there, or comes in near.
     """
 
     FOLLOW = "gentle"
-
-
-class FreshLane(Learned):
-    """In the data, no vehicle ahead was near or braked in the first seconds after a lane change. So the ego then does
-    not answer a near vehicle that brakes.
-    """
-
-    FOLLOW = "fresh"
 
 
 class GateOnTheRight(Learned):
@@ -130,9 +101,7 @@ PLANTED = listed(
     "learned",
     {
         "standers-unlabelled": (StandersUnlabelled, 1),
-        "off-centre-unanswered": (OffCentreUnanswered, 2),
         "gentle-when-slow": (GentleWhenSlow, 2),
-        "fresh-lane-unanswered": (FreshLane, 3),
         "gate-on-the-right": (GateOnTheRight, 3),
     },
 )

@@ -54,26 +54,6 @@ class Overtaker(Driver):
         return c.gap > 15 + 1.3 * max(c.v, v) + 4 * closing + closing * closing / 6
 
 
-class TableFull(Overtaker):
-    """The list of objects has places for five vehicles within 60 m. While it is full, a vehicle that comes within range
-    is not added; only the parking sensors see it within 6 m.
-    """
-
-    PLACES, RANGE, PARKING = 5, 60.0, 6.0
-
-    def begin(self):
-        self.known = []
-
-    def look(self, o):
-        cars = super().look(o)
-        near = [c.i for c in sorted(cars, key=lambda c: c.gap) if c.gap < self.RANGE]
-        self.known = [i for i in self.known if i in near]
-        self.known += [i for i in near if i not in self.known][: max(self.PLACES - len(self.known), 0)]
-        if self.repaired:
-            return cars
-        return [c for c in cars if not self.PARKING < c.gap < self.RANGE or c.i in self.known]
-
-
 class StillPassed(Overtaker):
     """When an overtaking lane change begins, the vehicle that is overtaken is marked as passed. If the change is given
     up, the mark stays, and the ego does not brake for that vehicle in its own lane.
@@ -96,54 +76,6 @@ class StillPassed(Overtaker):
         if self.old is not None:
             return leaders
         return [c for c in leaders if c.i != self.passed]
-
-
-class Patience(Overtaker):
-    """Each second of waiting for a gap makes the driver content with one that is shorter by a fifth. Nothing limits
-    this, so after a long wait any gap is enough.
-    """
-
-    FACTOR, LEAST = 0.8, 0.85  # in a second, at least
-
-    def begin(self):
-        self.share = 1.0
-
-    def lanes(self, o, cars):
-        old = self.old
-        super().lanes(o, cars)
-        if old is not None and self.old is None:
-            self.share = 1.0
-
-    def clear(self, o, cars, k):
-        is_clear = super().clear(o, cars, k)
-        if not is_clear and self.old is None:
-            self.share = max(self.share * self.FACTOR**self.dt, self.LEAST if self.repaired else 0.0)
-        return is_clear
-
-    def room(self, v, c):
-        gap, c.gap = c.gap, c.gap / self.share
-        enough = super().room(v, c)
-        c.gap = gap
-        return enough
-
-
-class WaitsForBlocker(Overtaker):
-    """After it has given up a lane change because of a vehicle, the driver waits until that one has gone, and then
-    changes into that lane without a look at the others.
-    """
-
-    FORGETS = 40.0  # [s]
-
-    def begin(self):
-        self.blocker, self.into, self.since = None, None, -math.inf
-
-    def clear(self, o, cars, k):
-        blocking = [c for c in cars if self.concerns(o, c, k) and not self.room(o.ego.speed, c)]
-        if k == self.into and o.time < self.since + self.FORGETS and not self.repaired:
-            return all(c.i != self.blocker for c in blocking)
-        if self.old is not None and blocking:
-            self.blocker, self.into, self.since = min(blocking, key=lambda c: c.gap).i, k, o.time
-        return not blocking
 
 
 class RememberedSpeed(Overtaker):
@@ -173,10 +105,7 @@ class RememberedSpeed(Overtaker):
 PLANTED = listed(
     "merging",
     {
-        "table-full": (TableFull, 1),
         "still-passed": (StillPassed, 2),
-        "patience-without-end": (Patience, 2),
-        "waits-for-blocker": (WaitsForBlocker, 3),
         "remembered-speed": (RememberedSpeed, 3),
     },
 )

@@ -125,65 +125,11 @@ class FlickerHeld(Predictor):
         return leaders if self.repaired else [c for c in leaders if o.time >= self.held.get(c.i, 0.0)]
 
 
-class OneCutIn(Predictor):
-    """There is a place for one vehicle that cuts in, which is kept until that vehicle has been in the lane for five
-    seconds. A second one that cuts in meanwhile has no place and is not followed.
-    """
-
-    SETTLES = 5.0
-
-    def begin(self):
-        self.first, self.until, self.others, self.known = None, 0.0, set(), set()
-
-    def leaders(self, o, cars):
-        leaders = super().leaders(o, cars)
-        present = {c.i for c in leaders}
-        if self.first is not None and (self.first not in present or o.time >= self.until):
-            self.first, self.others = None, set()
-        for c in sorted(leaders, key=lambda c: c.dx):
-            if c.i in self.known or o.time == 0.0:
-                continue
-            if abs(c.y - self.lane * WIDE) > 1.0:  # it comes from the side
-                if self.first is None:
-                    self.first, self.until = c.i, o.time + self.SETTLES
-                else:
-                    self.others.add(c.i)
-        self.known = present
-        return leaders if self.repaired else [c for c in leaders if c.i not in self.others]
-
-
-class LeavesAhead(Predictor):
-    """When the vehicle ahead leaves the lane, the ego expects the next one to be as fast as that, for five seconds. So
-    it does not brake for a slow vehicle that comes into view.
-    """
-
-    SECONDS, NEAR, SIDEWAYS = 5.0, 60.0, 0.3
-
-    def begin(self):
-        self.until, self.speed, self.gone = -1.0, 0.0, None
-
-    def leaders(self, o, cars):
-        leaders, lane = sorted(super().leaders(o, cars), key=lambda c: c.dx), self.lane * WIDE
-        if leaders:
-            first = leaders[0]
-            leaves = (first.y - lane) * first.w > 0 and abs(first.w) > self.SIDEWAYS and abs(first.y - lane) > 0.5
-            if leaves and first.gap < self.NEAR and first.v > 8.0:
-                self.until, self.speed, self.gone = o.time + self.SECONDS, first.v, first.i
-        if o.time >= self.until or self.repaired:
-            return leaders
-        for c in leaders:
-            if c.i != self.gone:
-                c.v, c.a = max(c.v, self.speed), 0.0
-        return leaders
-
-
 PLANTED = listed(
     "predicting",
     {
         "lower-root": (LowerRoot, 1),
         "outlier-gate": (OutlierGate, 1),
         "flicker-held": (FlickerHeld, 2),
-        "one-cut-in": (OneCutIn, 2),
-        "leaves-ahead": (LeavesAhead, 3),
     },
 )

@@ -5,13 +5,51 @@ from __future__ import annotations
 import math
 
 from tests.benchmarks.planted.policy import WIDE, Driver, listed
-from tests.benchmarks.policies_with_defects_2 import Lattice
 
 
-class Sampler(Driver, Lattice):
+class Sampler(Driver):
     """The sound planner: it checks both its accelerations and its lane changes at sampled times."""
 
     ENDS = (0.0, 1.5, 3.0, 4.5)  # the checked times of a lane change
+    TIMES = (1.0, 2.0, 3.0, 4.0)
+    CHOICES = (-8.0, -6.0, -4.5, -3.0, -2.0, -1.0, 0.0, 1.0, 1.8)
+    PULL, DRIFT = 0.4, 1.2
+
+    @staticmethod
+    def moved(v, a, t):
+        """Return the distance, and the speed after it."""
+        if v + a * t < 0:
+            return v * v / (-2 * a), 0.0
+        return v * t + a * t * t / 2, v + a * t
+
+    def course(self, c):
+        a = c.a if c.a < -1 else 0.0
+        return [(c.dx + d, f) for d, f in (self.moved(max(c.v, 0.0), a, t) for t in self.TIMES)]
+
+    def price(self, o, a, courses):
+        v, cost = o.ego.speed, 0.0
+        for t, *there in zip(self.TIMES, *courses, strict=True):
+            d, u = self.moved(v, a, t)
+            for x, f in there:
+                lack = 5 + 2.5 + 0.8 * u + max(u * u - f * f, 0.0) / 13 - (x - d)
+                if lack > 0:
+                    cost += lack
+        return cost + 0.3 * abs(a) + 0.8 * abs(self.SHARE * o.speed_limit - max(v + 2 * a, 0.0))
+
+    def along(self, o, cars):
+        courses = [self.course(c) for c in self.ahead(o, cars) if c.gap < 130]
+        if not courses:
+            return self.cruise(o)
+        return min(self.cruise(o), min(self.CHOICES, key=lambda a: self.price(o, a, courses)))
+
+    def options(self, o, cars):
+        """Return the lane with the most room ahead."""
+        rooms = {}
+        for k in (self.lane, self.lane - 1, self.lane + 1):
+            if 0 <= k < o.lanes:
+                here = [c.gap + 2 * (c.v - o.ego.speed) for c in cars if c.dx > 0 and abs(c.y - k * WIDE) < 2.2]
+                rooms[k] = min([*here, 100.0])
+        return [k for k in sorted(rooms, key=rooms.get, reverse=True) if rooms[k] > rooms[self.lane] + 15]
 
     def clear(self, o, cars, k):
         return all(self.fits(o.ego.speed, c) for c in cars if self.inside(c, k))
@@ -28,24 +66,12 @@ class Sampler(Driver, Lattice):
         return 9 + 1.2 * v + 0.05 * max(v - c.v, 0.0) ** 2 if c.dx > 0 else 3 + t * (2.5 + 0.27 * max(v, c.v))
 
 
-class OnlyEnds(Sampler):
-    """A lane change is checked at its beginning and its end, so a vehicle that passes in between is missed."""
-
-    def fits(self, v, c):
-        if self.repaired:
-            return super().fits(v, c)
-        end = c.dx + (c.v - v) * self.ENDS[-1]
-        if c.dx < 0 < end:
-            return c.gap >= self.margin(v, c, 0.0) and end - 5 >= 10 + 2.5 * v
-        return super().fits(v, c)
-
-
 class NoneFeasible(Sampler):
     """If each candidate is predicted to touch a vehicle, all are equally bad and the first one in the list is taken,
     which speeds up.
     """
 
-    CHOICES = tuple(reversed(Lattice.CHOICES))
+    CHOICES = tuple(reversed(Sampler.CHOICES))
 
     def price(self, o, a, courses):
         touched = 0.0
@@ -55,35 +81,6 @@ class NoneFeasible(Sampler):
         if touched > 0 and not self.repaired:
             return math.inf
         return super().price(o, a, courses) + 10 * touched
-
-
-class NotANumber(Sampler):
-    """If the ego stands behind a standing vehicle, the first candidate's cost is not a number. No other compares as
-    lower, so the ego creeps on.
-    """
-
-    CHOICES = (0.6, *Lattice.CHOICES)
-
-    def price(self, o, a, courses):
-        price = super().price(o, a, courses)
-        v, f = o.ego.speed, min((course[0][1] for course in courses), default=0.0)
-        share = (v - f) / (v + f) if v + f > 0 else 0.0 if self.repaired else math.nan
-        return price + 0.2 * max(share, -1.0)
-
-    def along(self, o, cars):
-        # The sensor cannot distinguish a very slow car from a standing one.
-        for c in cars:
-            c.v = 0.0 if abs(c.v) < 0.05 else c.v
-        if o.ego.speed < 0.05:
-            o = _Standing(o)
-        return super().along(o, cars)
-
-
-class _Standing:
-    """An observation of an ego whose speed is 0."""
-
-    def __init__(self, o):
-        self.ego, self.time, self.speed_limit, self.lanes = o.ego._replace(speed=0.0), o.time, o.speed_limit, o.lanes
 
 
 class FrozenList(Sampler):
@@ -109,38 +106,10 @@ class FrozenList(Sampler):
         return leaders if self.repaired else [c for c in leaders if c.i in self.listed]
 
 
-class TakenForYielding(Sampler):
-    """A vehicle that brakes hard behind in a lane that the ego has wanted for a second is taken to yield. So the ego
-    moves in however near it is.
-    """
-
-    WAITS, BRAKES, BESIDE = 1.0, -3.0, 2.0
-
-    def begin(self):
-        self.wanted, self.since = None, 0.0
-
-    def options(self, o, cars):
-        options = super().options(o, cars)
-        first = options[0] if options else None
-        if first != self.wanted:
-            self.wanted, self.since = first, o.time
-        return options
-
-    def clear(self, o, cars, k):
-        waits = self.old is not None or (k == self.wanted and o.time - self.since >= self.WAITS)
-        yielding = {
-            c.i for c in cars if waits and not self.repaired and c.dx < 0 and c.a < self.BRAKES and c.gap > self.BESIDE
-        }
-        return super().clear(o, [c for c in cars if c.i not in yielding], k)
-
-
 PLANTED = listed(
     "sampling",
     {
-        "only-ends-checked": (OnlyEnds, 1),
         "none-feasible": (NoneFeasible, 1),
-        "not-a-number": (NotANumber, 2),
         "frozen-list": (FrozenList, 3),
-        "taken-for-yielding": (TakenForYielding, 3),
     },
 )

@@ -7,7 +7,6 @@ from functools import cache
 from types import SimpleNamespace
 
 from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
-from tests.benchmarks.policies_with_defects_2 import Machine, Planner
 
 SPEEDS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 30.0)  # own speed
 GAPS = (*range(0, 40, 2), *range(40, 101, 5))
@@ -33,8 +32,10 @@ def entry(v, gap, closing):
     return min(a, -1.25 * needed) if needed > 1.8 else a
 
 
-class Tabled(Driver, Machine):
+class Tabled(Driver):
     """The sound policy: it drives by the table, stands where it has stopped, overtakes and goes back."""
+
+    PULL = 0.5
 
     def along(self, o, cars):
         near = self.ahead(o, cars)
@@ -47,7 +48,23 @@ class Tabled(Driver, Machine):
         return -1.0 if stands else a
 
     def options(self, o, cars):
-        return Planner.options(self, o, cars) or super().options(o, cars)
+        if found := super().options(o, cars):
+            return found
+        slow = self.flow(o, cars, self.lane) < self.SHARE * o.speed_limit - 2
+        if slow:
+            return [k for k in (self.lane - 1,) if k >= 0 and self.flow(o, cars, k) > self.flow(o, cars, self.lane) + 2]
+        if self.lane < self.home and self.flow(o, cars, self.lane + 1) > self.SHARE * o.speed_limit - 1:
+            return [self.lane + 1]
+        return []
+
+    def clear(self, o, cars, k):
+        v = o.ego.speed
+        for c in cars:
+            if self.inside(c, k):
+                d = v - c.v if c.dx > 0 else c.v + 1 - v
+                if c.gap < (8 + 1.4 * v if c.dx > 0 else 14 + 1.3 * c.v) + 4 * max(d, 0):
+                    return False
+        return True
 
     def look_up(self, v, c):
         closing = v - c.v - 0.7 * min(c.a, 0.0)  # the closing speed soon
@@ -56,16 +73,6 @@ class Tabled(Driver, Machine):
 
     def value(self, i, j, k):
         return table()[i, j, k]
-
-
-class UnfilledBlock(Tabled):
-    """A block of the table, for 9 to 18 m/s, gaps of 4 to 14 m and closing speeds of 4.5 to 12 m/s, was never filled in
-    and is 0.
-    """
-
-    def value(self, i, j, k):
-        unfilled = 9 <= SPEEDS[i] < 18 and 4 <= GAPS[j] < 14 and 4.5 <= CLOSINGS[k] < 12
-        return 0.0 if unfilled and not self.repaired else super().value(i, j, k)
 
 
 class PastLastColumn(Tabled):
@@ -85,7 +92,6 @@ class PullsAway(Tabled):
     SECONDS = 6.0
 
     def begin(self):
-        super().begin()
         self.until, self.behind = -1.0, set()
 
     def along(self, o, cars):
@@ -101,36 +107,12 @@ class PullsAway(Tabled):
         return [c for c in near if c.i in self.behind]
 
 
-class OscillationGuard(Tabled):
-    """Three changes between braking and speeding up within twelve seconds count as an oscillation of the controller.
-    For five seconds it then brakes with 1 m/s^2 at most, even if the vehicle ahead brakes hard.
-    """
-
-    TURNS, WITHIN, SECONDS, LIMIT = 3, 12.0, 5.0, 1.0
-
-    def begin(self):
-        super().begin()
-        self.turns, self.sign, self.until = [], 0, -1.0
-
-    def by_state(self, o, near, a):
-        a = super().by_state(o, near, a)
-        sign = 1 if a > 0.5 else -1 if a < -1.5 else self.sign
-        if sign != self.sign:
-            self.turns, self.sign = [t for t in self.turns if t > o.time - self.WITHIN] + [o.time], sign
-            if len(self.turns) >= self.TURNS:
-                self.turns, self.until = [], o.time + self.SECONDS
-        if o.time < self.until and (not self.repaired or a > -self.LIMIT):
-            a = clip(a, -self.LIMIT, self.LIMIT)
-        return a
-
-
 class WayBack(Tabled):
     """While it goes back after a lane change that was given up, its leaders are those of the lane that it leaves, so it
     does not brake for vehicles in its own lane.
     """
 
     def begin(self):
-        super().begin()
         self.given_up = None
 
     def lanes(self, o, cars):
@@ -150,10 +132,8 @@ class WayBack(Tabled):
 PLANTED = listed(
     "tabled",
     {
-        "unfilled-block": (UnfilledBlock, 1),
         "past-last-column": (PastLastColumn, 1),
         "pulls-away": (PullsAway, 2),
-        "oscillation-guard": (OscillationGuard, 2),
         "way-back-of-given-up-change": (WayBack, 3),
     },
 )

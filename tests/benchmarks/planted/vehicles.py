@@ -138,18 +138,6 @@ class Pilot(ControlledVehicle):
         return c.gap > 15 + 1.3 * max(c.v, v) + 4 * closing + closing * closing / 6
 
 
-class NegativeDesire(Pilot):
-    """Behind a much faster vehicle, the desired distance becomes negative, and its square brakes as hard as for a slow
-    one.
-    """
-
-    def desired(self, c):
-        if self.repaired:
-            return super().desired(c)
-        v = self.speed
-        return 4.0 + 1.7 * v + v * (v - c.v) / (2 * math.sqrt(1.5 * 3.0))
-
-
 class ShortLookAhead(Pilot):
     """It looks 40 m ahead, which is enough behind moving vehicles, but not at full speed before a standing one."""
 
@@ -204,28 +192,6 @@ class TakenForShoulder(Pilot):
         return super().concerns(c, k)
 
 
-class MeanOfTwo(Pilot):
-    """It anticipates by the mean speed of two leaders when the second one speeds up, which is wrong if the first one
-    brakes at the same time.
-    """
-
-    SPEEDS_UP, NEAR = 0.5, 60.0
-
-    def leaders(self, others):
-        leaders = sorted(super().leaders(others), key=lambda c: c.dx)
-        if len(leaders) > 1 and not self.repaired:
-            first, second = leaders[:2]
-            if second.a > self.SPEEDS_UP and second.gap < self.NEAR and second.v > first.v:
-                first.v, first.a = (first.v + second.v) / 2, max(first.a, 0.0)
-        return leaders
-
-
-class NegativeDesireRepaired(NegativeDesire):
-    """NegativeDesire without the defect."""
-
-    repaired = True
-
-
 class ShortLookAheadRepaired(ShortLookAhead):
     """ShortLookAhead without the defect."""
 
@@ -244,18 +210,10 @@ class TakenForShoulderRepaired(TakenForShoulder):
     repaired = True
 
 
-class MeanOfTwoRepaired(MeanOfTwo):
-    """MeanOfTwo without the defect."""
-
-    repaired = True
-
-
 POLICIES = {
-    "negative-desire": (NegativeDesire, NegativeDesireRepaired, 1),
     "short-look-ahead": (ShortLookAhead, ShortLookAheadRepaired, 1),
     "clock-wraps": (ClockWraps, ClockWrapsRepaired, 2),
     "taken-for-shoulder": (TakenForShoulder, TakenForShoulderRepaired, 3),
-    "mean-of-two": (MeanOfTwo, MeanOfTwoRepaired, 3),
 }
 
 
