@@ -9,8 +9,6 @@ from datetime import date
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
@@ -37,6 +35,7 @@ from pytest_pafot.findings.finding import (
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.model.instructions import ScenarioError
+from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
@@ -219,7 +218,7 @@ class Replays:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
                 for number in range(PROBES):
-                    probe = harness.run_of(runner.run(sample(space, np.random.default_rng(number))))
+                    probe = harness.run_of(runner.run(sample(space, rng_of(number))))
                     first.see(probe, harness.judge(probe))
                     if not first.is_alike:
                         return
@@ -284,7 +283,7 @@ class Replays:
         try:
             space = build_space(harness.request, world)
             for number in range(PROBES):
-                probe = harness.judge_reference(runner, sample(space, np.random.default_rng(number)), world)
+                probe = harness.judge_reference(runner, sample(space, rng_of(number)), world)
                 if probe.failure is None or probe.failure.kind != failure.kind or not probe.is_ads:
                     return
         except RequestError:  # The arguments of the test do not fit the world of the file, so nothing can be compared.

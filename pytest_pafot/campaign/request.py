@@ -8,11 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypedDict, get_args
 
-import numpy as np
-
 from pytest_pafot.campaign.options import BY_NAME, AlgorithmName, Settings
 from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES, Style
-from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED
+from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, rng_of
 from pytest_pafot.model.vehicle_type import CAR, READY, VehicleName, VehicleType, named_vehicles
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -279,7 +277,7 @@ def build_space(request: Request, world: Any) -> SearchSpace:
         # What the user gives goes before what is drawn, and the world fills in the rest, such as the crossings.
         space: SearchSpace = world.space({**drawn, **request.space})
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
-        sample(space, np.random.default_rng(0))  # so that a wrong argument is one clear error before the search begins
+        sample(space, rng_of(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
         raise request.error("world=...", error) from None
     except (TypeError, ValueError) as error:

@@ -17,6 +17,8 @@ from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING, Any, cast
 
+from numpy.random import Generator, SeedSequence, default_rng
+
 from pytest_pafot.model.driving_style import PAPERS, STYLES, Style
 from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.model.instructions import (
@@ -269,6 +271,14 @@ class Scenario(_Hashed):
             kind + " ".join(gene.short for gene in chain) for kind, chain in zip(kinds, self.npcs, strict=True)
         )
         return f"<Scenario {self.id}: {chains}>"
+
+
+def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
+    """Return a random generator of this package, which depends only on a seed and the part of the work that draws.
+
+    It is made by numpy's own functions, also where a test has replaced them.
+    """
+    return default_rng(SeedSequence(seed, spawn_key=part))
 
 
 @lru_cache(maxsize=64)

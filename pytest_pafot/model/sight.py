@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.support.errors import FieldError, plain_number
 from pytest_pafot.support.text import listed
@@ -93,7 +94,7 @@ class Sight:
         if self.range is not None:
             seen = np.hypot(*(states[1:, :2] - states[0, :2]).T) <= self.range
         if self.is_drawn:
-            random = np.random.default_rng([seed, tick])
+            random = rng_of([seed, tick])
             seen &= random.random(others) >= self.dropout
             deviations = [self.noise.get(name, 0.0) for name in ("position", "position", "speed")]
             errors = random.standard_normal((others, 3)) * deviations

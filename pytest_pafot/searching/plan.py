@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any, Generic
 
-import numpy as np
 from numpy.random import Generator as Rng
 
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, StateT, block_runs, check_order
 from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache
 from pytest_pafot.searching.events import (
@@ -382,9 +381,9 @@ class Block(Generic[StateT]):
         return self._drawing
 
 
-def generation_rng(seed: int, *generation: int) -> np.random.Generator:
+def generation_rng(seed: int, *generation: int) -> Rng:
     """Return the random generator of a generation; it depends only on the seed and the numbers of the generation."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=generation))
+    return rng_of(seed, *generation)
 
 
 class Drawing(Generic[StateT]):

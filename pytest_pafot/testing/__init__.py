@@ -17,7 +17,7 @@ import numpy as np
 from pytest_pafot.campaign.request import SpaceArguments
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
@@ -183,7 +183,7 @@ def check_world(
     if road is not None and road.lane_count == 1:
         able["ego_lane"] = 0
     able["vehicles"] = tuple(filter(base_world(world).can_drive, (CAR, VAN, TRUCK, MOTORCYCLE)))
-    random, within = np.random.default_rng(seed), base_world(world).space({**able, **space})
+    random, within = rng_of(seed), base_world(world).space({**able, **space})
     calls, scenarios = _Calls(ads), [sample(within, random) for _ in range(runs)]
     if isinstance(simulated := base_world(world), SimulatorWorld):
         with _no_error("a simulator can be driven step by step, with one vehicle or several"):

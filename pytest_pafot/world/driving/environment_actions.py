@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.kernel.action import hint_at
@@ -100,7 +101,7 @@ class View:
         source, env = self._run_env, self.env
         road = Road(
             source.road.network,
-            np_random=np.random.default_rng(tick),
+            np_random=rng_of(tick),
             neighbour_vehicles_connected_lanes=source.road.neighbour_vehicles_connected_lanes,
         )
         ego = copy.copy(source.vehicle)

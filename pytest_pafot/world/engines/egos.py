@@ -6,9 +6,7 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError
@@ -86,7 +84,7 @@ def vehicle_run(
     def stock_road() -> Any:
         from pytest_pafot.world.stock import Road  # noqa: PLC0415  (a second of imports)
 
-        return Road(network(), np_random=np.random.default_rng(scenario.seed))
+        return Road(network(), np_random=rng_of(scenario.seed))
 
     if model is not None:
         ego = GoalVehicle(model.constants, road.grid, road.speed_limit)

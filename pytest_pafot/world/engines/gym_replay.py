@@ -22,7 +22,7 @@ import gymnasium
 import numpy as np
 from gymnasium.wrappers import TimeLimit
 
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
@@ -279,7 +279,7 @@ def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = 
     for name in TRAFFIC_HOOKS:
         if hasattr(env, name):
             setattr(env, name, _nothing)
-    env.road.np_random = env.np_random = np.random.default_rng(scenario.seed)
+    env.road.np_random = env.np_random = rng_of(scenario.seed)
     return env, objects
 
 

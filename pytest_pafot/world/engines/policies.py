@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
@@ -206,7 +206,7 @@ def _env_of(environment: GymEnvironment, scenario: Scenario) -> Any:
     Runs may nest, so each has a road, a time and random numbers of its own.
     """
     env = copy.copy(environment.unwrapped)
-    env.np_random = np.random.default_rng(scenario.seed)
+    env.np_random = rng_of(scenario.seed)
     env.time = env.steps = 0
     env.road = environment.road(env.np_random)
     env.road.objects = copies_on(environment.unwrapped.road.objects, env.road)

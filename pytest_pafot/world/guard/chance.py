@@ -13,9 +13,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
+from random import Random
 from typing import Any, NamedTuple
 
-import numpy as np
+from numpy.random import RandomState, get_state, random_sample, set_state
+from numpy.random import seed as seed_numpy
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
@@ -36,19 +38,20 @@ def _words(seed: int) -> list[int]:
     return [seed & 0xFFFFFFFF, seed >> 32]  # numpy's global generator takes 32 bits at a time
 
 
+# These functions are taken before a test can replace them.
 OF_PYTHON = _Generator(
     random.getstate,
     random.setstate,
     random.seed,
     random.random,
-    lambda seed: random.Random(seed).random,  # noqa: S311  (no cryptography)
+    lambda seed: Random(seed).random,  # noqa: S311  (no cryptography)
 )
 OF_NUMPY = _Generator(
-    np.random.get_state,
-    np.random.set_state,
-    lambda seed: np.random.seed(_words(seed)),
-    np.random.random_sample,
-    lambda seed: np.random.RandomState(_words(seed)).random_sample,
+    get_state,
+    set_state,
+    lambda seed: seed_numpy(_words(seed)),
+    random_sample,
+    lambda seed: RandomState(_words(seed)).random_sample,
 )
 
 
