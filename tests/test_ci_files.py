@@ -11,11 +11,7 @@ COMMANDS = ['sh "$GITHUB_ACTION_PATH/ci/pafot.sh" install', 'sh "$GITHUB_ACTION_
 """The commands that ``test_ci_script.py`` runs."""
 
 TASKS = ["install", "replay", "search", "pull-request", "night"]
-OTHERS = {
-    "actions/checkout@v4",
-    "actions/setup-python@v5",
-    "actions/upload-artifact@v4",
-}
+OTHERS = {"actions/checkout@v4", "actions/setup-python@v5", "actions/upload-artifact@v4"}
 SCRIPT_TEXT = SCRIPT.read_text(encoding="utf-8")
 
 

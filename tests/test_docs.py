@@ -69,10 +69,7 @@ GENERATED = re.compile(r"<!-- generated: ([a-z-]+) -->\n(.*?)<!-- end of generat
 FENCE = re.compile(r"(?:^<!-- varies: ([^\n]*) -->\n)?^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 NUMBER = re.compile(r"(?<![0-9a-f])[0-9a-f]{6}(?![0-9a-f])|\d+(?:\.\d+)?")
-WALL_CLOCK = re.compile(
-    r"\bin [\d.]+s(?= =|$)|\d (?:runs?|to shrink|to find the moment) in [\d.]+ s",
-    re.MULTILINE,
-)
+WALL_CLOCK = re.compile(r"\bin [\d.]+s(?= =|$)|\d (?:runs?|to shrink|to find the moment) in [\d.]+ s", re.MULTILINE)
 SUMMARY = re.compile(r"(?:=+ )?(\d+ [a-z]+(?:, \d+ [a-z]+)*) in [\d.]+s(?: =+)?")
 REFRESH = "PAFOT_REFRESH"
 CORPUS_NAME = re.compile(r"([a-z0-9-]+)-[0-9a-f]{6}(?=\.pafot\.yaml|\])")

@@ -39,10 +39,7 @@ def test_repr_of_a_value_makes_an_equal_value(value):
     ("strategy", "text"),
     [
         (strategies.chromosomes(), "(PositionInstruction(Cell.FRONT_LEFT, 0.0),)"),
-        (
-            strategies.scenarios(),
-            "Scenario(npcs=((PositionInstruction(Cell.FRONT_LEFT, 0.0),),), traffic='hostile')",
-        ),
+        (strategies.scenarios(), "Scenario(npcs=((PositionInstruction(Cell.FRONT_LEFT, 0.0),),), traffic='hostile')"),
     ],
 )
 def test_failing_example_is_printed_so_that_it_can_be_pasted(strategy, text):
@@ -92,8 +89,7 @@ def test_chains_and_scenarios_have_the_wanted_instructions(instructions, kinds):
     drawn = {"chain": set(), "scenario": set()}
 
     @given(
-        strategies.chromosomes(instructions=instructions),
-        strategies.scenarios(min_npcs=2, instructions=instructions),
+        strategies.chromosomes(instructions=instructions), strategies.scenarios(min_npcs=2, instructions=instructions)
     )
     def draw(chain, scenario):
         for name, chains in (("chain", [chain]), ("scenario", scenario.npcs)):

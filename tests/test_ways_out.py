@@ -99,13 +99,7 @@ OF_COMMANDS = {
 }
 SHOWN_BY = {"corpus": [["corpus", each] for each in ("list", "accept")]}
 """The helps with the options of a command."""
-OF_PYTEST = {
-    "--rootdir",
-    "--collect-only",
-    "--no-header",
-    "--runxfail",
-    "--tb",
-}  # of the sessions that commands start
+OF_PYTEST = {"--rootdir", "--collect-only", "--no-header", "--runxfail", "--tb"}  # of the sessions that commands start
 
 
 def test_every_command_explains_itself(capsys):

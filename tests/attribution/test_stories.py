@@ -1,7 +1,6 @@
-"""What a vehicle should have done and did: the story that the sentences tell, against plans and against the trace."""
+"""What a vehicle should have done and did: the story that the sentences tell, against plans."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,17 +13,13 @@ from tests.helpers.drives import crash, driven
 from tests.helpers.junctions import plan
 from tests.helpers.random_collisions import collision
 from tests.helpers.situations import SITUATIONS
-from tests.helpers.stories import Story, entry_of, stories_of
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
-
-WEAKLY_THEN_UP = [(3.0, 1.9, 16.0), (5.2, -2.0, 25.0)]
-WAITS_THEN_GOES = plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0))
 
 STORIES = {
     "nothing": ([], (40.0, 10.0), "hard by 2.6 s but did not."),
     "braked weakly, then sped up": (
-        WEAKLY_THEN_UP,
+        [(3.0, 1.9, 16.0), (5.2, -2.0, 25.0)],
         (60.0, 10.0),
         "hard by 5.7 s. It drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
         "From 5.1 s it sped up to 18.1 m/s.",
@@ -81,20 +76,20 @@ def test_deeds_are_told_in_their_order(name):
     found = rss_rule(trace)
     assert found.responsibility == "ego"
     assert found.reason.endswith(says)
-    assert [each.wrong() for each in stories_of(trace, found.sentences)] == [[]]
 
 
 def test_driver_that_had_just_stood_should_have_waited():
-    trace = junctions.hit(WAITS_THEN_GOES, plan("north straight", 10.5, 8))
+    waits_then_goes = plan("west straight", 4, 8, (2.0, -3.5, 0.0), (8.0, 2.5, 8.0))
+    trace = junctions.hit(waits_then_goes, plan("north straight", 10.5, 8))
     told = rss_rule(trace).sentences
     assert told[1] == "The ego should have waited but set off at 8.0 s."
-    assert [each.wrong(entry_of(trace, told, 0)) for each in stories_of(trace, told)] == [[]]
 
 
 @table(
     ("helps", "due"),
     [
         (range(5, 20), 19),  # until this tick
+        (range(40, 45), 44),  # which may be the last one before the impact
         ((*range(5, 20), *range(25, 27)), 19),  # and for a moment later on
         ((*range(5, 20), *range(30, 40)), 39),
         ((*range(20, 22), *range(23, 25), *range(26, 28)), None),  # never for long
@@ -107,17 +102,6 @@ def test_braking_is_due_at_the_end_of_the_last_time_in_which_it_helps(helps, due
     fact = answer(trace, 0, 0, lambda tick, rate: tick in helps).in_full
     wanted = (What.DROVE, None) if due is None else (What.SHOULD_HAVE_BRAKED, due / 15)
     assert (fact.what, fact.due_s) == wanted
-
-
-def test_braking_is_due_only_while_it_avoids_the_collision():
-    """An ego that speeds up after the danger has begun has less time than one that keeps its speed."""
-    npc = driven(40.0, speed=12.0)
-    for brakes in ([], [(0.5, -6.0, 32.0)]):
-        trace = crash(driven(0.0, speed=20.0, brakes=brakes), npc)
-        fact, (story,) = rss_rule(trace).facts[-1].in_full, stories_of(trace, rss_rule(trace).sentences)
-        free = [tick for tick in range(story.end) if story.is_free(tick)]
-        assert fact.what is What.SHOULD_HAVE_BRAKED
-        assert fact.due_s * 15 == pytest.approx(max(free), abs=1)
 
 
 @given(
@@ -138,38 +122,16 @@ def test_phases_join_to_nearly_the_recorded_speed(steps, hz):
         assert far <= NEAR + 1e-6
 
 
-FALSE = [
-    ("The ego should have braked hard by 6.2 s. {deeds}", "due in time"),
-    ("The ego should have braked hard by 1.7 s. {deeds}", "due as late as it helps"),
-    ("The ego should have waited but set off at 5.2 s. {deeds}", "set off"),
-    ("The ego should have braked hard by 5.7 s. It kept 20.0 m/s from 0.0 s on.", "speed"),
-    (
-        "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 2.9 m/s^2, to 16.0 m/s. "
-        "From 5.1 s it sped up to 18.1 m/s.",
-        "braked up to",
-    ),
-    (
-        "The ego should have braked hard by 5.7 s. "
-        "It drove 20.0 m/s at 0.0 s; from 5.1 s it sped up to 18.1 m/s. "
-        "From 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s.",
-        "order",
-    ),
-]
-
-
 def test_both_vehicles_that_failed_at_a_crossing_are_told():
-    trace = collision("by hand, junctions", 31, seed=3).trace
+    trace = collision("by hand, junctions", 31, seed=3)
     found = rss_rule(trace)
     assert (found.responsibility, found.fault) == ("both", "did-not-give-way")
     assert [each.vehicle for each in found.facts] == [0, 0, 1]
     assert [each.in_full.what for each in found.facts[1:]] == [What.SHOULD_HAVE_BRAKED, What.SHOULD_HAVE_WAITED]
-    stories = stories_of(trace, found.sentences)
-    assert [each.wrong(entry_of(trace, found.sentences, each.vehicle)) for each in stories] == [[], []]
 
 
 def test_braking_of_the_ego_does_not_move_what_the_npc_owed():
-    facts = rss_rule(collision("by hand, junctions", 45, seed=2).trace).facts
+    facts = rss_rule(collision("by hand, junctions", 45, seed=2)).facts
     assert [f"{each.in_full.due_s:.1f}" for each in facts[1:]] == ["3.9", "5.5"]
     assert [f"{each.due_s:.1f}" for each in due_by(facts, 3.8)[1:]] == ["3.8", "5.5"]
 
@@ -182,21 +144,6 @@ def test_braking_that_answered_a_cut_in_is_told():
         "It drove 20.0 m/s at 0.9 s; from 2.6 s it braked at up to 8.0 m/s^2, to 15.2 m/s.",
         "From 3.2 s it kept 15.0 m/s; from 4.4 s it sped up to 20.6 m/s.",
     )
-
-
-@table("told, wrong", FALSE)
-def test_the_oracle_finds_claims_that_the_trace_contradicts(told, wrong):
-    brakes, (ahead, speed), says = STORIES["braked weakly, then sped up"]
-    trace = crash(driven(0.0, brakes=brakes), driven(ahead, speed=speed))
-    story = Story(trace, told.format(deeds=says.removeprefix("hard by 5.7 s. ")))
-    assert wrong in story.wrong()
-
-
-def test_due_after_the_entry_is_a_wrong_claim():
-    trace = junctions.hit(WAITS_THEN_GOES, plan("north straight", 10.5, 8))
-    told = rss_rule(trace).sentences
-    late = " ".join(told[1:]).replace("waited but set off at 8.0 s", "braked hard by 10.4 s")
-    assert "due before the deed" in Story(trace, late).wrong(entry_of(trace, told, 0))
 
 
 @table(

@@ -37,10 +37,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario, Trace, explore
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching import (
-    SearchSpace,
-    sample,
-)
+from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import holds, options
 from tests.helpers.gym_loop import drive, make_env, place, si_actions

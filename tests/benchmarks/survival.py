@@ -88,12 +88,7 @@ def ratio(first: float, second: float) -> float:
 
 
 def ratio_interval(
-    figure: Callable[[Curve], float],
-    first: Sample,
-    second: Sample,
-    strata: Sequence[Hashable],
-    *,
-    draws: int = 1000,
+    figure: Callable[[Curve], float], first: Sample, second: Sample, strata: Sequence[Hashable], *, draws: int = 1000
 ) -> tuple[float, float]:
     """Return the bootstrap interval of the ratio of a figure of two samples whose searches are paired by their seeds.
 

@@ -1,10 +1,9 @@
-"""Scenarios of Lane-Instructions in files, and which of them are simpler."""
+"""Scenarios of Lane-Instructions in files."""
 
 import pytest
 
 from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.findings.shrink import size_of, sort_key
 from pytest_pafot.model.instructions import LaneInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import CorpusError
@@ -41,8 +40,3 @@ def test_file_error_is_reported_at_its_place(tmp_path, wrong, message):
     text = text_of(plain_finding(scenario=BUSY)).replace("{lane: left, speed: 22.3}", wrong)
     with pytest.raises(CorpusError, match=message):
         parsed(tmp_path / PATH, text.encode())
-
-
-def test_staying_is_simpler_than_moving():
-    assert sort_key(scenario("keep@10 keep@20")) < sort_key(scenario("left@10 keep@20"))
-    assert size_of(BUSY) == "2 NPCs, 8 instructions, 40 s"

@@ -20,6 +20,5 @@ def test_a_file_is_no_fault_of_an_npc_alone_and_tells_nothing_of_a_machine(file)
     assert saved.expect.responsibility in ("ego", "both", "none")
     assert saved.finding.flaky is None
     assert not re.search(
-        r"/(home|root|tmp|work|usr|opt)/|TMP|xfail: \S",
-        file.read_text().replace("# xfail: {reason, until}", ""),
+        r"/(home|root|tmp|work|usr|opt)/|TMP|xfail: \S", file.read_text().replace("# xfail: {reason, until}", "")
     )

@@ -153,12 +153,7 @@ def test_error_gives_place_expected_value_and_remedy(path):
         ("# xfail: {reason, until}", "xfail: {reason: slow, til: 2027-01-31}", 17, "xfail.til"),
         ("# xfail: {reason, until}", "xfail: {reason: 2027-01-31}", 17, ""),
         ("# xfail: {reason, until}", "xfail: {reason: slow, until: [2027-01-31]}", 17, ""),
-        (
-            "# xfail: {reason, until}",
-            "xfail: {reason: slow, until: 2027-01-31, flaky: true}",
-            17,
-            "xfail.flaky",
-        ),
+        ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-01-31, flaky: true}", 17, "xfail.flaky"),
         ("# xfail: {reason, until}", "xfail: {reason: slow}", 17, "xfail"),
         ("# xfail: {reason, until}", "xfail: slow", 17, "xfail"),
         ("side: front", "side: front, closing_speed: -1.0", 14, "expect.closing_speed"),

@@ -79,14 +79,7 @@ def test_gene_duration_is_written_unless_default():
     assert "  ego: {lane: 1, speed: 22.0}\n  gene_seconds: 2.5\n" in text_of(plain_finding(scenario=scenario))
 
 
-@table(
-    ("traffic", "line"),
-    [
-        ("hostile", "  traffic: hostile\n"),
-        ("everyday", "  traffic: everyday\n"),
-        ("paper", ""),
-    ],
-)
+@table(("traffic", "line"), [("hostile", "  traffic: hostile\n"), ("everyday", "  traffic: everyday\n"), ("paper", "")])
 def test_traffic_is_written_unless_that_of_the_paper(traffic, line):
     text = text_of(plain_finding(scenario=replace(plain_finding().scenario, traffic=traffic)))
     assert f"  ego: {{lane: 1, speed: 22.0}}\n{line}  npcs:\n" in text

@@ -29,10 +29,7 @@ ALONG_THE_WAY = {
     "safe_along": lambda trace: RoadFrame(trace).safe_along(RssRules()),
     "safety_distance": criticality.safety_distance,
 }
-IN_ONE_LANE = {
-    "ego_follows": lambda trace: Encounters(trace).ego_follows.T,
-    "safety_shortfall": safety_shortfall,
-}
+IN_ONE_LANE = {"ego_follows": lambda trace: Encounters(trace).ego_follows.T, "safety_shortfall": safety_shortfall}
 """Measures that are False or 0 for a vehicle outside the ego's lane."""
 OTHERS = {
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "execution_time", "hardest_brake",

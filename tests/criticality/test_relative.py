@@ -33,10 +33,7 @@ def circle():
     """Return a road of two lanes around the point (0, RADIUS)."""
     angle = np.arange(POINTS) * STEP / RADIUS
     line = Line(
-        x=RADIUS * np.sin(angle),
-        y=RADIUS * (1 - np.cos(angle)),
-        heading=angle,
-        piece=np.zeros(POINTS, dtype=np.intp),
+        x=RADIUS * np.sin(angle), y=RADIUS * (1 - np.cos(angle)), heading=angle, piece=np.zeros(POINTS, dtype=np.intp)
     )
     lanes = tuple(
         Lane(x=0.0, y=across, heading=0.0, length=100.0, width=LANE_WIDTH, speed_limit=20.0)
@@ -91,10 +88,7 @@ def driven(*vehicles, touched=False):
     run.rules = SimpleNamespace(
         physics_hz=15, ads_hz=5, road=road, crossings=None, obstacles=(), ego=CAR, step_limit=None
     )
-    run.scenario, run.director = (
-        scenario,
-        SimpleNamespace(executed=scenario, arrivals=(), driven=()),
-    )
+    run.scenario, run.director = (scenario, SimpleNamespace(executed=scenario, arrivals=(), driven=()))
     run.places, run.rows, run.sizes = places, rows, [(LENGTH, WIDTH)] * count
     run.loop = SimpleNamespace(tick=ticks, is_over=touched, ego_touched=touched, npcs_touched=False)
     return run.trace(EgoDriver(bodies[0], 3))

@@ -56,8 +56,7 @@ def test_its_file_is_named_by_fault_and_origin():
 
 
 @table(
-    ("zone", "slug"),
-    [("crossing from the left", "rear-crossing-left"), ("merging from behind", "rear-merging-behind")],
+    ("zone", "slug"), [("crossing from the left", "rear-crossing-left"), ("merging from behind", "rear-merging-behind")]
 )
 def test_collision_caused_by_npc_names_side_and_zone(zone, slug):
     fields = {"failure": "AssertionError", "assertion": "not run.collision", "outcome": Outcome.COLLISION}

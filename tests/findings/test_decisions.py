@@ -11,15 +11,7 @@ import pytest_pafot as pafot
 from pytest_pafot.attribution.sentences import Fact, What, advice
 from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
-from pytest_pafot.findings.decisions import (
-    Moment,
-    advice_on,
-    deciding,
-    differ,
-    placed,
-    seen_of,
-    vehicle_of,
-)
+from pytest_pafot.findings.decisions import Moment, advice_on, deciding, differ, placed, seen_of, vehicle_of
 from pytest_pafot.findings.finding import Bounded, Expect
 from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed, without
 from pytest_pafot.world.kernel.action import checked_si_action
@@ -79,11 +71,7 @@ def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
         (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
         (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
         (pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
-        (
-            pafot.Drive(lane=0, speed=5.0),
-            pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0),
-            "lateral jerk 3.0 m/s^3",
-        ),
+        (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), "lateral jerk 3.0 m/s^3"),
         (np.array([0.5]), np.array([0.1]), "[0.5]"),
         (None, KEEPS, "no decision"),
     ],

@@ -6,19 +6,19 @@ import functools
 import math
 import random
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
 
 from example_ads import constant_speed, defects, idm_mobil
-from pytest_pafot import Highway, Scenario, Trace
-from pytest_pafot.searching.space import Instructions, SearchSpace, sample, space_on
+from pytest_pafot import Highway, Trace
+from pytest_pafot.searching.space import SearchSpace, sample, space_on
 from pytest_pafot.world.reference_drivers import CarefulHuman
-from tests.helpers.fuzzy_safety import FuzzySafety
 from tests.helpers.junctions import random_meeting
 from tests.helpers.road_cases import space_of, world_of
-from tests.helpers.sound_driver import SoundLaneChanger
 
 ATTEMPTS = 400
 """The number of scenarios to try for one collision."""
@@ -76,8 +76,6 @@ class StopAndGo(Erratic):
 
 def erratic_vehicle(rng):
     """Return a vehicle class that stays on its way, and brakes, speeds up and changes lanes at random."""
-    from highway_env.vehicle.controller import ControlledVehicle
-
     hold, braking, patience = rng.uniform(0.2, 3.0), rng.uniform(2.0, 9.0), rng.uniform(1.0, 8.0)
 
     class ErraticVehicle(ControlledVehicle):
@@ -98,59 +96,27 @@ def erratic_vehicle(rng):
 Policy = Callable[[random.Random], Any]
 
 
-def _controlled_vehicle(rng):
-    from highway_env.vehicle.controller import ControlledVehicle
-
-    return ControlledVehicle
-
-
-def _idm_vehicle(rng):
-    from highway_env.vehicle.behavior import IDMVehicle
-
-    return IDMVehicle
-
-
 ON_A_MOTORWAY: dict[str, Policy] = {
     "constant-speed": lambda rng: constant_speed.make,
     "idm-mobil": lambda rng: idm_mobil.make(),
-    "sound-lane-changer": lambda rng: SoundLaneChanger,
     "erratic": lambda rng: functools.partial(Erratic, random.Random(rng.random())),
     "stop-and-go": lambda rng: functools.partial(StopAndGo, random.Random(rng.random())),
     "careful-human": lambda rng: CarefulHuman,
-    "fuzzy-model": lambda rng: FuzzySafety,
-    **{name: lambda rng, name=name: defects.make(name) for name in defects.POLICIES if name != "healthy"},
+    "looks-only-ahead": lambda rng: defects.make("looks-only-ahead"),
+    "sees-cut-ins-late": lambda rng: defects.make("sees-cut-ins-late"),
 }
-ON_OTHER_ROADS: dict[str, Policy] = {
-    "idm-mobil, other roads": lambda rng: idm_mobil.make(),
-    "constant-speed, other roads": _controlled_vehicle,
-    "erratic, other roads": erratic_vehicle,
-    "looks-only-ahead, other roads": lambda rng: defects.make("looks-only-ahead"),
-    "brakes-weakly, other roads": lambda rng: defects.make("brakes-weakly"),
-    "brakes-for-ghosts, other roads": lambda rng: defects.make("brakes-for-ghosts"),
-}
+ON_OTHER_ROADS: dict[str, Policy] = {"erratic, other roads": erratic_vehicle}
 AT_JUNCTIONS: dict[str, Policy] = {
-    "constant-speed, junctions": _controlled_vehicle,
-    "idm, junctions": _idm_vehicle,
+    "constant-speed, junctions": lambda rng: ControlledVehicle,
+    "idm, junctions": lambda rng: IDMVehicle,
     "erratic, junctions": erratic_vehicle,
 }
 BY_HAND = "by hand, junctions"
 """Collisions at junctions that are made without a policy and a world."""
-POLICIES = {**ON_A_MOTORWAY, **ON_OTHER_ROADS, **AT_JUNCTIONS, BY_HAND: _controlled_vehicle}
+POLICIES = {**ON_A_MOTORWAY, **ON_OTHER_ROADS, **AT_JUNCTIONS, BY_HAND: lambda rng: ControlledVehicle}
 
 
-@dataclass(frozen=True)
-class RandomCollision:
-    """A collision and its origin."""
-
-    policy: str
-    number: int
-    seed: int
-    world: Any
-    scenario: Scenario
-    trace: Trace
-
-
-def collision(policy: str, number: int, seed: int = 0, instructions: Instructions = "cells") -> RandomCollision:
+def collision(policy: str, number: int, seed: int = 0) -> Trace:
     """Return the collision with a number; it is the same at every call.
 
     Raises:
@@ -162,17 +128,16 @@ def collision(policy: str, number: int, seed: int = 0, instructions: Instruction
             met = random_meeting(np.random.default_rng(rng.getrandbits(60)))
             if met is None or met.ticks < 2:
                 continue
-            return RandomCollision(policy, number, seed, None, met.scenario, met)
+            return met
         world = motorway(rng) if policy in ON_A_MOTORWAY else world_of(rng.choice(roads))
         drawn = np.random.default_rng(rng.getrandbits(60))
         if policy in AT_JUNCTIONS:
             space = crossing_space(world, rng)
         else:
             space = motorway_space(world, rng) if policy in ON_A_MOTORWAY else space_of(world, rng.randint(1, 2))
-        scenario = sample(replace(space, instructions=instructions), drawn)
-        trace = world.rollout(scenario, POLICIES[policy](rng))
+        trace = world.rollout(sample(replace(space, instructions="cells"), drawn), POLICIES[policy](rng))
         if trace.collision is not None:
-            return RandomCollision(policy, number, seed, world, scenario, trace)
+            return trace
     raise LookupError(f"{policy}: no collision in {ATTEMPTS} runs")
 
 

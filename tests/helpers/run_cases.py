@@ -15,16 +15,7 @@ from pytest_pafot.world import Highway
 from tests.helpers.world_cases import EGOS, random_scenario
 
 FREQUENCIES = ((15, 5), (15, 15), (20, 10), (30, 5), (12, 4), (5, 1))
-SAME = (
-    "executed",
-    "outcome",
-    "collision",
-    "error",
-    "actions",
-    "arrivals",
-    "off_road_tick",
-    "lanes",
-)
+SAME = ("executed", "outcome", "collision", "error", "actions", "arrivals", "off_road_tick", "lanes")
 
 
 class Hurried(IDMVehicle):

@@ -5,13 +5,7 @@ from pytest_pafot.findings.shrink import Ahead, Attempt, Likely
 
 
 def shrink(
-    scenario,
-    attempt,
-    *,
-    starts=lambda scenario: (),
-    expect=lambda candidates, more: None,
-    likely=None,
-    **options,
+    scenario, attempt, *, starts=lambda scenario: (), expect=lambda candidates, more: None, likely=None, **options
 ):
     """Return the simplest scenario and the statistics.
 

@@ -107,16 +107,8 @@ def violations(trace, limits, speed_limit):
         "speed": (speed, 0.0, top),
         "heading": (heading, -limits.heading, limits.heading),
         "course": (course, -limits.heading, limits.heading),
-        "lateral acceleration of the heading": (
-            speed[:-1] * np.diff(heading, axis=0) / dt,
-            -lateral,
-            lateral,
-        ),
-        "lateral acceleration of the course": (
-            speed[:-1] * np.diff(course, axis=0) / dt,
-            -lateral,
-            lateral,
-        ),
+        "lateral acceleration of the heading": (speed[:-1] * np.diff(heading, axis=0) / dt, -lateral, lateral),
+        "lateral acceleration of the course": (speed[:-1] * np.diff(course, axis=0) / dt, -lateral, lateral),
         "forward motion": (np.diff(x, axis=0), 0.0, np.inf),
         "left corner on the road": (y - half_width, -LANE_WIDTH / 2, np.inf),
         "right corner on the road": (y + half_width, -np.inf, road_right),

@@ -66,12 +66,7 @@ def test_a_latency_lasts_to_the_next_whole_tick(latency, ticks):
     assert Sight(latency=latency).delay(15) == ticks
 
 
-ALL = Sight(
-    range=60.0,
-    latency=0.3,
-    noise={"position": 0.5, "speed": 1.0},
-    dropout=0.1,
-)
+ALL = Sight(range=60.0, latency=0.3, noise={"position": 0.5, "speed": 1.0}, dropout=0.1)
 
 
 @table(

@@ -166,8 +166,7 @@ def test_several_policies_are_compared_with_the_first(capsys, monkeypatch, crash
 
 
 @pytest.mark.parametrize(
-    ("crashes", "limit", "code"),
-    [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)],
+    ("crashes", "limit", "code"), [(3, "6.6%", 1), (3, "0.066", 1), (3, "6.7 %", 0), (1, "0%", 1), (0, "0", 0)]
 )
 def test_fail_above_compares_the_lower_end_of_the_interval(capsys, crashing, crashes, limit, code):
     crashing({"idm_mobil": crashes})  # 3 of 10: the interval of Clopper and Pearson begins at 6.674 %

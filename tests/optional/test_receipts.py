@@ -27,11 +27,7 @@ LONG = {
 
 # The commands have the parent in common, which the search is tested with in every way. What is their own is where they
 # call the policy, and whether they let an exception of it through.
-EACH = [
-    *((place, "sys.exit(0)") for place in ENDINGS),
-    ("IN_DECISION", "os._exit(0)"),
-    ("ON_IMPORT", "os._exit(0)"),
-]
+EACH = [*((place, "sys.exit(0)") for place in ENDINGS), ("IN_DECISION", "os._exit(0)"), ("ON_IMPORT", "os._exit(0)")]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

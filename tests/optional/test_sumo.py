@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot import (
-    Cell,
-    Highway,
-    Outcome,
-    PositionInstruction,
-    Scenario,
-    SimulatorWorld,
-    WorldError,
-)
+from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, SimulatorWorld, WorldError
 from tests.helpers.tables import table
 
 pytest.importorskip("sumolib", reason='needs pip install "pytest-pafot[sumo]"')

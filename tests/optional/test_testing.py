@@ -8,16 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot import (
-    Cell,
-    Highway,
-    LaneInstruction,
-    NpcLimits,
-    Outcome,
-    PositionInstruction,
-    Scenario,
-    World,
-)
+from pytest_pafot import Cell, Highway, LaneInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
 from pytest_pafot.searching.space import sample
 from pytest_pafot.testing import OBSERVED, _Calls, _check_lasting, _check_obedience, _run, check_world

@@ -22,8 +22,7 @@ from tests.world.test_gym_environment import (
 
 
 @pytest.mark.parametrize(
-    ("entry_point", "wrappers"),
-    [(Repeating, [partial(MaxAndSkipObservation, skip=2)]), (Hurried, None), (Drawn, None)],
+    ("entry_point", "wrappers"), [(Repeating, [partial(MaxAndSkipObservation, skip=2)]), (Hurried, None), (Drawn, None)]
 )
 def test_decisions_at_rates_of_an_environments_own_are_accepted(entry_point, wrappers, register):
     register("mine-v0", entry_point=entry_point)

@@ -17,16 +17,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.views import frame_ticks
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
-from tests.report.builders import (
-    CUT_IN,
-    TEST,
-    cut_in_trace,
-    finding_of,
-    is_close,
-    rear_trace,
-    scenario,
-    view_of,
-)
+from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of
 
 
 def braking_ahead(**more):

@@ -34,11 +34,7 @@ def test_unrelated_session_has_no_job_summary():
 def test_findings_are_counted_and_listed_with_replay_command():
     record = SessionRecord(
         searches=[search(finds=["a"])],
-        findings=[
-            finding("c", "fixed", headline="", searched=40),
-            finding("b", "still failing"),
-            finding(),
-        ],
+        findings=[finding("c", "fixed", headline="", searched=40), finding("b", "still failing"), finding()],
     )
     assert (
         markdown(record)

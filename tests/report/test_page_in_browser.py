@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from pytest_pafot.report.page import render_page
 from pytest_pafot.report.page_data import CheckView, Report
 from tests.helpers.browser import Browser, find_chromium
-from tests.helpers.picture import picture_at
-from tests.report.builders import HOSTILE, as_seen, bend_report, real_report
+from tests.helpers.traces import trace_of, vehicle
+from tests.report.builders import HOSTILE, as_seen, bend_report, real_report, scenario
 from tests.report.test_crossing_view import crash
 from tests.report.test_lane_instructions import cut_in
 from tests.report.test_lane_instructions import view_of as view_of_trace
@@ -188,38 +189,59 @@ def test_the_speed_of_play_is_that_of_the_menu(page):
         assert page.evaluate(TIME) == pytest.approx(0.2 * speed)
 
 
-def reports():
-    return {
-        "straight": real_report(),
-        "bend": bend_report(),
-        "lanes": Report(title="t", findings=(view_of_trace(cut_in()),)),
-        "junction": Report(title="t", findings=(crash(),)),
-    }
+def at_the_edge():
+    """Return a run in the leftmost lane, behind an NPC that is to come to the ego's right."""
+    npcs = scenario([(4, 20.0)], ego_speed=20.0)
+    cars = (vehicle(0.0, 0.0, speed=20.0, ticks=60), vehicle(30.0, 0.0, speed=20.0, ticks=60))
+    return trace_of(*cars, scenario=npcs, arrivals=((None,),))
 
 
-@pytest.mark.parametrize("name", ["straight", "bend", "lanes", "junction"])
-def test_picture_matches_the_second_program(opened, name):
-    report = reports()[name]
-    page = opened(report)
-    finding = report.findings[0]
+REPORTS = {
+    "straight": real_report,
+    "edge": lambda: Report(title="t", findings=(view_of_trace(at_the_edge()),)),
+    "bend": bend_report,
+    "lanes": lambda: Report(title="t", findings=(view_of_trace(cut_in()),)),
+    "junction": lambda: Report(title="t", findings=(crash(),)),
+}
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_vehicles_are_drawn_between_the_places_of_two_frames(opened, name):
+    report = REPORTS[name]()
+    page, finding = opened(report), report.findings[0]
     for time in (0.0, 0.777, 2.0, finding.times[-1]):
         go(page, finding, time)
-        picture = picture_at(finding, page.evaluate(TIME))
         drawn = page.evaluate(
             "[...document.querySelectorAll('article.current [data-vehicle]')]"
             ".map(each => [Number(each.dataset.along), Number(each.dataset.across)])"
         )
-        for (along, across), box in zip(drawn, picture.vehicles, strict=True):
-            assert (along, across) == pytest.approx((box.along, box.across), abs=0.02)
-        if finding.road.shapes:
-            assert page.evaluate("document.querySelectorAll('article.current .lane-ground').length") == len(
-                finding.road.shapes
-            )
-            continue
-        for kind, places in (("cell", [each.exists for each in picture.cells]), ("target", picture.targets)):
-            rects = f"[...document.querySelectorAll('article.current rect.{kind}')]"
-            shown = page.evaluate(f"{rects}.map(each => each.getAttribute('visibility'))")
-            assert shown == ["visible" if each else "hidden" for each in places]
+        shown = page.evaluate(TIME)
+        for place, view in zip(drawn, finding.vehicles, strict=True):
+            tracks = (np.array(track, dtype=float) for track in (view.along, view.across))
+            assert place == pytest.approx([np.interp(shown, finding.times, track) for track in tracks], abs=0.02)
+    shapes = page.evaluate("document.querySelectorAll('article.current .lane-ground').length")
+    assert shapes == len(finding.road.shapes)
+
+
+@pytest.mark.parametrize(
+    ("name", "time", "cells", "targets"),
+    [
+        ("straight", 0.0, "12345678", "1"),
+        ("edge", 1.0, "23456", "1"),
+        ("lanes", 1.0, "12345678", "1"),
+        ("lanes", 3.0, "12345678", ""),
+        ("lanes", 13.0, "12345678", "1"),
+        ("bend", 1.0, "", ""),
+    ],
+)
+def test_cells_of_lanes_that_exist_are_drawn_and_targets_until_they_are_reached(opened, name, time, cells, targets):
+    report = REPORTS[name]()
+    page = opened(report)
+    go(page, report.findings[0], time)
+    for kind, wanted in (("cell", cells), ("target", targets)):
+        rects = f"[...document.querySelectorAll('article.current rect.{kind}')]"
+        visible = page.evaluate(f"{rects}.map(each => each.getAttribute('visibility') === 'visible')")
+        assert "".join(str(number) for number, is_visible in enumerate(visible, 1) if is_visible) == wanted
 
 
 def test_hostile_text_is_shown_and_never_run(opened):

@@ -50,8 +50,7 @@ RECORDS = st.builds(
     versions=st.dictionaries(TEXTS, TEXTS, max_size=2),
     searches=st.lists(SUMMARIES, max_size=2),
     findings=st.lists(
-        findings().map(lambda each: finding_entry(Sighting(finding=each, node_id="test_it.py::x"))),
-        max_size=1,
+        findings().map(lambda each: finding_entry(Sighting(finding=each, node_id="test_it.py::x"))), max_size=1
     ),
     warnings=st.lists(TEXTS, max_size=1),
     problems=st.lists(TEXTS, max_size=1),

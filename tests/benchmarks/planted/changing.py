@@ -76,12 +76,7 @@ class OutOfQueue(Changer):
         return super().room(v, c)
 
 
-PLANTED = listed(
-    "changing",
-    {
-        "out-of-queue": (OutOfQueue, 3),
-    },
-) | {
+PLANTED = listed("changing", {"out-of-queue": (OutOfQueue, 3)}) | {
     "second-lane-unchecked": Planted(
         "changing",
         2,

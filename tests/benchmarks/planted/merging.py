@@ -102,10 +102,4 @@ class RememberedSpeed(Overtaker):
         return c.gap > self.NEAREST + self.TIME * f + 4 * closing + closing * closing / 4
 
 
-PLANTED = listed(
-    "merging",
-    {
-        "still-passed": (StillPassed, 2),
-        "remembered-speed": (RememberedSpeed, 3),
-    },
-)
+PLANTED = listed("merging", {"still-passed": (StillPassed, 2), "remembered-speed": (RememberedSpeed, 3)})

@@ -126,10 +126,5 @@ class FlickerHeld(Predictor):
 
 
 PLANTED = listed(
-    "predicting",
-    {
-        "lower-root": (LowerRoot, 1),
-        "outlier-gate": (OutlierGate, 1),
-        "flicker-held": (FlickerHeld, 2),
-    },
+    "predicting", {"lower-root": (LowerRoot, 1), "outlier-gate": (OutlierGate, 1), "flicker-held": (FlickerHeld, 2)}
 )

@@ -106,10 +106,4 @@ class FrozenList(Sampler):
         return leaders if self.repaired else [c for c in leaders if c.i in self.listed]
 
 
-PLANTED = listed(
-    "sampling",
-    {
-        "none-feasible": (NoneFeasible, 1),
-        "frozen-list": (FrozenList, 3),
-    },
-)
+PLANTED = listed("sampling", {"none-feasible": (NoneFeasible, 1), "frozen-list": (FrozenList, 3)})

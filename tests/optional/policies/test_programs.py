@@ -62,8 +62,7 @@ def brakes_in_python():
 
 def test_program_drives_like_the_same_planner_in_python(tmp_path):
     ads = program(
-        tmp_path,
-        "answer(acceleration=-1.0 if seen['others'][0]['x'] - seen['ego']['x'] < 40 else 0.1, steering=0.0)",
+        tmp_path, "answer(acceleration=-1.0 if seen['others'][0]['x'] - seen['ego']['x'] < 40 else 0.1, steering=0.0)"
     )
     ours, theirs = ROAD.rollout(CUT_IN, brakes_in_python), ROAD.rollout(CUT_IN, ads)
     assert theirs.error is None
