@@ -53,7 +53,7 @@ BENCHMARKS: Mapping[str, str] = {
     "margins": "margins --seeds {40|1} --runs {240|12} --workers WORKERS",
     "margins-of-others": "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} "
     "--workers WORKERS",
-    "speed": "speed --rounds {9|1} --parts {engines ads search start memory|start}",
+    "speed": "speed --rounds {9|1} --parts {engines ads search|search}",
 }
 """Arguments of the programs in tests/benchmarks."""
 

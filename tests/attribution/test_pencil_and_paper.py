@@ -1,12 +1,11 @@
 """The rules against a second program, written without a look at the first."""
 
-from collections import Counter
-
 import pytest
 
 from pytest_pafot.attribution.responsibility import rss_rule
 from tests.helpers.pencil_and_paper import judge
 from tests.helpers.random_collisions import collision
+from tests.helpers.situations import SITUATIONS
 from tests.helpers.stages import mostly_oracle
 
 SAMPLE = {
@@ -26,49 +25,23 @@ SAMPLE = {
 """The number of collisions of each policy in every session, and with ``-m oracle``; those found soon come first."""
 
 
-def drawn(policy, numbers):
-    return {(policy, number): collision(policy, number) for number in numbers}
+def collisions(which):
+    """Yield the name of each collision and its trace."""
+    if which == "situations":
+        for situation in (each for group in SITUATIONS.values() for each in group):
+            yield situation.name, situation.trace()
+        return
+    for policy, (some, every) in SAMPLE.items():
+        for number in range(some) if which == "soon found" else range(some, every):
+            yield (policy, number), collision(policy, number)
 
 
-@pytest.fixture(scope="module")
-def soon_found():
-    """Return collisions by policy and number."""
-    return {key: trace for policy, (some, _) in SAMPLE.items() for key, trace in drawn(policy, range(some)).items()}
-
-
-@pytest.fixture(scope="module", params=mostly_oracle(["soon found", "others"]))
-def collisions(request):
-    """Return collisions by policy and number."""
-    if request.param == "soon found":
-        return request.getfixturevalue("soon_found")
-    return {
-        key: trace for policy, (some, all_) in SAMPLE.items() for key, trace in drawn(policy, range(some, all_)).items()
-    }
-
-
-def test_second_program_gives_same_verdicts(collisions):
+@pytest.mark.parametrize("which", mostly_oracle(["situations", "soon found", "others"], "situations", "soon found"))
+def test_second_program_gives_same_verdicts(which):
     differ = {}
-    for name, trace in collisions.items():
+    for name, trace in collisions(which):
         package, second = rss_rule(trace), judge(trace)
         verdicts = [(each.responsibility, each.fault, each.tick) for each in (package, second)]
         if verdicts[0] != verdicts[1]:
             differ[name] = (*verdicts, package.reason)
     assert differ == {}
-
-
-def test_the_collisions_are_of_every_kind(soon_found):
-    kinds = Counter((verdict.responsibility, verdict.fault) for verdict in map(rss_rule, soon_found.values()))
-    assert kinds.keys() >= {
-        ("npc", None),
-        ("ego", "entered-lane"),
-        ("both", "entered-lane"),
-        ("ego", "leader-unanswered"),
-        ("ego", "cut-in-unanswered"),
-        ("both", "cut-in-unanswered"),
-        ("both", "braked-for-nothing"),
-        ("both", "stopped-for-nothing"),
-        ("ego", "did-not-give-way"),
-        ("both", "did-not-give-way"),
-        ("both", "entered-taken-zone"),
-        ("none", None),
-    }

@@ -1,17 +1,13 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
     python -m tests.benchmarks.speed [--rounds 7]
-        [--parts engines ads search start unused memory]
+        [--parts engines ads search]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
   one process, and their trajectories are compared by hash in that process.
 - ``ads``: policies of different cost, and the share of the time inside them.
 - ``search``: the cost of searches in addition to their rollouts.
-- ``start``: a fresh process until its first run is over, and whether that imported highway_env.
-- ``unused``: what the plugin costs a session of pytest without a search. Each round is a session with it and one with
-  ``-p no:pafot``; ask for 100 of them on a quiet machine.
-- ``memory``: the memory of this process over 10,000 scenarios.
 
 Times are processor time, so a noisy machine hardly changes ratios; nothing is asserted.
 """
@@ -19,17 +15,11 @@ Times are processor time, so a noisy machine hardly changes ratios; nothing is a
 from __future__ import annotations
 
 import hashlib
-import os
-import resource
 import statistics
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +27,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import Highway, PositionInstruction, Scenario, Trace, explore
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching import SearchSpace, sample
 from pytest_pafot.world import kernel
 from tests.benchmarks.command import holds, options
 from tests.helpers.gym_loop import drive, make_env, place, si_actions
@@ -254,70 +243,7 @@ def search(rounds: int) -> None:
         print(f"  {ego:15} {arm:22} {runs} runs: {each}, {(total - rollouts) / rollouts:.2f} of it")
 
 
-def start(rounds: int) -> None:
-    """Run part ``start``."""
-    first_run = (
-        "from pytest_pafot import Highway, PositionInstruction, Scenario; "
-        "Highway().rollout(Scenario(npcs=[[PositionInstruction(2, 15.0)]]), lambda: lambda seen: (0.0, 0.0))"
-    )
-    print("\na fresh process")
-    for name, before, code in (
-        ("the plugin, after pytest", "import pytest, hypothesis", "import pytest_pafot.plugin"),
-        ("the first run, after numpy", "import numpy", first_run),
-    ):
-        timed = f"import sys, time; {before}; t = time.process_time(); {code}; u = time.process_time(); "
-        told = "print(1e3 * (u - t), 'highway_env' in sys.modules)"
-        answers = [
-            subprocess.run([sys.executable, "-c", timed + told], check=True, capture_output=True, text=True).stdout
-            for _ in range(rounds)
-        ]
-        times = [float(answer.split()[0]) for answer in answers]
-        print(f"  {name:28}{statistics.median(times):7.1f} ms; highway_env imported: {answers[0].split()[1]}")
-
-
-def unused(rounds: int) -> None:
-    """Run part ``unused``: pairs of sessions with one test, which take turns in being the first."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    sessions = {False: ["-p", "no:pafot"], True: []}
-    spent: dict[bool, list[float]] = {False: [], True: []}
-
-    def session(*options: str) -> float:
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        asked = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
-        subprocess.run(asked, check=True, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "test_it.py").write_text("def test_it():\n    assert True\n", encoding="utf-8")
-        for has_plugin, _ in product(sessions, range(3)):  # which writes all bytecode
-            session(*sessions[has_plugin])
-        for count in range(rounds):
-            for has_plugin in (count % 2 == 0, count % 2 == 1):
-                spent[has_plugin].append(1e3 * session(*sessions[has_plugin]))
-    more = [used - without for without, used in zip(spent[False], spent[True], strict=True)]
-    low, middle, high = statistics.quantiles(more, n=4)
-    print(f"\na session without a search, {rounds} pairs, user and system time")
-    print(f"  without the plugin {statistics.median(spent[False]):.1f} ms")
-    print(
-        f"  the plugin adds {middle:.1f} ms in the median, {low:.1f} to {high:.1f} ms in the middle half of the pairs"
-    )
-
-
-def memory(rounds: int) -> None:
-    """Run part ``memory``."""
-    world, rng, space = Highway(), np.random.default_rng(0), SearchSpace()
-    print(f"\nresident memory, {KERNEL}")
-    for count in range(1, 10_001):
-        world.rollout(sample(space, rng), idle)
-        if count in (100, 1000, 5000, 10_000):
-            pages = int(Path("/proc/self/statm").read_text().split()[1])
-            print(f"  after {count:6} scenarios {pages * 4096 / 2**20:7.1f} MB")
-
-
-PARTS: dict[str, Callable[[int], None]] = {
-    "engines": engines, "ads": ads_ladder, "search": search, "start": start, "unused": unused, "memory": memory,
-}  # fmt: skip
+PARTS: dict[str, Callable[[int], None]] = {"engines": engines, "ads": ads_ladder, "search": search}
 
 
 def main() -> None:

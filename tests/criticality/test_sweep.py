@@ -100,11 +100,9 @@ class TestSweep:
         assert sum(ttc < 2.9 for ttc, *_ in expected) > 33
 
     def test_finds_the_extremes_of_the_arrays_in_runs(self, module):
-        found = [(swept(module, trace), by_arrays(trace)) for trace in runs()[:15]]
+        found = [(swept(module, trace), by_arrays(trace)) for trace in runs()]
         assert [swept for swept, arrays in found if swept not in (arrays, None)] == []
-
-    def test_sweep_needs_no_arrays_in_most_search_runs(self, module):
-        assert sum(swept(module, trace) is not None for trace in runs()) >= 15
+        assert sum(swept is not None for swept, _ in found) >= 15, "most runs need no arrays"
 
     @pytest.mark.parametrize("of", [0, 2])
     def test_sweep_leaves_invalid_states_to_the_arrays(self, module, of):

@@ -1,9 +1,8 @@
 """The blind lane changer is careful within its lane and blind to the next one."""
 
-import math
-
 from example_ads import blind_lane_change
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
+from tests.helpers.bicycle import moved
 from tests.helpers.tables import table
 
 
@@ -23,13 +22,7 @@ def drive(seconds, *, lane=1, lanes=4, hz=15):
     for tick in range(round(seconds * hz)):
         if tick % 3 == 0:
             acceleration, steering = ads(view(time=tick / hz, ego=ego, lanes=lanes))
-        slip = math.atan(math.tan(steering) / 2)
-        ego = ego._replace(
-            x=ego.x + ego.speed * math.cos(ego.heading + slip) / hz,
-            y=ego.y + ego.speed * math.sin(ego.heading + slip) / hz,
-            heading=ego.heading + ego.speed * math.sin(slip) / (ego.length / 2) / hz,
-            speed=ego.speed + acceleration / hz,
-        )
+        ego = moved(ego, acceleration, steering)
         ego = ego._replace(lane=min(max(round(ego.y / 4.0), 0), lanes - 1))
         track.append((ego.y, ego.speed))
     return track

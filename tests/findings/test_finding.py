@@ -183,34 +183,38 @@ def test_a_failing_assertion_is_known_by_its_source():
     assert normalised(failure.assertion) == "run.min_ttc > N"
 
 
-def test_assertion_over_several_lines_is_identified_whole():
-    def long_one(run):
-        assert (
-            run.min_ttc  # seconds
-            > 1.0
-        )
-
-    assert normalised(caught(long_one, Stub).assertion) == "run.min_ttc > N"
+def over_several_lines(run):
+    assert (
+        run.min_ttc  # seconds
+        > 1.0
+    )
 
 
-def test_assertion_behind_other_code_is_identified_alone():
-    # fmt: off
-    def behind(run):
-        if run.min_ttc: assert run.min_ttc > 1.0  # noqa: E701
-    # fmt: on
-
-    assert normalised(caught(behind, Stub).assertion) == "run.min_ttc > N"
+def of_a_library(_run):
+    np.testing.assert_allclose([1.0], [2.0])
 
 
-def test_library_exception_is_identified_by_the_test_line():
-    def library(_run):
-        np.testing.assert_allclose([1.0], [2.0])
+def of_python(_run):
+    int("x")
 
-    def value_error(_run):
-        int("x")
 
-    assert normalised(caught(library).assertion) == "np.testing.assert_allclose([N], [N])"
-    assert normalised(caught(value_error).assertion) == "int('x')"
+# fmt: off
+def behind_other_code(run):
+    if run.min_ttc: assert run.min_ttc > 1.0  # noqa: E701
+# fmt: on
+
+
+@table(
+    ("function", "source"),
+    [
+        (over_several_lines, "run.min_ttc > N"),
+        (behind_other_code, "run.min_ttc > N"),
+        (of_a_library, "np.testing.assert_allclose([N], [N])"),
+        (of_python, "int('x')"),
+    ],
+)
+def test_failure_is_identified_by_the_source_of_its_line(function, source):
+    assert normalised(caught(function, Stub).assertion) == source
 
 
 def test_assertion_in_helper_is_identified_by_its_source():

@@ -54,44 +54,34 @@ def label(run, failure=FAILS, *, finding=None, versions=VERSIONS):
     return replay_label(finding or saved(), run, failure, versions)
 
 
-@table("tick", [27, 30, 33])
-def test_event_within_fifth_of_second_still_fails(tick):
-    assert label(crash(tick)) == "still failing"
+ERROR = AdsError(kind="ValueError", message="", traceback="", tick=6)
+OTHER = VERSIONS | {"numpy": "9.0"}
 
 
-def test_same_event_still_fails_under_other_versions():
-    assert label(crash(), versions={"numpy": "9.0"}) == "still failing"
-    assert label(crash(), Failure(kind="AssertionError", assertion="assert run.collision is None")) == "still failing"
-
-
-@table("run", [crash(26), crash(34), crash(npc=1), crash(cell=Cell.LEFT), crash(side="left"), run_of()])
-def test_another_event_is_a_drift(run):
-    assert label(run) == "drifted"
-
-
-def test_another_exception_is_a_drift():
-    assert label(crash(), Failure(kind="TypeError", message="no")) == "drifted"
-
-
-def test_a_pass_under_the_same_versions_is_fixed():
-    assert label(run_of(), None) == "fixed"
-    assert label(run_of(), None, versions=VERSIONS | {"another": "1"}) == "fixed"
-
-
-@pytest.mark.parametrize("versions", [{}, VERSIONS | {"numpy": "9.0"}])
-def test_a_pass_under_other_versions_is_a_drift(versions):
-    assert label(run_of(), None, versions=versions) == "drifted"
-
-
-def test_pass_after_a_different_end_counts_as_drifted():
-    assert label(crash(10, cell=Cell.REAR, side="rear"), None) == "drifted"
-    assert label(run_of(outcome=Outcome.INVALID), None) == "drifted"
-    error = AdsError(kind="ValueError", message="", traceback="", tick=6)
-    assert label(run_of(outcome=Outcome.ADS_ERROR, error=error), None) == "drifted"
-
-
-def test_pass_of_same_event_is_fixed():
-    assert label(crash(), None) == "fixed"
+@table(
+    ("run", "failure", "versions", "expected"),
+    [
+        *((crash(tick), FAILS, VERSIONS, "still failing") for tick in (27, 30, 33)),  # within 0.2 s
+        (crash(), FAILS, OTHER, "still failing"),
+        (crash(), Failure(kind="AssertionError", assertion="assert run.collision is None"), VERSIONS, "still failing"),
+        *((crash(tick), FAILS, VERSIONS, "drifted") for tick in (26, 34)),
+        (crash(npc=1), FAILS, VERSIONS, "drifted"),
+        (crash(cell=Cell.LEFT), FAILS, VERSIONS, "drifted"),
+        (crash(side="left"), FAILS, VERSIONS, "drifted"),
+        (run_of(), FAILS, VERSIONS, "drifted"),
+        (crash(), Failure(kind="TypeError", message="no"), VERSIONS, "drifted"),
+        (run_of(), None, VERSIONS, "fixed"),
+        (crash(), None, VERSIONS, "fixed"),
+        (run_of(), None, VERSIONS | {"another": "1"}, "fixed"),
+        (run_of(), None, {}, "drifted"),
+        (run_of(), None, OTHER, "drifted"),
+        (crash(10, cell=Cell.REAR, side="rear"), None, VERSIONS, "drifted"),
+        (run_of(outcome=Outcome.INVALID), None, VERSIONS, "drifted"),
+        (run_of(outcome=Outcome.ADS_ERROR, error=ERROR), None, VERSIONS, "drifted"),
+    ],
+)
+def test_the_same_event_still_fails_a_pass_is_fixed_and_all_else_is_a_drift(run, failure, versions, expected):
+    assert label(run, failure, versions=versions) == expected
 
 
 def jerk(time=1.0, name="jerk"):

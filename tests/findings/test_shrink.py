@@ -1,6 +1,7 @@
 """Shrinking with predicates instead of runs: the input, what still fails, and the exact minimal answer."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from hypothesis import given, settings
@@ -13,7 +14,7 @@ from pytest_pafot.model.instructions import SHIFTS, instruction_of
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import MOTORCYCLE, TRUCK
 from pytest_pafot.strategies import scenarios
-from tests.helpers.shrinking import shrink
+from tests.helpers.shrinking import shrink, shrunk_by
 from tests.helpers.tables import table
 
 
@@ -29,19 +30,7 @@ def written(given):
     return tuple(" ".join(f"{gene.target}@{gene.speed:g}" for gene in chain) for chain in given.npcs)
 
 
-def shrunk(given, fails, *, rollouts=5000, **arguments):
-    """Shrink by a predicate, and check everything that must be true of every result."""
-    asked = []
-
-    def attempt(candidate):
-        asked.append(candidate)
-        return candidate if fails(candidate) else None
-
-    simplest, how = shrink(given, attempt, rollouts=rollouts, top_speed=26.8, **arguments)
-    assert len(asked) == len(set(asked)) == how.rollouts <= rollouts, "asked twice, or more often than allowed"
-    assert fails(simplest), "the result does not fail"
-    assert sort_key(simplest) <= sort_key(given), "the result is larger"
-    return simplest, how
+shrunk = partial(shrunk_by, rollouts=5000, top_speed=26.8)
 
 
 def minimal(given, fails):

@@ -1,6 +1,7 @@
 """Shrinking scenarios with crossing NPCs, with predicates instead of runs."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from tests.helpers.crossings import junction
-from tests.helpers.shrinking import shrink
+from tests.helpers.shrinking import shrunk_by
 from tests.helpers.tables import table
 
 JUNCTION = junction()
@@ -37,20 +38,7 @@ BUSY = scenario(
 )
 
 
-def shrunk(given, fails, *, rollouts=3000, **arguments):
-    """Shrink by a predicate, and check everything that must be true of every result."""
-    asked = []
-
-    def attempt(candidate):
-        asked.append(candidate)
-        return candidate if fails(candidate) else None
-
-    plain = {"plain": (0, 10.0), "plain_seconds": 4.0, "top_speed": 12.0}
-    simplest, how = shrink(given, attempt, rollouts=rollouts, **(plain | arguments))
-    assert len(asked) == len(set(asked)) == how.rollouts <= rollouts
-    assert fails(simplest)
-    assert sort_key(simplest) <= sort_key(given)
-    return simplest, how
+shrunk = partial(shrunk_by, rollouts=3000, plain=(0, 10.0), plain_seconds=4.0, top_speed=12.0)
 
 
 def told(each):

@@ -8,7 +8,7 @@ indices of the trace's rows.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from pytest_pafot.model.trace import ACROSS, ALONG, ANGLE, HEADING, LANE, OFFSET, SPEED, STRETCH, X, Y
@@ -23,12 +23,11 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Opinion:
-    """A verdict: the responsible vehicle, the fault, the tick where it begins, and the ticks that led to it."""
+    """A verdict: the responsible vehicle, the fault, and the tick where it begins."""
 
     responsibility: str
     fault: str | None
     tick: int
-    ticks: dict[str, int] = field(default_factory=dict)
 
 
 class Vehicle:
@@ -191,12 +190,7 @@ class Crash:
         self.together = together
         self.joined = first_of_last_stretch(together.__getitem__, self.impact)
         self.danger = first_of_last_stretch(self.is_danger, self.impact)
-        self.is_cut_in = False
-        self.counted = None  # the tick from which a response was last counted
-        self.sped_up = self.sped_up_to = None  # from which tick one vehicle sped up into the other, and to which speed
-        self.rests = {}  # the last ticks of brakings that went on for nothing, by the ticks from which they did
-        self.sides = {}
-        self.ticks = {"danger": self.danger, "joined": self.joined}
+        self.is_cut_in = self.is_drift = False
 
     def is_danger(self, tick):
         apart = gap(self.ego, self.npc, tick)
@@ -210,12 +204,12 @@ class Crash:
 
     def opinion(self, responsibility, fault=None, tick=None):
         tick = self.danger if tick is None else tick
-        return Opinion(responsibility, fault, tick, self.ticks)
+        return Opinion(responsibility, fault, tick)
 
     def verdict(self):
         """Apply the rules in order, then the excuse for an ego that stands still."""
         opinion = self._by_the_first_rule_that_applies()
-        is_excused = opinion.fault in ("leader-unanswered", "cut-in-unanswered") or "drift" in self.ticks
+        is_excused = opinion.fault in ("leader-unanswered", "cut-in-unanswered") or self.is_drift
         if is_excused and opinion.responsibility == "ego" and self.stands() and not self.rolled_into_it():
             return self.opinion("npc", None, opinion.tick)
         return opinion
@@ -256,15 +250,11 @@ class Crash:
                 changes = (LaneChange.of(self, self.ego, self.npc), LaneChange.of(self, self.npc, self.ego))
                 kept = [self.unless_given_up(*each) for each in zip((self.ego, self.npc), changes, strict=True)]
                 if any(each is not None for each in (*kept, self.npc_moved_in_behind())):
-                    self.ticks["joined"] = tick
                     return True
         self.joined = joined
         return False
 
     def changed_lanes(self, mine, theirs):
-        for name, change in (("ego's moment", mine), ("npc's moment", theirs)):
-            if change is not None:
-                self.ticks[name], self.sides[name] = change.moment, change.side
         if mine is not None and theirs is not None:
             return self.both_changed_lanes(mine, theirs)
         return self.npc_changed_lanes(theirs) if mine is None else self.ego_changed_lanes(mine)
@@ -353,7 +343,6 @@ class Crash:
             return self.npc_follows(passed.due, tick=passed.kept)
         due, is_ahead = max(at, self.danger - 1), gap(self.ego, self.npc, max(at, self.joined)) > 0
         if had_room and is_ahead and self.would_have_avoided(self.npc, self.ego, due):
-            self.ticks["answer"] = self.counted
             return self.opinion("both", "entered-lane", at)
         is_shared = self.has_second_chance(self.npc, self.ego, at) or (apart >= 2.0 and self.npc_sped_up_since(at))
         return self.opinion("both" if is_shared else "ego", "entered-lane", at)
@@ -414,9 +403,7 @@ class Crash:
         for tick in range(first, self.impact + 1):
             if behind.speed[tick] <= behind.speed[slowest]:
                 slowest = tick
-            gain = behind.speed[tick] - behind.speed[slowest]
-            if gain > most:
-                most, self.sped_up, self.sped_up_to = gain, slowest, behind.speed[tick]
+            most = max(most, behind.speed[tick] - behind.speed[slowest])
         return most > 0.3
 
     # Rule 4a
@@ -428,7 +415,6 @@ class Crash:
             return None
         if not self.would_have_avoided(other, mover, max(second[1], self.danger - 1)):
             return None
-        self.ticks["answer"] = self.counted
         return Passed(*second)
 
     def keeps_its_lane(self, vehicle, since):
@@ -452,7 +438,6 @@ class Crash:
                 self.only_ego_came_sideways()
                 and self.would_have_avoided(self.ego, self.npc, self.last_far_tick(before))
             ):
-                self.ticks["answer"] = self.counted
                 return self.opinion(self.ego_or_both(), "leader-unanswered")
             return self.npc_unless_second_chance(self.danger, seen=before)
         return self.npc_follows(0, tick=self.danger)
@@ -485,7 +470,6 @@ class Crash:
         if is_hard or stop is None:
             began, due = braked, max(since, min(due, braked))
         could = moved_in is not None or self.would_have_avoided(self.npc, self.ego, due)
-        self.ticks["answer"] = self.counted
         return self.opinion("both" if could else "ego", fault, began)
 
     # Rule 4c
@@ -500,11 +484,9 @@ class Crash:
         ]
         no_faster = [tick for tick in looked_at if behind.speed[tick] <= ahead.speed[tick]]
         if no_faster and self.would_have_avoided_a_cut_in(behind, ahead, no_faster[-1]):
-            self.ticks["no faster"], self.ticks["answer"] = no_faster[-1], self.counted
             return True
         for tick in looked_at:
             if self.lets_the_brakes_go(behind, ahead, tick) and self.could_have_braked_on(behind, ahead, tick):
-                self.ticks["brakes let go"] = self.ticks["answer"] = tick
                 return True
         return False
 
@@ -568,9 +550,8 @@ class Crash:
             is_weak = self.ego.deceleration(tick) < was / 2 and self.ego.speed[tick] > self.npc.speed[tick]
             count = count + 1 if is_weak else 0
             if count == needed:
-                self.ticks["brakes less"] = tick - needed
                 soon = Response(self, self.ego, self.npc, since, delay=0.4, perceived=0.0)
-                late = Response(self, self.ego, self.npc, since, delay=1.0, perceived=0.0, delay_deceleration=was)
+                late = Response(self, self.ego, self.npc, since, delay=1.0, perceived=0.0, kept=was)
                 return soon.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in) and (
                     not is_after_change or late.avoids(lambda tick: max(was, 6.0), brakes_on=self.is_cut_in)
                 )
@@ -590,7 +571,6 @@ class Crash:
         steps = range(seen + 1, min(self.impact, seen + round(1.6 * self.hz)) + 1)
         to_spare = 0.2 if any(self.ego.deceleration(tick) >= BRAKES for tick in steps) else 0.0
         if not nobody_can and self.would_have_avoided_a_cut_in(self.ego, self.npc, seen, to_spare):
-            self.ticks["answer"] = self.counted
             return self.opinion(self.ego_or_both(at), "cut-in-unanswered", at)
         passed = None if self.is_as_far_back_as_asked(seen) else self.duty_passes(self.npc, self.ego, at)
         if passed is not None:
@@ -643,13 +623,12 @@ class Crash:
     def would_have_avoided(self, responder, other, due):
         """Return whether a follower would have avoided it: 1.0 s of delay, then 6 m/s^2."""
         drive = Response(self, responder, other, due, delay=1.0, perceived=0.0)
-        self.counted = due
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     def would_have_avoided_a_cut_in(self, responder, other, seen, to_spare=0.0):
         """Return whether 1.4 s of delay, then 3 (emergency: 6) m/s^2 avoid it, even with ``to_spare`` more seconds."""
         drive = self.response_to_a_cut_in(responder, other, seen)
-        avoids, self.counted = drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in), seen
+        avoids = drive.avoids(Emergency(drive).deceleration, brakes_on=self.is_cut_in)
         if drive.mastered is not None:
             return self.would_have_avoided_a_cut_in(responder, other, drive.mastered, to_spare)
         late = self.response_to_a_cut_in(responder, other, seen, to_spare)
@@ -667,7 +646,6 @@ class Crash:
     def could_have_braked_on(self, responder, other, since):
         """Return whether braking at once with 6 m/s^2 would have avoided it."""
         drive = Response(self, responder, other, since, delay=0.0, perceived=0.0)
-        self.counted = since
         return drive.avoids(lambda tick: 6.0, brakes_on=self.is_cut_in)
 
     # Rule 7
@@ -696,7 +674,6 @@ class Crash:
         had, lost = self.ego.body_speed[rest], self.ego.body_speed[rest] - self.ego.body_speed[last]
         if lost < max(had / 2, 5.0) or not self.counts(self.ego, self.npc, rest, rest, last, moved_in, has_reason=True):
             return None
-        self.rests[rest] = last
         return rest
 
     def is_harder_than_5(self, braker, stretch):
@@ -733,7 +710,7 @@ class Crash:
         moving = [tick for tick in range(self.impact + 1) if speed[tick] > STANDS]
         if not moving:
             return None
-        stood = self.ticks["stood"] = moving[-1] + 1
+        stood = moving[-1] + 1
         if self.seconds(self.impact - stood) < 3.0 - ROUNDING or self.npc.speed[self.danger] <= 3.0:
             return None
         began = next(tick for tick in range(stood, -1, -1) if tick == 0 or speed[tick] >= speed[tick - 1])
@@ -811,7 +788,7 @@ class Crash:
 
     def drift(self):
         at, side = self.joined, side_of(self.npc, self.ego, self.joined)
-        self.ticks["drift"] = at
+        self.is_drift = True
         towards = side * self.ego.sideways(at), -side * self.npc.sideways(at)
         ego, npc = (speed >= MOVES_SIDEWAYS for speed in towards)
         if ego == npc:
@@ -1111,7 +1088,6 @@ class Crossing:
             self.since -= 1
         is_lane = self.until > self.since and self.impact - self.until <= 1.0 * self.ego.hz
         self.lane = Crash(part_of(trace, self.since, self.until)) if is_lane else None
-        self.decides = "nobody"
 
     def verdict(self):
         if self.lane is not None and self.lane.danger > 0:
@@ -1122,15 +1098,13 @@ class Crossing:
             opinion = self.by_priority()
             if opinion is not None:
                 return opinion
-            self.decides = "neither"
         return self.by_lane() if self.lane is not None else Opinion("none", None, self.impact)
 
     def by_lane(self):
-        self.decides, found = "lane", self.lane.verdict()
-        return Opinion(found.responsibility, found.fault, found.tick + self.since, found.ticks)
+        found = self.lane.verdict()
+        return Opinion(found.responsibility, found.fault, found.tick + self.since)
 
     def by_priority(self):
-        self.decides = "priority"
         self.rude = [one for one in (self.ego, self.npc) if not one.has_priority and self.gives_no_way(one)]
         self.blind = [one for one in (self.ego, self.npc) if one not in self.rude and self.enters_taken(one)]
         failed = self.rude + self.blind

@@ -1,7 +1,7 @@
 """Shrinking by functions that answer its questions."""
 
 from pytest_pafot.findings import shrink as shrinking
-from pytest_pafot.findings.shrink import Ahead, Attempt, Likely
+from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, sort_key
 
 
 def shrink(
@@ -25,3 +25,18 @@ def shrink(
                     answer = expect(*question)
     except StopIteration as done:
         return done.value
+
+
+def shrunk_by(given, fails, *, rollouts, **options):
+    """Shrink by a predicate, and check everything that must be true of every result."""
+    asked = []
+
+    def attempt(candidate):
+        asked.append(candidate)
+        return candidate if fails(candidate) else None
+
+    simplest, how = shrink(given, attempt, rollouts=rollouts, **options)
+    assert len(asked) == len(set(asked)) == how.rollouts <= rollouts, "asked twice, or more often than allowed"
+    assert fails(simplest), "the result does not fail"
+    assert sort_key(simplest) <= sort_key(given), "the result is larger"
+    return simplest, how

@@ -116,10 +116,6 @@ def test_single_chain_changes_only_where_it_leaves_ring(chain, seed):
             assert repaired[gene] == before.neighbours[toss(seed, 0, gene)]
 
 
-def test_no_chain_is_repaired_to_no_chain():
-    assert repair_chains([], seed=0) == ()
-
-
 def test_both_neighbours_are_drawn_equally_for_every_npc():
     for npc, gene in product(range(8), range(6)):
         heads = sum(toss(seed, npc, gene) for seed in range(2000))
@@ -203,50 +199,27 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
     assert repair_gene(None, executed, existing, lambda npc: not toss(seed, npc, 0)) == executed
 
 
-def test_vanished_lane_leaves_the_one_existing_neighbour():
-    """The ego is on the left lane, so cells 1, 7 and 8 are off the road."""
-    right_side = ALL_CELLS - {Cell.FRONT_LEFT, Cell.LEFT, Cell.REAR_LEFT}
-    for coin in (False, True):
-        assert repair_gene([Cell.FRONT], [Cell.FRONT_LEFT], right_side, lambda npc, c=coin: c) == (Cell.FRONT_RIGHT,)
-        assert repair_gene([Cell.LEFT], [Cell.LEFT], right_side, lambda npc, c=coin: c) == (Cell.LEFT,)
-
-
-def test_first_of_two_npcs_gets_the_wanted_cell():
-    executed = repair_gene([Cell.FRONT_LEFT, Cell.FRONT_RIGHT], [Cell.FRONT, Cell.FRONT], ALL_CELLS, lambda npc: True)
-    assert executed == (Cell.FRONT, Cell.RIGHT)
-
-
 class TestRepairThatSkipsMissingCells:
     """The repair for roads on which few cells exist."""
 
-    one_lane = frozenset({Cell.FRONT, Cell.REAR})
-
-    def repaired(self, previous, requested, existing, clockwise=True):
-        return repair_gene([previous], [requested], existing, lambda npc: clockwise, skipping=True)[0]
-
-    @pytest.mark.parametrize("requested", [Cell.FRONT_LEFT, Cell.FRONT_RIGHT])
-    def test_step_to_missing_cell_skips_to_next_existing(self, requested):
-        assert self.repaired(Cell.FRONT, requested, self.one_lane) == Cell.REAR
-
-    def test_a_step_goes_on_in_its_own_direction(self):
-        existing = frozenset({Cell.FRONT, Cell.RIGHT, Cell.LEFT})
-        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, existing) == Cell.RIGHT
-        assert self.repaired(Cell.FRONT, Cell.FRONT_LEFT, existing) == Cell.LEFT
-
-    def test_holding_is_no_step(self):
-        assert self.repaired(Cell.FRONT, Cell.FRONT, self.one_lane) == Cell.FRONT
-
-    def test_the_next_existing_cells_are_neighbours(self):
-        assert self.repaired(Cell.FRONT, Cell.REAR, self.one_lane) == Cell.REAR
-
-    def test_distant_cell_becomes_a_neighbour_by_the_coin(self):
-        existing = frozenset(Cell) - {Cell.FRONT_RIGHT}
-        assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=True) == Cell.RIGHT
-        assert self.repaired(Cell.FRONT, Cell.REAR, existing, clockwise=False) == Cell.FRONT_LEFT
-
-    def test_where_nothing_else_exists_an_npc_holds(self):
-        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, frozenset({Cell.FRONT})) == Cell.FRONT
-        assert self.repaired(Cell.FRONT, Cell.FRONT_RIGHT, frozenset()) == Cell.FRONT
+    @table(
+        ("requested", "existing", "clockwise", "executed"),
+        [
+            (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),  # the next cell that exists is a neighbour
+            (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
+            (Cell.REAR, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
+            (Cell.FRONT, {Cell.FRONT, Cell.REAR}, True, Cell.FRONT),  # to hold is no step
+            (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),  # on in its own direction
+            (Cell.FRONT_LEFT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.LEFT),
+            (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),  # a distant cell: a neighbour by the coin
+            (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, False, Cell.FRONT_LEFT),
+            (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
+            (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),
+        ],
+    )
+    def test_a_step_from_the_front_goes_to_the_next_cell_that_exists(self, requested, existing, clockwise, executed):
+        coin = lambda npc: clockwise  # noqa: E731
+        assert repair_gene([Cell.FRONT], [requested], frozenset(existing), coin, skipping=True) == (executed,)
 
     @given(
         st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),

@@ -297,6 +297,10 @@ def test_progress_is_one_line_with_the_name_cut():
     assert line.startswith("pafot: ...xxx")
     assert line.endswith("3/100 generations, 9 runs, 2 failing, 1 new, 3/s")
     assert terminal.progress_line(replace(progress, seconds=120.0)).endswith("2 failing, 1 new, 13 s a run")
+    narrow = terminal.progress_line(progress, 39)
+    assert (len(narrow), narrow.endswith("xxx 3/100 generations, ")) == (39, True)
+    after = "shrinking saved-front-2-1f3a9c, run 3 of at most 300"
+    assert terminal.progress_line(replace(progress, phase=after), 100).endswith(after)
 
 
 @table(
@@ -324,13 +328,6 @@ def test_decisions_are_counted_where_they_take_the_time():
     confirmed = replace(search, confirm_decisions=198)
     assert "  3,923 decisions, 198 to confirm and 8,357 to shrink" in terminal.search_lines(confirmed)
     assert "decisions" not in "\n".join(terminal.search_lines(replace(search, seconds=12.0)))
-
-
-def test_progress_fits_into_a_narrow_terminal():
-    progress = Progress(node_id="x" * 200, generation=3, generations=100, runs=9, failing=2, finds=1, seconds=3.0)
-    line = terminal.progress_line(progress, 39)
-    assert len(line) == 39
-    assert line.endswith("xxx 3/100 generations, ")
 
 
 @table(
@@ -414,11 +411,3 @@ def test_wrapped_line_retains_its_mark_and_indentation():
 @table("kept", ["37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,"])
 def test_no_line_ends_between_number_and_unit(kept):
     assert wrapped_to(f"  one two {kept} andsoon", 13) == ["  one two", f"    {kept}", "    andsoon"]
-
-
-def test_progress_names_what_goes_on_after_the_generations():
-    progress = Progress(
-        node_id="t.py::test_it[search]", generation=10, generations=10, runs=48, failing=3, finds=1, seconds=2.0,
-        phase="shrinking saved-front-2-1f3a9c, run 3 of at most 300",
-    )  # fmt: skip
-    assert terminal.progress_line(progress, 100).endswith("shrinking saved-front-2-1f3a9c, run 3 of at most 300")

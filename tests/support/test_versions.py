@@ -23,16 +23,19 @@ def machine(tmp_path, monkeypatch):
     return write
 
 
-def test_cores_without_a_quota_are_those_of_the_affinity(machine, tmp_path):
-    assert cores(tmp_path) == 8  # a system without cgroups
-    assert cores(machine("/job", job="max 100000\n")) == 8
-
-
-def test_a_quota_limits_the_cores_and_a_part_of_one_counts(machine):
-    assert cores(machine("/job", job="250000 100000\n")) == 3
-    assert cores(machine("/job", job="20000 100000\n")) == 1
-    assert cores(machine("/job", job="1600000 100000\n")) == 8
-    assert cores(machine("/job", job=f"{10**400} 1\n")) == 8  # more than a float can be
+@pytest.mark.parametrize(
+    ("quota", "count"),
+    [
+        ("max 100000\n", 8),
+        ("250000 100000\n", 3),  # a part of a core counts
+        ("20000 100000\n", 1),
+        ("1600000 100000\n", 8),
+        (f"{10**400} 1\n", 8),  # more than a float can be
+        ("300000\n", 3),  # of the usual period
+    ],
+)
+def test_a_quota_limits_the_cores(machine, quota, count):
+    assert cores(machine("/job", job=quota)) == count
 
 
 def test_the_smallest_quota_of_a_cgroup_and_those_around_it_counts(machine):
@@ -42,8 +45,7 @@ def test_the_smallest_quota_of_a_cgroup_and_those_around_it_counts(machine):
 
 
 def test_a_container_has_its_limits_at_the_root_of_its_cgroups(machine):
-    root = machine("/", **{"": "200000 100000\n"})
-    assert cores(root) == 2
+    assert cores(machine("/", **{"": "200000 100000\n"})) == 2
 
 
 @pytest.mark.parametrize("text", ["", "garbage", "0 100000\n", "-1 100000\n", "100000 0\n", "1e5 100000\n", "\xff"])
@@ -53,8 +55,9 @@ def test_a_file_that_states_no_limit_is_left_out(machine, text):
     assert list(cpu_limits(root)) == []
 
 
-def test_a_quota_without_its_period_is_one_of_the_usual_period(machine):
-    assert cores(machine("/job", job="300000\n")) == 3
+@pytest.mark.usefixtures("machine")
+def test_a_system_without_cgroups_has_the_cores_of_the_affinity(tmp_path):
+    assert cores(tmp_path) == 8
 
 
 def test_cores_without_an_affinity_are_those_of_the_machine(monkeypatch, tmp_path):
