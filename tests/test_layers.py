@@ -63,7 +63,7 @@ route are of the base class of instructions, which makes instructions of its kin
 """
 
 QUESTION = re.compile(
-    r"isinstance\(.*\b(StraightRoad|NetworkRoad|JunctionRoad|Network|RoadPlaces|JunctionDirector)\b"
+    r"isinstance\(.*\b(StraightRoad|NetworkRoad|JunctionRoad|Network|JunctionDirector)\b"
     r"|\b(track|crossings|straight_road) is (not )?None|\bis_(straight|bent)\b(?! = |: bool|: [Tt]rue)"
 )
 """What asks a road, or a run on it, for its kind. A new kind of road must look at each such line."""
@@ -78,7 +78,7 @@ QUESTIONS = {
     "report/views.py": 1,  # two kinds of pictures, and the page has both
     "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
     "searching/space.py": 3,  # whether NPCs can cross at all
-    "world/built_in.py": 1,  # hands the straight road to whoever draws starts on it
+    "world/base_world.py": 1,  # hands the straight road to whoever draws starts on it
     "world/driving/compiled_vehicle.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes
     "world/engines/policies.py": 1,  # the same
     "world/guard/own_worlds.py": 1,  # the road of a user's world may be anything

@@ -111,7 +111,7 @@ def avoidance(trace: Trace, fault: Fault | None, take_over: TakeOver) -> Avoidan
         trace: trace of the run.
         fault: fault of the ego in the run.
         take_over: function that simulates the run again with a driver that takes over, see
-            :meth:`pytest_pafot.world.built_in.BuiltInWorld.take_over`.
+            :meth:`pytest_pafot.world.base_world.BuiltInWorld.take_over`.
     """
     if trace.collision is None or fault not in ANSWERED_BY_BRAKING or not _may_drive(STEADY_BRAKING, take_over):
         return None

@@ -46,8 +46,7 @@ from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world import Highway, WorldLike
-from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.driving.policy import AdsFactory, Policy
 
 PLACE = "pafot.explore"
 

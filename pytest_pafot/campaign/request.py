@@ -21,10 +21,9 @@ from pytest_pafot.support.references import described, factory_named, imported
 from pytest_pafot.support.text import shown
 from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError, WorldLike
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld
-from pytest_pafot.world.driving.ads import AdsFactory, hint_at_object
+from pytest_pafot.world.driving.policy import AdsFactory, hint_at_object
 from pytest_pafot.world.guard.own_worlds import base_world
-from pytest_pafot.world.limits import PLANNER_HZ
-from pytest_pafot.world.validation import OTHER_KIND
+from pytest_pafot.world.limits import OTHER_KIND, PLANNER_HZ
 
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""

@@ -16,7 +16,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.text import shown, visible
 from pytest_pafot.world import WorldError, WorldLike, codec
-from pytest_pafot.world.driving.ads import AdsFactory
+from pytest_pafot.world.driving.policy import AdsFactory
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Scenario
     from pytest_pafot.oracle.run import Run
     from pytest_pafot.world.base_world import WorldLike
-    from pytest_pafot.world.driving.ads import AdsFactory
+    from pytest_pafot.world.driving.policy import AdsFactory
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -19,7 +19,7 @@ from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.codec import from_dict
-from pytest_pafot.world.driving.perception import Perception
+from pytest_pafot.world.driving.policy import Perception
 from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway

@@ -22,10 +22,9 @@ from pytest_pafot.world.base_world import WorldLike
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
 from pytest_pafot.world.highway import Highway
-from pytest_pafot.world.limits import NpcLimits
+from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits, plain_data
 from pytest_pafot.world.simulator_world import SimulatorWorld
 from pytest_pafot.world.sumo import Sumo
-from pytest_pafot.world.validation import PHYSICS_HZ, plain_data
 
 SUMO = "sumo"
 """The ``kind`` in files of a world of ``pafot.sumo``."""

@@ -32,8 +32,8 @@ from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, SearchedLanes
 from pytest_pafot.world.guard.failure import UNFIT, let_through
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang, patience_with_world
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.limits import CONNECTED
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.limits import ADS_HZ, CONNECTED, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
+from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.stock import (
     AbstractEnv,
     ExitEnv,
@@ -44,7 +44,6 @@ from pytest_pafot.world.stock import (
     action,
     observation,
 )
-from pytest_pafot.world.validation import ADS_HZ, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
 
 TRAFFIC = ("initial_vehicle_count", "other_vehicles", "spawn_probability")
 """The options that environments have for their random traffic, besides ``vehicles_count``."""

@@ -12,25 +12,28 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.built_in import BuiltInWorld, EgoVehicle
-from pytest_pafot.world.driving.ads import AdsFactory
-from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.base_world import BuiltInWorld, EgoVehicle
+from pytest_pafot.world.driving.policy import AdsFactory, Policy
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
-from pytest_pafot.world.limits import CLEARANCE, HANG_LIMIT, HEADWAY, TOP_SPEED, NpcLimits
-from pytest_pafot.world.roads.road import Meeting, Road
-from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.validation import (
+from pytest_pafot.world.limits import (
     ADS_HZ,
+    CLEARANCE,
+    HANG_LIMIT,
+    HEADWAY,
     OTHER_KIND,
     PHYSICS_HZ,
+    TOP_SPEED,
+    NpcLimits,
     check_divides,
     check_ticks,
     number_within,
     plain_data,
     whole_within,
 )
+from pytest_pafot.world.roads.road import Meeting, Road
+from pytest_pafot.world.run_config import Rules
 
 if TYPE_CHECKING:
     from pytest_pafot.world.gym_environment import GymEnvironment

@@ -27,6 +27,8 @@ from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
 from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.attribution.takeovers import STEADY_BRAKING
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
+from pytest_pafot.model.trace import Trace
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 
 GRAVITY = 9.81
@@ -78,6 +80,8 @@ EPSILON = 1e-6
 LANE_GAIN, HEADING_GAIN = 0.01, 0.3
 """The steering for each metre of offset from the lane's centre [rad/m], and for each radian of angle to the lane [1].
 """
+WATCHED = 6.0
+"""The time for which a reference driver watches before it takes over [s], long enough to notice every vehicle."""
 
 
 class Leader(NamedTuple):
@@ -328,6 +332,43 @@ class SteadyBraking(ReferenceDriver):
     def at_junction(self, observation: Observation) -> float:
         """Return infinity, because this driver ignores all vehicles."""
         return math.inf
+
+
+class RecordedBody(Body):
+    """The ego of a recorded run: it repeats the recorded states up to a tick, and afterwards obeys its controls.
+
+    The states up to the tick are equal to the last bit for every kind of ADS. Repeating the ADS's decisions instead
+    would achieve that only for planners.
+    """
+
+    def __init__(self, trace: Trace, tick: int) -> None:
+        super().__init__(*trace.sizes[0])
+        self._rows = iter(trace.ego[1 : tick + 1].tolist())
+
+    def step(self, dt: float) -> None:
+        """Take the state of the next recorded tick; after the last recorded tick, move like any body."""
+        row = next(self._rows, None)
+        if row is None:
+            super().step(dt)
+            return
+        self.place(*row[:4])
+        self.acceleration, self.steering = row[4:6]
+
+
+@dataclass(slots=True)
+class Relief:
+    """A reference driver that takes over at ``time`` [s]; shortly before, it only watches."""
+
+    driver: ReferenceDriver
+    time: float
+
+    def __call__(self, observation: Observation) -> tuple[float, float]:
+        """Return the driver's acceleration [m/s^2] and steering [rad]; zeros before it takes over."""
+        if observation.time >= self.time:
+            return self.driver(observation)
+        if observation.time >= self.time - WATCHED:
+            self.driver.watch(observation)
+        return 0.0, 0.0
 
 
 REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({"careful-human": CarefulHuman})

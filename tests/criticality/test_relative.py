@@ -14,10 +14,9 @@ from pytest_pafot.model.trace import HEADING, SPEED, Lane, X, Y
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import EgoDriver
-from pytest_pafot.world.kernel.observation import COLUMNS
-from pytest_pafot.world.kernel.places import RoadPlaces
+from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import Column, NetworkRoad
 from pytest_pafot.world.roads.route import STEP, Line
@@ -78,7 +77,7 @@ def driven(*vehicles, touched=False):
     road, count, ticks, rows = circle(), len(vehicles), len(states) - 1, states.ravel()
     bodies, shown = ([Body(LENGTH, WIDTH) for _ in vehicles] for _ in range(2))
     way = {"starts": angles[0] * RADIUS, "ways": [None] * count, "end": road.end, "beside": None}
-    places = RoadPlaces(bodies, shown, road.bends, **way, ticks=ticks)
+    places = Places(bodies, shown, bends=road.bends, **way, ticks=ticks)
     for tick, now in enumerate(states):
         for body, state in zip(bodies, now, strict=True):
             body.place(*state[:4])

@@ -104,10 +104,10 @@ def test_npc_starts_no_faster_than_bend_allows():
     cells = tuple(Cell)
     places = start_places(rules, scenario, cells, LENGTH)[1:]
     for speed, (along, lane) in zip(start_speeds(rules, scenario, places), places, strict=True):
-        sideways = speed**2 * np.sin(abs(rules.road.lane_at(lane, along)[2])) / (LENGTH / 2)
+        sideways = speed**2 * np.sin(abs(rules.road.bends.lane_at(lane, along)[2])) / (LENGTH / 2)
         most = BEND_SHARE * rules.limits.lateral_acceleration
         assert sideways <= most + 1e-9
-        if speed < min(scenario.ego_speed, rules.road.speed_at(lane, along)):
+        if speed < min(scenario.ego_speed, rules.road.bends.speed_at(lane, along)):
             assert sideways == pytest.approx(most)
             slowed += 1
     assert slowed

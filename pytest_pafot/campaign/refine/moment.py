@@ -180,7 +180,7 @@ def _decided_aside(
     check_time(bench)
     yield Phase(f"asking the policy of {trace.executed.id} again", sighting.id)
     state.moment_runs += 1
-    from pytest_pafot.world.driving.environment_actions import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
+    from pytest_pafot.world.driving.environment import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
 
     harness, record, scenario = bench.harness, bench.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate

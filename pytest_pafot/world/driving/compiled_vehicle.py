@@ -11,13 +11,11 @@ from highway_env.vehicle.objects import Landmark
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.idm import GoalVehicle
+from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle, NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.kernel.network_vehicle import NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.road_rules import EgosRoadRules
 from pytest_pafot.world.roads.network import NetworkRoad
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import ControlledVehicle, RegulatedRoad
 

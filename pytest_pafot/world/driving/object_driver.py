@@ -11,8 +11,7 @@ import numpy as np
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
-from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
-from pytest_pafot.world.driving.observations import hide, observer
+from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, hide, observer
 from pytest_pafot.world.driving.shadow import Unseeing
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
 from pytest_pafot.world.guard.failure import UNFIT, error_of
@@ -21,8 +20,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.roads.road import Pose, Road
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import Pose, Road, StraightRoad
 
 
 class GuardedDriver(EgoDriver):

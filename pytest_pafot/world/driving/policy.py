@@ -1,16 +1,300 @@
-"""A policy as a value: what the user gives, and all that the package asks about it."""
+"""ADSs and their factories: calls of factories, and what they are told about what a factory returns."""
 
 from __future__ import annotations
 
+import functools
 import inspect
-from dataclasses import dataclass
+import math
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import FunctionType
 from typing import Any
 
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.support.errors import refused_policy
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class, make_ads, takes_nothing
-from pytest_pafot.world.driving.perception import ads_and_sight, sight_of
+from pytest_pafot.support.errors import AdsFactoryError, WorldError, refused_policy
+from pytest_pafot.support.text import shown
+from pytest_pafot.world.guard.hang_guard import one_process, unending
+from pytest_pafot.world.kernel.observation import Observation, Observer, Sensor
+
+PREDICTING = "`lambda: lambda observation: model.predict(observation, deterministic=True)[0]`"
+"""An example of a factory whose ADS calls a trained model, for messages."""
+
+AdsFactory = Callable[..., Any]
+"""A callable that returns a fresh ADS; it is called once per scenario.
+
+It may have these optional members: a method ``check_world(world)``, which raises if its ADSs cannot drive there; a
+method ``preload()``, which the session calls so that forked processes share what it loads; and a text
+``loading_hint``, which a search reports as a note.
+"""
+
+
+def is_vehicle_class(candidate: object) -> bool:
+    """Return whether an object is a highway-env vehicle class, or a ``functools.partial`` of one."""
+    inner = candidate.func if isinstance(candidate, functools.partial) else candidate
+    kinematics = sys.modules.get("highway_env.vehicle.kinematics")  # imported wherever a vehicle class exists
+    return kinematics is not None and isinstance(inner, type) and issubclass(inner, kinematics.Vehicle)
+
+
+def make_ads(factory: AdsFactory, **arguments: Any) -> Any:
+    """Make a fresh ADS; a vehicle class is returned as it is.
+
+    Raises:
+        AdsFactoryError: if the factory cannot be called with these arguments, or returns nothing that drives.
+    """
+    if is_vehicle_class(factory):
+        return _checked_vehicle_class(factory)
+    if not callable(factory):
+        hint = hint_at_object(factory) or "Return one from the fixture, such as `return lambda: MyPlanner()`"
+        raise AdsFactoryError(
+            "ads: expected a factory, a callable that returns a fresh ADS for each scenario, received "
+            f"{shown(factory)}. {hint}"
+        )
+    _check_call(factory, arguments)
+    try:
+        with unending(), one_process():
+            ads = factory(**arguments)
+    except SystemExit as error:
+        raise AdsFactoryError(
+            f"ads: expected the factory to return an ADS, received SystemExit: {error}. It calls sys.exit: let it "
+            "raise an error instead"
+        ) from error
+    except TypeError as error:
+        if re.search(r"__init__\(\) missing .*'position'", str(error)):
+            error.add_note(
+                "To let a highway-env vehicle drive, give its class itself, as in `ads=MyVehicle`, without calling it: "
+                "each run makes its own vehicle."
+            )
+        raise
+    if isinstance(getattr(ads, "sight", None), Sight):
+        _check_sight_is_told(factory, ads.sight)
+    if is_vehicle_class(ads):
+        return _checked_vehicle_class(ads)
+    if callable(ads):
+        return ads
+    hint = hint_at_object(ads) or (
+        "An action is what the ADS returns: write `lambda: lambda observation: ...`, or `lambda: MyPlanner()`"
+    )
+    raise AdsFactoryError(
+        "ads: expected the factory to return an ADS, a callable `observation -> action` or a highway-env vehicle "
+        f"class, received {shown(ads)}. {'Is a `return` missing in it?' if ads is None else hint}"
+    )
+
+
+@functools.lru_cache(maxsize=1)  # a run of the kernel takes little longer than the signature of its vehicle class
+def _checked_vehicle_class(vehicle_class: Any) -> Any:
+    """Return a vehicle class that each run can call with a road, a position, a heading and a speed."""
+    signature = inspect.signature(vehicle_class)
+    try:
+        signature.bind(None, [0.0, 0.0], 0.0, 0.0)
+    except TypeError as error:
+        name = getattr(vehicle_class, "func", vehicle_class).__name__
+        raise AdsFactoryError(
+            "ads: expected a highway-env vehicle class that can be called with (road, position, heading, speed), "
+            f"received {name} with the signature {signature} ({error}). Give its other arguments by name, as in "
+            f"`ads=functools.partial({name}, <name>=<value>)`, or write a subclass without them"
+        ) from None
+    return vehicle_class
+
+
+def _check_sight_is_told(factory: AdsFactory, sight: Sight) -> None:
+    """Refuse an imperfect sight that only the ADS has, because a reader of the factory would assume perfect sight."""
+    seeing = inspect.unwrap(factory, stop=lambda each: getattr(each, "sight", None) == sight)
+    if getattr(seeing, "sight", None) != sight:
+        raise AdsFactoryError(
+            f"ads: expected a pafot.Perception as the factory itself, received a pafot.Perception that "
+            f"{shown(factory)} makes, so findings would not state the imperfect sight; write "
+            "`ads=pafot.Perception(lambda: MyPlanner(), ...)`, or return that from the fixture"
+        )
+
+
+def hint_at_object(given: Any) -> str:
+    """Return a hint for a vehicle or a model with a method such as ``predict``, which is no ADS; otherwise empty."""
+    if is_vehicle_class(type(given)):
+        name = type(given).__name__
+        return f"Give the class itself, `{name}`, without calling it: each run makes its own vehicle"
+    method = next((name for name in ("predict", "act", "decide", "step") if callable(getattr(given, name, None))), "")
+    if not method:
+        return ""
+    example = f", {PREDICTING}" if method == "predict" else ""
+    return f"It has a method {method!r}: let the factory return a function of the observation that calls it{example}"
+
+
+def takes_nothing(factory: AdsFactory) -> bool:
+    """Return whether a factory is a plain function without parameters; this is much faster than its signature."""
+    if type(factory) is not FunctionType or factory.__dict__:
+        return False
+    code = factory.__code__
+    takes_any_number = code.co_flags & (inspect.CO_VARARGS | inspect.CO_VARKEYWORDS)
+    return not (code.co_argcount or code.co_kwonlyargcount or takes_any_number)
+
+
+def _check_call(factory: AdsFactory, arguments: dict[str, Any]) -> None:
+    if not arguments and takes_nothing(factory):
+        return
+    try:
+        signature = inspect.signature(factory)
+    except (TypeError, ValueError):  # builtins without a signature
+        return
+    try:
+        signature.bind(**arguments)
+    except TypeError as error:
+        given = "with env=<environment>" if arguments else "without arguments"
+        inner = inspect.unwrap(factory)
+        if isinstance(inner, type):
+            hint = f"Give the arguments in a function, `lambda: {inner.__name__}(...)`"
+        elif getattr(inner, "__name__", "") == "predict":
+            hint = f"For a model, write {PREDICTING}"
+        elif inspect.isfunction(inner) and inner.__name__ != "<lambda>":
+            name = inner.__name__
+            hint = f"If {name} is the ADS itself, write `lambda: {name}`; if it makes one, `lambda: {name}(...)`"
+        else:
+            hint = (
+                "An ADS itself is not a factory. Wrap it so that each scenario gets a fresh one: "
+                "`lambda: MyPlanner()`, or `return lambda: MyPlanner()` in the fixture"
+            )
+        raise AdsFactoryError(
+            f"ads: expected a factory that can be called {given}, received one with the signature {signature} "
+            f"({error}). {hint}"
+        ) from None
+
+
+def give_route(vehicle: Any, route: Sequence[Any] | None) -> None:
+    """Give a vehicle a copy of the environment's route, if both have one; highway-env shortens it while driving."""
+    if route is not None and hasattr(vehicle, "route"):
+        vehicle.route = list(route)
+
+
+DRIVES_ITSELF = "a highway-env vehicle class drives itself and reads the road, so nothing can be hidden from it"
+
+
+@dataclass(frozen=True)
+class Perception(Sight):
+    """A factory that wraps an ADS factory, so that the ADS sees the other vehicles imperfectly.
+
+    The ADS sees the road and fixed objects exactly. All random values follow from the scenario's seed,
+    so a scenario gives the same run each time and in any process.
+
+    Attributes:
+        ads: the wrapped factory, of planners in SI units.
+        range: largest distance between centres at which it sees a vehicle [m].
+        latency: age of what it sees of others [s], rounded up to whole physics ticks; before, it sees the start. Its
+            own state is current.
+        noise: standard deviations of normal errors of the others' ``"position"``, along x and along y [m], and
+            ``"speed"`` [m/s]. Sampled for each vehicle at each decision.
+        dropout: probability that it does not see a vehicle at a decision.
+
+    Raises:
+        FieldError: for an impossible value, such as a negative latency.
+        AdsFactoryError: if ``ads`` is a vehicle class, which drives itself, or already a Perception.
+    """
+
+    ads: AdsFactory
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "__wrapped__", self.ads)  # inspect takes the signature from there
+        fix = ""
+        if isinstance(self.ads, Perception):
+            fix = "give all imperfections to one Perception"
+        elif is_vehicle_class(self.ads):
+            fix = DRIVES_ITSELF
+        elif not callable(self.ads):
+            fix = "give a function or class that makes one, such as `pafot.Perception(MyPlanner, latency=0.3)`"
+        if fix:
+            raise refused_policy("the factory of an ADS, called for each scenario", shown(self.ads), fix)
+
+    @property
+    def sight(self) -> Sight:
+        """The imperfections of the ADS's sight."""
+        return Sight(**{each.name: getattr(self, each.name) for each in fields(Sight)})
+
+    def __call__(self, *observations: Any, **arguments: Any) -> Any:
+        """Make a fresh ADS with this sight.
+
+        Raises:
+            AdsFactoryError: if it is called with an observation, like an ADS; if the factory cannot be called; or if
+                the factory returns a vehicle class or nothing that drives.
+        """
+        if observations:
+            received = "a call of it with an observation, as if it were the ADS"
+            fix = "write `ads=pafot.Perception(MyPlanner, ...)`, or return this object from the fixture"
+            raise refused_policy("a pafot.Perception that is used as the factory", received, fix)
+        ads = make_ads(self.ads, **arguments)
+        if is_vehicle_class(ads):
+            raise refused_policy("a callable in a Perception", shown(ads), DRIVES_ITSELF)
+        return SeeingAds(ads, self.sight)
+
+
+@dataclass(frozen=True, eq=False)
+class SeeingAds:
+    """An ADS with an imperfect sight; a run passes to ``ads`` only what this sight lets it see."""
+
+    ads: Any
+    sight: Sight
+
+    def __call__(self, *_: Any) -> Any:
+        """Refuse a call, which only a world without support for sights makes."""
+        expected = "pafot.Highway or pafot.World for an ADS in a pafot.Perception"
+        received, fix = "a world that calls the ADS directly", "apply the imperfect sight in that world itself"
+        raise WorldError(field="world", expected=expected, received=received, fix=fix)
+
+    @property
+    def close(self) -> Any:
+        """The ADS's own ``close``."""
+        return self.ads.close
+
+
+def rewrapped(ads: Any, wrap: Callable[[Any], Any]) -> Any:
+    """Return what ``wrap`` makes of an ADS, with the sight that the ADS has.
+
+    Raises:
+        AdsFactoryError: for a vehicle class, which receives no observations.
+    """
+    if is_vehicle_class(ads):
+        raise AdsFactoryError(f"ads: {DRIVES_ITSELF}")
+    return replace(ads, ads=wrap(ads.ads)) if isinstance(ads, SeeingAds) else wrap(ads)
+
+
+def ads_and_sight(ads: Any) -> tuple[Any, Sight | None]:
+    """Return the ADS that receives observations, and its sight, which is None for perfect sight."""
+    return (ads.ads, ads.sight) if isinstance(ads, SeeingAds) else (ads, None)
+
+
+def sight_of(factory: Any) -> Sight | None:
+    """Return the sight of a factory's ADSs; None for perfect sight."""
+    factory = inspect.unwrap(factory, stop=lambda each: isinstance(each, Perception))
+    return factory.sight if isinstance(factory, Perception) and factory.imperfections else None
+
+
+class ImperfectSensor(Sensor):
+    """The maker of imperfect observations on a straight road.
+
+    Args:
+        sensor: the maker of the exact observations, also of earlier ticks.
+        sight: the imperfections.
+        seed: the scenario's seed, from which all errors follow.
+    """
+
+    def __init__(self, sensor: Observer, sight: Sight, seed: int) -> None:
+        super().__init__()
+        self._sensor, self._sight, self._seed = sensor, sight, seed
+
+    def observation(self, tick: int) -> Observation:
+        """Make an imperfect observation from the exact observations now and at the time of measurement."""
+        exact = self._sensor
+        now, then = (exact.observation(each) for each in (tick, max(0, tick - self._sight.delay(exact.physics_hz))))
+        others, ids, lateral = [], [], [now.lateral_velocities[0]]
+        for npc, error_x, error_y, error_speed in self._sight.glimpses(then.array, self._seed, tick):
+            was = then.others[npc]
+            x, y = was.x + error_x, was.y + error_y
+            lane = exact.lanes.closest(x, y, was.heading)
+            others.append(was._replace(x=x, y=y, speed=was.speed + error_speed, lane=lane))
+            ids.append(npc)
+            lateral.append(then.lateral_velocities[npc + 1] + error_speed * math.sin(was.heading))
+        return now.replace(others=tuple(others), ids=tuple(ids), lateral_velocities=tuple(lateral))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

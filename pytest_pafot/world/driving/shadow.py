@@ -12,9 +12,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_pafot.world.driving.ads import AdsFactory
 from pytest_pafot.world.driving.conditions import Conditions, Evaluated
-from pytest_pafot.world.driving.perception import rewrapped
+from pytest_pafot.world.driving.policy import AdsFactory, rewrapped
 from pytest_pafot.world.guard.failure import Around
 from pytest_pafot.world.kernel.observation import Observation
 

@@ -10,7 +10,7 @@ import numpy as np
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.stock import (
     CircularLane,
     ControlledVehicle,

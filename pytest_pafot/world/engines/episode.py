@@ -13,21 +13,18 @@ from pytest_pafot.model.trace import AdsError
 from pytest_pafot.searching.health import IMMEDIATE
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
-from pytest_pafot.world.driving.ads import AdsFactory, give_route
-from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
+from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, observe_by, observer
 from pytest_pafot.world.driving.object_driver import body_of
-from pytest_pafot.world.driving.observations import observe_by, observer
-from pytest_pafot.world.driving.perception import ImperfectSensor
-from pytest_pafot.world.driving.policy import Ads, Policy
+from pytest_pafot.world.driving.policy import Ads, AdsFactory, ImperfectSensor, Policy, give_route
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of, stand_in
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
 from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
-from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
+from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ
 
 Watch = Callable[[], set[str]]

@@ -26,15 +26,13 @@ from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
-from pytest_pafot.world.driving.environment_actions import View, check_action_space, checked_action
+from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, hide
 from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
-from pytest_pafot.world.driving.observations import hide
 from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.shadow import Unseeing
 from pytest_pafot.world.driving.vehicles import is_regulated
-from pytest_pafot.world.engines.egos import built_as, planner_driver, vehicle_of
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
-from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
+from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, planner_driver, vehicle_of
 from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang
 from pytest_pafot.world.gym_environment import (
@@ -49,9 +47,9 @@ from pytest_pafot.world.gym_environment import (
 )
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
+from pytest_pafot.world.limits import ADS_HZ, check_divides, whole_within
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
-from pytest_pafot.world.validation import ADS_HZ, check_divides, whole_within
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """The methods with which highway-env's intersections change their traffic after each step."""

@@ -19,19 +19,18 @@ from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
-from pytest_pafot.world.driving.environment_actions import View, copies_on
+from pytest_pafot.world.driving.environment import View, copies_on
 from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ModelPolicyDriver, ObjectDriver, PolicyDriver
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
-from pytest_pafot.world.engines.egos import built_as, vehicle_of
-from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun
+from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun, built_as, vehicle_of
 from pytest_pafot.world.guard.failure import closing
 from pytest_pafot.world.guard.hang_guard import HangGuard
 from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import ModelDriver
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import MDPVehicle, Vehicle
 

@@ -15,18 +15,15 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.world.base_world import REQUIRED, BaseWorld, FirstDecision, RoadStart
-from pytest_pafot.world.built_in import BuiltInWorld
-from pytest_pafot.world.driving.ads import AdsFactory, is_vehicle_class
-from pytest_pafot.world.driving.perception import rewrapped
+from pytest_pafot.world.base_world import REQUIRED, BaseWorld, BuiltInWorld, FirstDecision, RoadStart
+from pytest_pafot.world.driving.policy import AdsFactory, is_vehicle_class, rewrapped
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.failure import error_of
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world, unending
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import HANG_LIMIT
-from pytest_pafot.world.roads.road import Meeting
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import Meeting, StraightRoad
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 

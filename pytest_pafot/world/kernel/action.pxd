@@ -1,4 +1,3 @@
-cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.driver cimport clamped
 
@@ -11,7 +10,6 @@ cpdef double possible_steering(double wanted) except? -1
 cpdef double without_reversing(double wanted, double speed, double dt) except? -1
 cpdef double acceleration_to_speed(double wanted, double speed) except? -1
 
-@cython.locals(divisor=double, sideways=double, turn=double, slip=double)
 cpdef double lane_steering(double offset, double ahead, double heading, double speed, double length,
                            double kp_heading, double kp_lateral) except? -1
 

@@ -11,6 +11,8 @@ import math
 from pytest_pafot.model.trace import Side
 from pytest_pafot.world.limits import TOP_SPEED
 
+COLUMNS = 7
+"""The number of values per vehicle and tick in a record: x, y, heading, speed, acceleration, steering, lane."""
 MAX_SPEED = TOP_SPEED
 """The highest speed, forwards and backwards [m/s]; unlike ``TOP_SPEED``, it is a C number in compiled code."""
 

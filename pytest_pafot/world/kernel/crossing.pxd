@@ -1,27 +1,14 @@
 cimport cython
 from libc cimport math
+from pytest_pafot.world.kernel.lanes cimport Track
 from pytest_pafot.world.kernel.bodies cimport Body
-from pytest_pafot.world.kernel.driver cimport NpcDriver, following_speed, gap_speed, speed_asking_for
+from pytest_pafot.world.kernel.director cimport BaseDirector, NetworkDirector, Npc
+from pytest_pafot.world.kernel.driver cimport NpcDriver, clear_to_enter, following_speed, gap_speed, speed_asking_for
 
 cdef double STEP, FREEZE, SLOWEST, FASTEST
 cdef int PASS, HOLD, STOP, LATE, NEVER
 cdef double BEFORE_LINE, MARGIN, SETTING_OFF, RESPONSE, ANSWER, BUILDING_UP, BRAKING, APART, LEAST_SPEED, ABREAST
 cdef double UNENDING, NOWHERE
-
-@cython.final
-cdef class Track:
-    cdef readonly double along, across, direction
-    cdef readonly double[::1] x, y, heading, lean, speed, sharpest
-    cdef Py_ssize_t _last
-
-    cpdef Py_ssize_t point(self, double along) except -1
-
-    @cython.locals(place=double, index=Py_ssize_t, share=double, inside=double, direction=double, dx=double, dy=double,
-                   cos=double, sin=double, ahead=double)
-    cpdef void locate(self, double x, double y, double near) except *
-
-    @cython.locals(index=Py_ssize_t, share=double)
-    cpdef double value(self, double[::1] values, double along) except? -1
 
 @cython.final
 cdef class SharedPlace:
@@ -59,16 +46,21 @@ cpdef double stopping_speed(double room, double speed) except? -1
 
 cpdef bint can_stop(double room, double speed) except -1
 
-@cython.final
-cdef class Crosser:
-    cdef list _npcs, _vehicles
-    cdef double _jerk, _ego_lane, _dt
-    cdef int _response, _tick
-
-    cpdef double ceiling(self, Body mine, int index, list conflicts, list leaders) except? -1
+cdef class JunctionDirector(BaseDirector):
+    cdef object _scenario, _junction, _limits
+    cdef NetworkDirector _grid
+    cdef int _ego_lane, _response, _tick
+    cdef double _ego_across, _top_speed, _jerk, _dt
+    cdef list _crossing, _vehicles, _relations, _numbers
 
     @cython.locals(npc=CrossingNpc, wanted=double)
-    cpdef void command(self, Body ego) except *
+    cpdef command(self, Body ego)
+
+    @cython.locals(number=int)
+    cpdef double ceiling(self, Npc npc) except? -1
+
+    @cython.locals(leader=LeaderAhead, theirs=Body, along=double, front=Body, rear=Body)
+    cpdef bint leaves_room(self, Npc npc, int lane) except -1
 
     @cython.locals(track=Track, fastest=double, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint, safe=double,
                    gained=double)

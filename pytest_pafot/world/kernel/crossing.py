@@ -11,10 +11,19 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
-from pytest_pafot.model.crossings import APART, BEFORE_LINE, STEP
+from pytest_pafot.model.crossings import APART, BEFORE_LINE, EGOS, STEP, longer
+from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import ACTS, CrossingInstruction
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.driver import NpcDriver, following_speed, gap_speed, speed_asking_for
+from pytest_pafot.world.kernel.director import BaseDirector, NetworkDirector, Npc, Start
+from pytest_pafot.world.kernel.driver import NpcDriver, clear_to_enter, following_speed, gap_speed, speed_asking_for
+from pytest_pafot.world.kernel.lanes import Track
+from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 
 FREEZE = 3.0
 """The time before its entry into the zone from which an NPC no longer adapts to the ego's arrival [s]."""
@@ -39,83 +48,6 @@ ABREAST = 2.0
 NEVER = -1
 UNENDING, NOWHERE = math.inf, float("nan")
 """Infinity and NaN; unlike ``math.inf`` and ``math.nan``, they are C numbers in compiled code."""
-
-
-class Track:
-    """The points of a way, with the values that an NPC needs at each of them.
-
-    Args:
-        x, y, heading: position and direction of the points [m, m, rad].
-        lean: the angle to the way of a vehicle that follows it exactly [rad].
-        speed: the highest speed of an NPC [m/s].
-        sharpest: the largest curvature over the length of a lane change from each point [1/m].
-
-    Attributes:
-        along, across, direction: the result of :meth:`locate` [m, m, rad].
-    """
-
-    def __init__(
-        self,
-        x: Sequence[float],
-        y: Sequence[float],
-        heading: Sequence[float],
-        lean: Sequence[float],
-        speed: Sequence[float],
-        sharpest: Sequence[float],
-    ) -> None:
-        self._last = len(x) - 1
-        self.x, self.y, self.heading = array("d", x), array("d", y), array("d", heading)
-        self.lean, self.speed, self.sharpest = array("d", lean), array("d", speed), array("d", sharpest)
-        self.along = self.across = self.direction = 0.0
-
-    def __deepcopy__(self, _: object) -> Track:
-        """Return itself, because highway-env deep-copies vehicles with their ways to predict them, which is slow."""
-        return self
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Return the parts for pickling, because worlds send their ways to other processes."""
-        x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
-        return Track, (x, y, heading, lean, list(self.speed), list(self.sharpest))
-
-    def point(self, along: float) -> int:
-        """Return the index of the point that is nearest to a place."""
-        return min(max(int(along / STEP + 0.5), 0), self._last)
-
-    def locate(self, x: float, y: float, near: float) -> None:
-        """Find a vehicle on the way, and set ``along``, ``across`` and ``direction``.
-
-        ``near`` is a place close to the vehicle [m]. Beyond its ends, the way goes straight on.
-        """
-        place = near
-        for _ in range(4):
-            index = min(max(int(place / STEP), 0), self._last - 1)
-            share = place / STEP - index
-            inside = min(max(share, 0.0), 1.0)
-            direction = self.heading[index] + inside * (self.heading[index + 1] - self.heading[index])
-            dx = x - (self.x[index] + share * (self.x[index + 1] - self.x[index]))
-            dy = y - (self.y[index] + share * (self.y[index + 1] - self.y[index]))
-            cos, sin = math.cos(direction), math.sin(direction)
-            ahead = dx * cos + dy * sin
-            place += ahead
-            self.across = dy * cos - dx * sin
-            self.direction = direction
-            if -1e-6 < ahead < 1e-6:
-                break
-        self.along = place
-
-    def pose(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
-        return (
-            self.value(self.x, along),
-            self.value(self.y, along),
-            self.value(self.heading, along) + self.value(self.lean, along),
-        )
-
-    def value(self, values: array[float], along: float) -> float:
-        """Return the interpolated value of one of the track's arrays at a place; beyond the ends it is constant."""
-        index = min(max(int(along / STEP), 0), self._last - 1)
-        share = min(max(along / STEP - index, 0.0), 1.0)
-        return values[index] + share * (values[index + 1] - values[index])
 
 
 class SharedPlace:
@@ -243,40 +175,144 @@ def can_stop(room: float, speed: float) -> bool:
     return room >= BUILDING_UP * speed + speed * speed / (2.0 * BRAKING)
 
 
-class Crosser:
-    """The director of all crossing NPCs of a run.
+class JunctionDirector(BaseDirector):
+    """The director of the NPCs of one run on a :class:`NetworkRoad` with ways of other traffic.
+
+    It drives the crossing NPCs. Each body has its place along its own way.
 
     Args:
-        npcs: the crossing NPCs.
-        vehicles: all vehicles of the run, the ego first; each body has its place along its own way.
-        jerk: the NPCs' limit of jerk [m/s^3].
-        ego_lane: the nominal position across the road of the ego's lane [m].
-        dt: physics tick [s].
+        scenario: the scenario, with some Crossing-Instructions.
+        road: the ego's way.
+        junction: the ways of other traffic.
+        limits: the limits of every NPC.
+        grid: the director of the NPCs on the grid; None without them.
+        physics_hz: ticks per second.
+
+    Attributes:
+        npcs: one NPC for each chain; the loop updates their places after each tick.
     """
 
     def __init__(
         self,
-        npcs: list[CrossingNpc],
-        vehicles: list[Body],
-        jerk: float,
-        ego_lane: float,
-        dt: float,
+        scenario: Scenario,
+        road: Any,
+        junction: Any,
+        limits: NpcLimits,
+        *,
+        grid: NetworkDirector | None,
+        physics_hz: int,
     ) -> None:
-        self._npcs = npcs
-        self._vehicles = vehicles
-        self._jerk = jerk
-        self._ego_lane = ego_lane
-        self._dt = dt
-        self._response = round(RESPONSE / dt)
+        self._scenario = scenario
+        self._junction = junction
+        self._grid = grid
+        self._ego_lane = road.ego_lane
+        self._ego_across = road.centre(road.ego_lane)  # nominal
+        self._limits = limits
+        self._jerk = limits.jerk
+        self._top_speed = limits.top_speed(road.speed_limit)
+        self._dt = 1 / physics_hz
+        self._response = round(RESPONSE / self._dt)
         self._tick = 0
+        others = iter(grid.npcs if grid else ())
+        npcs: list[Body] = [
+            next(others) if each is None else self._npc(index, each) for index, each in enumerate(scenario.crossings)
+        ]
+        super().__init__(npcs)
+        self._crossing = [npc for npc in self.npcs if isinstance(npc, CrossingNpc)]
+        self._vehicles = [Body(CAR.length, CAR.width), *self.npcs]  # the ego is put there by the first command
+        self._relations = [self._related(number) for number in range(len(self._vehicles))]
+        for npc in self._crossing:
+            npc.conflicts, npc.leaders = self._relations[npc.index + 1]
+        self._numbers = [number for number, each in enumerate(scenario.crossings, 1) if each is None]
+        if grid is not None:
+            grid.others = self
 
-    def ceiling(self, mine: Body, index: int, conflicts: list[SharedPlace], leaders: list[LeaderAhead]) -> float:
-        """Return the highest speed at which an NPC on the grid does not drive into crossing NPCs [m/s]."""
-        return self._following(mine, leaders, self._giving_way(mine, index, conflicts, UNENDING))
+    def _npc(self, index: int, instruction: CrossingInstruction) -> CrossingNpc:
+        kind = self._scenario.vehicle_of(index)
+        way, limits = self._junction.ways[instruction.zone].of(kind, self._limits), self._limits.of(kind)
+        zone = way.way.zone
+        act, speeds = ACTS.index(instruction.act), way.way.speeds.tolist()
+        driver = NpcDriver(limits, min(self._top_speed, kind.top_speed), kind.length, self._dt)
+        npc = CrossingNpc(
+            way.track, instruction.speed, speeds, zone.npc, zone.ego, act, way.middle, (kind.length, kind.width), driver
+        )
+        npc.index, npc.slot = index, instruction.slot
+        npc.turning = BEND_SHARE * limits.lateral_acceleration
+        npc.begins = self._junction.crossings.start(instruction)
+        return npc
+
+    def _related(self, number: int) -> tuple[list[SharedPlace], list[LeaderAhead]]:
+        """Return the places at which a vehicle's way meets others, and the vehicles that may be ahead in its lane.
+
+        Pairs of vehicles on the ego's way are left out, because the director of the grid handles them.
+        """
+        names = [EGOS, *(EGOS if each is None else each.zone for each in self._scenario.crossings)]
+        mine, conflicts, leaders = names[number], [], []
+        for other, theirs in enumerate(names):
+            if other == number or mine == theirs == EGOS:
+                continue
+            if other > 0:
+                sizes = [self._vehicles[each].length - CAR.length for each in (number, other)]
+                conflicts += [
+                    SharedPlace(other, *(longer(*each) for each in zip(stretches, sizes, strict=True)))
+                    for stretches in self._junction.stretches(mine, theirs)
+                ]
+            if (places := self._junction.places(mine, theirs)) is not None:
+                leaders.append(LeaderAhead(other, places))
+        return conflicts, leaders
+
+    @property
+    def executed(self) -> Scenario:
+        """The scenario with the genes that have begun as driven, and the later genes as requested."""
+        if self._grid is None:
+            return self._scenario
+        chains = iter(self._grid.executed.npcs)
+        npcs = tuple(
+            next(chains) if each is None else chain
+            for each, chain in zip(self._scenario.crossings, self._scenario.npcs, strict=True)
+        )
+        return self._scenario if npcs == self._scenario.npcs else replace(self._scenario, npcs=npcs)
+
+    @property
+    def driven(self) -> tuple[tuple[Cell, ...], ...]:
+        """The cell that each NPC drove to in each started gene if ``executed`` cannot express it; else empty."""
+        return self._with_crossing(() if self._grid is None else self._grid.driven)
+
+    def _with_crossing(self, rows: tuple[tuple[Any, ...], ...]) -> tuple[tuple[Any, ...], ...]:
+        """Return the rows of the NPCs around the ego, with an empty one for each that crosses; empty without rows."""
+        others = iter(rows)
+        return tuple(next(others) if each is None else () for each in self._scenario.crossings) if rows else ()
+
+    @property
+    def arrivals(self) -> tuple[tuple[int | None, ...], ...]:
+        """The tick at which each NPC reached the cell of each started gene, or entered its zone; None if it has not."""
+        others = iter(() if self._grid is None else self._grid.arrivals)
+        return tuple(
+            (npc.entered if npc.entered >= 0 else None,) if isinstance(npc, CrossingNpc) else next(others)
+            for npc in self.npcs
+        )
+
+    def first_cells(self) -> tuple[Cell, ...]:
+        """Return the cells of the first gene of NPCs on the grid, in which they start."""
+        return () if self._grid is None else self._grid.first_cells()
+
+    def started(self, starts: list[Start]) -> list[Start]:
+        """Return the starts of all NPCs, given those of the NPCs on the grid."""
+        on_grid = iter(starts if self._grid is None else self._grid.started(starts))
+        return [self._start(npc) if isinstance(npc, CrossingNpc) else next(on_grid) for npc in self.npcs]
+
+    def _start(self, npc: CrossingNpc) -> Start:
+        track, along = npc.track, npc.begins
+        turn = math.sin(abs(track.value(track.lean, along))) * 2 / npc.length  # by the slip left from a bend behind it
+        fastest = math.sqrt(npc.turning / max(turn, 1e-9))
+        return along, (*track.pose(along), min(track.value(npc.speeds, along), fastest, npc.driver.top_speed))
 
     def command(self, ego: Body) -> None:
-        """Set acceleration and steering of each crossing NPC for the coming tick."""
-        for npc in self._npcs:
+        """Set acceleration and steering of each NPC for the coming tick."""
+        self._vehicles[0] = ego
+        if self._grid is not None:
+            self._grid.command(ego)
+        for npc in self._crossing:
             if npc.x >= npc.enters and npc.entered == NEVER:
                 npc.entered = self._tick
             wanted = self._wanted(npc, ego)
@@ -286,6 +322,26 @@ class Crosser:
             npc.acceleration = npc.asked
             self._steer(npc)
         self._tick += 1
+
+    def ceiling(self, npc: Npc) -> float:
+        """Return the highest speed at which an NPC on the grid does not drive into crossing NPCs [m/s]."""
+        number = self._numbers[npc.index]
+        conflicts, leaders = self._relations[number]
+        return self._following(npc, leaders, self._giving_way(npc, number - 1, conflicts, UNENDING))
+
+    def leaves_room(self, npc: Npc, lane: int) -> bool:
+        """Return whether NPCs that have come onto the ego's lane leave room for an NPC on the grid to enter it."""
+        if lane != self._ego_lane:
+            return True
+        for leader in self._relations[self._numbers[npc.index]][1]:
+            theirs = self._vehicles[leader.other]
+            along = leader.place(theirs.x)
+            if math.isnan(along):
+                continue
+            front, rear = (theirs, npc) if along > npc.x else (npc, theirs)
+            if not clear_to_enter(abs(along - npc.x) - (npc.length + theirs.length) / 2.0, rear.speed - front.speed):
+                return False
+        return True
 
     def _wanted(self, npc: CrossingNpc, ego: Body) -> float:
         """Return the desired speed of an NPC for its instruction and the ego [m/s]."""
@@ -391,7 +447,7 @@ class Crosser:
 
     def _is_beside(self, vehicle: Body) -> bool:
         """Return whether a vehicle on the ego's road is outside the ego's lane."""
-        return not isinstance(vehicle, CrossingNpc) and abs(vehicle.y - self._ego_lane) > ABREAST
+        return not isinstance(vehicle, CrossingNpc) and abs(vehicle.y - self._ego_across) > ABREAST
 
     def _following(self, mine: Body, leaders: list[LeaderAhead], wanted: float) -> float:
         """Limit a desired speed to what leaves room behind the vehicles ahead in the lane [m/s]."""

@@ -1,12 +1,14 @@
 cimport cython
-from pytest_pafot.world.kernel.bends cimport Bends
+from libc cimport math
+from pytest_pafot.world.kernel.lanes cimport Bends
 from pytest_pafot.world.kernel.bodies cimport Body
 from pytest_pafot.world.kernel.driver cimport (
-    NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_asking_for, stopping_room,
+    NpcDriver, clear_to_enter, closing_room, following_gap, following_speed, gap_speed, speed_asking_for,
+    stopping_room,
 )
 
-cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE
-cdef double TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
+cdef double ARRIVED_LATERAL, CREEP_SPEED, BESIDE, TRACK, REACTION, ANSWER, ENTRY_TIME, ENTRY_BRAKING, ENTRY_GAP
+cdef double LOOK_AHEAD, HEADING_SHARE, CHANGING_SHARE, BETWEEN_LANES
 cdef int NO_LANE, NOT_BEHIND
 
 cdef class Npc(Body):
@@ -24,6 +26,10 @@ cdef class BaseDirector:
     cdef readonly list npcs
 
     cpdef command(self, Body ego)
+
+    cpdef double ceiling(self, Npc npc) except? -1
+
+    cpdef bint leaves_room(self, Npc npc, int lane) except -1
 
 cdef class Director(BaseDirector):
     cdef public bint skips
@@ -45,7 +51,7 @@ cdef class Director(BaseDirector):
     cpdef command(self, Body ego)
 
     @cython.final
-    @cython.locals(npc=Npc, gene=int, wanted_lane=int, has_lane=bint)
+    @cython.locals(npc=Npc, gene=int, wanted_lane=int)
     cdef _begin_gene(self, Body ego)
 
     cpdef bint _has_lane(self, Npc npc, int lane) except -1
@@ -59,7 +65,7 @@ cdef class Director(BaseDirector):
     cdef bint _is_led(self, Body ego) except -1
 
     @cython.final
-    @cython.locals(seen="double[::1]", place=int, driven=double)
+    @cython.locals(place=int)
     cdef _remember(self, Body ego)
 
     cpdef double _target(self, Npc npc, Body ego) except? -1
@@ -69,16 +75,15 @@ cdef class Director(BaseDirector):
 
     cpdef double _stretch(self, Body body) except? -1
 
-    @cython.locals(least_speed=double, is_behind=bint, has_moved_in=bint, is_led=bint, seen="double[::1]", before=int,
-                   place=int, x=double, ego_speed=double, ahead=double, gained=double, braking=double, seconds=double,
-                   gap=double, safe=double)
+    @cython.locals(least_speed=double, is_behind=bint, has_moved_in=bint, is_led=bint, before=int, place=int, x=double,
+                   ego_speed=double, ahead=double, gained=double, braking=double, seconds=double, gap=double,
+                   safe=double)
     cpdef double _attending(self, Npc npc, Body ego, double speed) except? -1
 
     @cython.final
-    @cython.locals(gap=double, speed=double, closing=double)
     cdef bint _may_enter(self, Npc npc, Body ego) except -1
 
-    @cython.locals(driver=NpcDriver, target=double, distance=double, wanted_speed=double, goal=int)
+    @cython.locals(driver=NpcDriver, goal=int)
     cpdef void _control(self, Npc npc, Body ego) except *
 
     cpdef double _creeping(self, Npc npc, int goal, double speed) except? -1
@@ -97,6 +102,40 @@ cdef class Director(BaseDirector):
 
     cdef double _gap(self, Npc front, Npc rear) except? -1
 
-    @cython.locals(theirs=Npc, lane=int, goal=int, distance=double, gap=double, safe=double, aside=double,
-                   is_beside=bint, crosses=bint)
+    @cython.locals(theirs=Npc, distance=double, gap=double, safe=double, aside=double, is_beside=bint, crosses=bint)
     cpdef double _following(self, Npc mine, double speed) except? -1
+
+cdef class NetworkDirector(Director):
+    cdef public BaseDirector others
+    cdef Bends _bends
+    cdef object _start_cells, _road
+    cdef double _width_of_lanes, _jerk, _dt
+
+    cpdef object _first_existing(self)
+
+    cpdef bint _has_lane(self, Npc npc, int lane) except -1
+
+    cpdef object _existing(self, Body ego)
+
+    cpdef double _stretch(self, Body body) except? -1
+
+    cdef double _gap(self, Npc front, Npc rear) except? -1
+
+    @cython.locals(goal=int)
+    cpdef void _control(self, Npc npc, Body ego) except *
+
+    cdef void _move(self, Npc npc, int goal, double wanted) except *
+
+    @cython.locals(target_lane=int, shift=int, goal=int)
+    cdef (int, double) _aim(self, Npc npc, Body ego)
+
+    @cython.locals(wanted=int, side=int, other=int)
+    cpdef int _next_lane(self, Npc npc, int target_lane, Body ego) except -2
+
+    @cython.locals(is_slow_enough=bint, has_room=bint)
+    cdef int _step(self, Npc npc, int target_lane, Body ego) except -2
+
+    cdef bint _goes_on(self, int lane, Npc npc) except -1
+
+    @cython.locals(bends=Bends, driver=NpcDriver)
+    cdef _steer(self, Npc npc, int goal)

@@ -6,14 +6,16 @@ arrivals, and makes NPCs give way to each other. It works only in road coordinat
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.model.driving_style import AMPLE, STYLES
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
 from pytest_pafot.model.instructions import LANE_STARTS
-from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
+from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
@@ -26,7 +28,7 @@ from pytest_pafot.world.kernel.driver import (
     speed_asking_for,
     stopping_room,
 )
-from pytest_pafot.world.kernel.lanes import Lanes
+from pytest_pafot.world.kernel.lanes import Bends, Lanes
 from pytest_pafot.world.limits import NpcLimits
 
 ARRIVED_LATERAL = 0.5
@@ -53,6 +55,18 @@ ENTRY_TIME, ENTRY_BRAKING = 0.35, 6.0
 ENTRY_GAP = 1.5
 """The gap to an ego of equal speed at which an NPC moves in behind it [m]."""
 NOT_BEHIND = -1
+
+# The following numbers are for roads with bends.
+LOOK_AHEAD = 3.0
+"""The driving time [s] for which a lane must continue so that an NPC enters it; an NPC leaves a lane that ends sooner.
+"""
+HEADING_SHARE = 0.9
+"""The share of the largest angle to a lane that an NPC uses towards its target lane. It leaves a reserve, because at
+the beginning and end of a bend the lane that it leaves has a slightly different direction."""
+CHANGING_SHARE = 0.3
+"""The share of its lateral acceleration that an NPC may use to follow a bend while it speeds up in a lane change."""
+BETWEEN_LANES = 0.5
+"""The distance from the centre of its target lane beyond which an NPC still changes lanes [m]."""
 
 
 class Npc(Body):
@@ -125,6 +139,14 @@ class BaseDirector:
 
     def command(self, ego: Body) -> None:
         """Set acceleration and steering of each NPC for the coming tick."""
+
+    def ceiling(self, npc: Npc) -> float:
+        """Return the highest speed at which an NPC of another director does not drive into its NPCs [m/s]."""
+        raise NotImplementedError
+
+    def leaves_room(self, npc: Npc, lane: int) -> bool:
+        """Return whether its NPCs leave room for an NPC of another director to enter a lane of the ego's way."""
+        raise NotImplementedError
 
 
 class Director(BaseDirector):
@@ -496,3 +518,167 @@ class Director(BaseDirector):
                 safe = following_speed(gap, theirs.speed, mine.speed)
                 speed = safe if safe < speed else speed
         return speed
+
+
+class NetworkDirector(Director):
+    """The director of the NPCs of one run on a :class:`NetworkRoad`.
+
+    It differs from the director of a straight road: NPCs enter only a lane that continues, and leave it before it ends.
+    Bends and ends ahead limit the speed. Steering follows the lane. An NPC behind the ego without a lane to pass in
+    follows it. Steps on the ring skip cells that do not exist. Bodies have their nominal position across the road, and
+    their heading relative to the ego's way; an NPC's course is a direction in the world.
+    NPCs may start in the ``start_cells``; all other arguments are as for :class:`Director`.
+
+    Attributes:
+        others: the director of the NPCs that drive on their own ways; None if there are none.
+    """
+
+    def __init__(
+        self, scenario: Scenario, road: Any, limits: NpcLimits, *, start_cells: frozenset[Cell], **common: Any
+    ) -> None:
+        narrower = replace(limits, heading=HEADING_SHARE * limits.heading)
+        lanes = Lanes(road.lane_count, road.lane_width, road.end)
+        super().__init__(scenario, lanes, narrower, speed_limit=road.speed_limit, cells=(), **common)
+        self.skips = True
+        self._road: Any = road
+        self.others: BaseDirector | None = None
+        self._bends: Bends = road.bends
+        self._width_of_lanes: float = road.lane_width
+        self._start_cells = start_cells
+        self._jerk = limits.jerk
+        self._dt = 1 / common["physics_hz"]
+        for npc in self.npcs:
+            npc.bends = road.bends_of(scenario.vehicle_of(npc.index))
+            npc.lateral = npc.limits.lateral_acceleration
+
+    @property
+    def executed(self) -> Scenario:
+        """The scenario as driven, if chains can express it; else as requested.
+
+        A chain steps only between neighbouring cells and cannot express skipped cells. If cells were skipped, this is
+        the requested scenario, which also gives the same run again.
+        """
+        return self._scenario if self.driven else super().executed
+
+    @property
+    def driven(self) -> tuple[tuple[Cell, ...], ...]:
+        """The cell that each NPC drove to in each started gene if cells were skipped; else empty."""
+        cells = [tuple(npc.executed) for npc in self._on_grid]
+        written = super().executed
+        is_written = all(
+            [gene.cell for gene in chain[: len(row)]] == list(row)
+            for chain, row in zip(written.positions, cells, strict=True)
+        )
+        return () if is_written else tuple(tuple(row) for row in on_grid(self._scenario.npcs, cells))
+
+    def _first_existing(self) -> frozenset[Cell]:
+        return self._start_cells
+
+    def _has_lane(self, npc: Npc, lane: int) -> bool:
+        return self._bends.exists(lane, npc.x)
+
+    def _existing(self, ego: Body) -> frozenset[Cell]:
+        existing: frozenset[Cell] = self._road.cells(
+            ego.x, ego.lane, (self._row + self._clearance) / self._stretch(ego)
+        )
+        return existing
+
+    def _stretch(self, body: Body) -> float:
+        """Return how many metres a vehicle drives in its lane per metre of the way."""
+        return self._bends.stretch(body.x, self._bends.across_at(body.lane, body.x))
+
+    def _gap(self, front: Npc, rear: Npc) -> float:
+        """Return the gap between two NPCs in one lane [m]; in a bend, that on the side on which it is shorter."""
+        distance = front.x - rear.x
+        distance *= min(self._stretch(front), self._stretch(rear))
+        return distance - (front.length + rear.length) / 2.0
+
+    def _control(self, npc: Npc, ego: Body) -> None:
+        goal, wanted = self._aim(npc, ego)
+        npc.heading_for = goal
+        if self._attentive:
+            wanted = self._attending(npc, ego, wanted)
+        self._move(npc, goal, self._following(npc, wanted))
+
+    def _move(self, npc: Npc, goal: int, wanted: float) -> None:
+        """Set the controls of an NPC for a lane and a speed [m/s]; ways of others, bends and ends limit the speed."""
+        if self.others is not None:
+            wanted = min(wanted, self.others.ceiling(npc))
+        asked = max(npc.asked, 0.0)
+        gained = asked * asked / (2.0 * self._jerk)  # speed gained while the accelerator is released
+        wanted = min(wanted, npc.bends.speed_at(npc.lane, npc.x) - gained)
+        wanted = min(wanted, npc.bends.speed_at(goal, npc.x) - gained)
+        if abs(npc.y - goal * self._width_of_lanes) > BETWEEN_LANES:  # so that it can turn back if turned outwards
+            changing = math.sqrt(CHANGING_SHARE * npc.lateral / max(self._sharpest(npc, goal), 1e-9))
+            wanted = min(wanted, max(npc.speed, changing))
+        npc.asked = npc.driver.acceleration(wanted, npc.asked, npc.speed)
+        npc.acceleration = npc.asked
+        self._steer(npc, goal)
+
+    def _sharpest(self, npc: Npc, goal: int) -> float:
+        """Return the largest curvature of a lane that an NPC meets during a lane change [1/m]."""
+        return self._bends.sharpest_at(goal, npc.x)
+
+    def _aim(self, npc: Npc, ego: Body) -> tuple[int, float]:
+        """Return the lane to steer to, and the speed for the instruction [m/s]."""
+        target_lane = ego.lane + npc.column
+        stretch, ego_stretch = self._stretch(npc), self._stretch(ego)
+        along = self._target(npc, ego) if self._attentive else npc.target
+        target = ego.x + along / ego_stretch
+        distance = (target - npc.x) * stretch
+        shift = npc.shift_lane
+        if npc.kept_lane < 0 <= shift:
+            self._keep_shift_lane_if_there(npc, shift * self._width_of_lanes)
+        elif npc.kept_lane < 0:
+            exists = self._bends.exists(target_lane, target)
+            self._keep_lane_if_due(npc, target_lane if exists else -1, distance)
+        if npc.kept_lane >= 0 or shift >= 0:
+            return self._next_lane(npc, npc.kept_lane if npc.kept_lane >= 0 else shift, ego), npc.kept_speed
+        goal = self._next_lane(npc, target_lane, ego)
+        wanted = ego.speed * stretch / ego_stretch + gap_speed(distance)
+        if goal != npc.lane:
+            wanted = min(wanted, npc.bends.speed_at(goal, npc.x))
+        wanted = self._creeping(npc, goal, wanted)
+        if npc.lane == goal == ego.lane and npc.x < ego.x < target:
+            gap = (ego.x - npc.x) * stretch - npc.half_lengths
+            wanted = min(wanted, following_speed(gap, ego.speed, npc.speed))
+        return goal, wanted
+
+    def _next_lane(self, npc: Npc, target_lane: int, ego: Body) -> int:
+        """Return the next lane towards the target if that lane continues; a neighbour if the NPC's own lane ends."""
+        wanted = self._step(npc, target_lane, ego)
+        if wanted != npc.lane or self._goes_on(npc.lane, npc):
+            return wanted
+        side, other = npc.lane - 1, npc.lane + 1
+        if abs(other - ego.lane) < abs(side - ego.lane):
+            side, other = other, side
+        if self._goes_on(side, npc):
+            return self._step(npc, side, ego)
+        return self._step(npc, other, ego) if self._goes_on(other, npc) else npc.lane
+
+    def _step(self, npc: Npc, target_lane: int, ego: Body) -> int:
+        step = Director._next_lane(self, npc, target_lane, ego)  # C methods have no super()
+        is_slow_enough = npc.speed <= npc.bends.speed_at(step, npc.x)
+        has_room = step == npc.lane or self.others is None or self.others.leaves_room(npc, step)
+        return step if self._goes_on(step, npc) and is_slow_enough and has_room else npc.lane
+
+    def _goes_on(self, lane: int, npc: Npc) -> bool:
+        """Return whether a lane exists from an NPC's rear to its place :data:`LOOK_AHEAD` seconds later."""
+        rear, later = npc.x - npc.length, npc.x + npc.length + LOOK_AHEAD * npc.speed
+        return self._bends.continues(lane, max(rear, 0.0), later)
+
+    def _steer(self, npc: Npc, goal: int) -> None:
+        bends, driver = npc.bends, npc.driver
+        direction, lean = bends.direction_at(goal, npc.x), bends.lean_at(goal, npc.x)
+        later = npc.x + npc.speed * self._dt / bends.stretch(npc.x, bends.across_at(goal, npc.x))
+        later_direction, later_lean = bends.direction_at(goal, later), bends.lean_at(goal, later)
+        npc.steering = driver.steering_in_bend(
+            npc.y - goal * self._width_of_lanes,
+            bends.heading_at(npc.x) + npc.heading - direction,
+            npc.course - direction if self._tick else 0.0,
+            npc.speed,
+            lean,
+            later_direction + later_lean - direction - lean,
+            self._sharpest(npc, goal),
+        )
+        npc.course = driver.course + direction

@@ -11,7 +11,6 @@ cpdef double following_gap(double speed) except? -1
 cpdef double speed_asking_for(double braking, double speed) except? -1
 cpdef double stopping_room(double top_speed) except? -1
 cpdef bint clear_to_enter(double gap, double closing_speed) except -1
-@cython.locals(closing=double)
 cpdef double closing_room(double gap, double closing_speed) except? -1
 cpdef double clamped(double value, double bound) except? -1
 
@@ -22,16 +21,13 @@ cdef class NpcDriver:
     cdef double _dt, _lateral_speed, _acceleration, _braking, _jerk_step, _jerk_twice, _half_length, _lateral_limit
     cdef double _slow, _tightest, _most, _swing, _heading_gain
 
-    @cython.locals(before=double, acceleration=double, lowest=double, highest=double)
     cpdef double acceleration(self, double wanted_speed, double previous, double speed) except? -1
 
-    @cython.locals(release=double)
     cdef double _released(self, double acceleration, double speed) except? -1
 
     cpdef double steering(self, double offset, double heading, double course, double speed) except? -1
 
-    @cython.locals(distance=double, aside=double, spare=double, planned=double, lateral_speed=double, bound=double,
-                   wanted=double, fastest=double, rate=double, slip=double, new_course=double, most=double)
+    @cython.locals(aside=double)
     cpdef double steering_in_bend(self, double offset, double heading, double course, double speed, double lean,
                                   double turn, double sharpest) except? -1
 
@@ -41,13 +37,8 @@ cdef double _turn(double angle) except? -1
 cdef class LaneTracker:
     cdef double _dt, _half_length, _tightest, _gain, _course, _acceleration, _angle
 
-    @cython.locals(slip=double, rate=double)
     cpdef void begin(self, double heading, double angle, double speed, double most) except *
 
-    @cython.locals(turning=double, share=double, limit=double, step=double, planned=double, ramp=double,
-                   lateral_speed=double, slope=double, missing=double, wanted=double, change=double, reach=double,
-                   slip=double)
     cpdef double steering(self, double offset, double heading, double speed, double most, double jerk) except? -1
 
-    @cython.locals(size=double)
     cdef double _towards(self, double missing, double jerk) except? -1

@@ -1,11 +1,16 @@
 cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.action cimport lane_steering, not_zero
+from pytest_pafot.world.kernel.lanes cimport Bends
 from pytest_pafot.world.kernel.bodies cimport Body
+from pytest_pafot.world.kernel.crossing cimport CrossingNpc
 from pytest_pafot.world.kernel.driver cimport clamped
+from pytest_pafot.world.kernel.lane_network cimport Network
 from pytest_pafot.world.kernel.lanes cimport Lanes
+from pytest_pafot.world.kernel.places cimport Places
 
-cdef double ON_LANE, LANE_ENDS
+cdef double ON_LANE, LANE_ENDS, PURSUIT, NOWHERE, APART, LONGER, NARROWER
+cdef int MOMENTS
 
 cdef class GoalVehicle(Body):
     cdef Lanes _lanes
@@ -29,7 +34,6 @@ cdef class GoalVehicle(Body):
 
     cpdef pursue(self)
 
-    @cython.locals(acceleration=double, there=double)
     cpdef void act(self, list others) except *
 
     cpdef void step(self, double dt) except *
@@ -48,21 +52,17 @@ cdef class GoalVehicle(Body):
     @cython.locals(lateral=double, inside=bint)
     cdef bint _reaches(self, int lane) except -1
 
-    @cython.locals(ahead=Body, behind=Body, left=Body, follower=Body, behind_then=double, own=double, own_gain=double,
-                   others_gain=double)
+    @cython.locals(ahead=Body, behind=Body, left=Body, follower=Body)
     cdef bint _gains(self, int lane, list others) except -1
 
-    @cython.locals(wanted=double, liked=double, share=double, acceleration=double, gap=double)
     cdef double _pulled(self, Body vehicle, Body front) except? -1
 
     cdef double _apart(self, Body vehicle, Body front) except? -1
 
     cdef double _limit(self, Body vehicle) except? -1
 
-    @cython.locals(cos_h=double, sin_h=double, closing_x=double, closing_y=double, closing=double, ab=double)
     cdef double _desired_gap(self, Body vehicle, Body front) except? -1
 
-    @cython.locals(offset=double, angle=double)
     cdef double _steering(self) except? -1
 
     @cython.locals(found=Body, other=Body)
@@ -73,3 +73,77 @@ cdef class GoalVehicle(Body):
 
 @cython.locals(inside=bint)
 cdef bint _is_on(Body vehicle, int lane, Lanes lanes) except -1
+
+cdef class StaticObstacle(Body):
+    pass
+
+cdef class NetworkVehicle(GoalVehicle):
+    cdef Network _network
+    cdef object _following, _route
+    cdef list _searched
+
+    cpdef list route(self)
+
+    cdef int _found(self, Body vehicle) except -1
+
+    cdef _follow_road(self)
+
+    cdef bint _has_beside(self, int lane, int side) except -1
+
+    cdef bint _reaches(self, int lane) except -1
+
+    cdef bint _is_demanded(self, int lane) except -1
+
+    cdef double _pulled(self, Body vehicle, Body front) except? -1
+
+    @cython.locals(network=Network)
+    cdef double _apart(self, Body vehicle, Body front) except? -1
+
+    cdef double _limit(self, Body vehicle) except? -1
+
+    cdef int _lane_of(self, Body vehicle) except -1
+
+    @cython.locals(network=Network)
+    cdef double _steering(self) except? -1
+
+    @cython.locals(found=Body, nearest=double, own=double, other=Body, along=double)
+    cdef Body _ahead(self, list others, int lane)
+
+    @cython.locals(found=Body, nearest=double, own=double, other=Body, along=double)
+    cdef Body _behind(self, list others, int lane)
+
+    @cython.locals(network=Network, each=int, begins=double)
+    cdef double _along(self, int lane, Body other) except? -1
+
+@cython.final
+cdef class EgosRoadRules:
+    cdef NetworkVehicle _ego
+    cdef Places _places
+    cdef Bends _bends
+    cdef Network _network
+    cdef int[::1] _priorities
+    cdef int _steps, _every
+    cdef double _lasts
+    cdef double[::1] _predicted
+
+    @cython.locals(ego=NetworkVehicle, number=Py_ssize_t, npc=Body, moment=int)
+    cpdef apply_to_ego(self)
+
+    cdef _release(self, NetworkVehicle vehicle)
+
+    @cython.locals(network=Network, moment=int, place=Py_ssize_t, at=int, route=list)
+    cdef _predict(self, NetworkVehicle vehicle)
+
+    cdef _foresee(self, Py_ssize_t row, double x, double y, double heading)
+
+    @cython.locals(row=Py_ssize_t, its_row=Py_ssize_t)
+    cdef bint _conflict(self, Body one, Body other) except -1
+
+    cdef bint _comes_second(self, NetworkVehicle one, Body other) except -1
+
+    @cython.locals(bends=Bends, along=double, npc=CrossingNpc, heading=double, across=double, x=double, y=double)
+    cdef _foresee_npc(self, Py_ssize_t row, Body body, double time)
+
+@cython.locals(along=int, across=int)
+cdef bint _has_corner_inside(double x, double y, double heading, double length, double width, double other_x,
+                             double other_y, double other_heading, double other_length, double other_width) except -1

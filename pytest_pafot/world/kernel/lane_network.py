@@ -1,10 +1,17 @@
-"""The lanes of a road network of highway-env in plain numbers, with its equations, operation by operation."""
+"""Road networks of highway-env in plain numbers, and the Kinematics observation of its policies on them.
+
+The equations are highway-env's, operation by operation, and so are the names of options. Vehicles are highway-env's
+objects, or any others with the same attributes.
+"""
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 SINE, CIRCULAR = 1, 2
 """The kinds of lanes beside straight ones, which are 0."""
@@ -12,6 +19,12 @@ LANE_VALUES = 9
 """The number of values that give the shape of a lane; see :class:`Network`."""
 LANE_ENDS = 5.0
 """The distance beyond a lane's ends up to which a vehicle is still in the lane [m]."""
+FEATURES = (
+    "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
+)  # fmt: skip
+"""What highway-env describes a vehicle by, in the order of :attr:`Features.values`."""
+HALF_TURN = math.pi
+"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 
 
 class Network:
@@ -168,3 +181,158 @@ class Network:
 def wrapped(angle: float) -> float:
     """Return an angle wrapped to [-pi, pi) [rad]."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+class Features:
+    """The features of one vehicle after the other.
+
+    Args:
+        network: the road's lanes.
+        lanes: the number in ``network`` of each of highway-env's lanes.
+        features: names of the features that are needed.
+        ranges: for each feature that is scaled, the values that become -1 and 1.
+        is_clipped: whether scaled values are limited to -1 and 1.
+
+    Attributes:
+        values: the features that :meth:`read` has set, in the order of :data:`FEATURES`.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        lanes: dict[Any, int],
+        features: Sequence[str],
+        ranges: Mapping[str, Sequence[float]],
+        *,
+        is_clipped: bool = False,
+    ) -> None:
+        self.network = network
+        self.lanes = lanes
+        self.values = array("d", [0.0] * len(FEATURES))
+        self._has_destination = "cos_d" in features or "sin_d" in features
+        self._has_place = "long_off" in features or "lat_off" in features or "ang_off" in features
+        self._is_scaled = array("i", [feature in ranges for feature in FEATURES])
+        self._low = array("d", [float(ranges.get(feature, (0, 0))[0]) for feature in FEATURES])
+        self._high = array("d", [float(ranges.get(feature, (0, 0))[1]) for feature in FEATURES])
+        self._is_clipped = is_clipped
+
+    def read(self, vehicle: Any, is_object: bool) -> None:
+        """Set the values to the features of a vehicle, or of a fixed object, some of whose features are unknown."""
+        values, heading = self.values, vehicle.heading
+        x, y = vehicle.position.tolist()
+        cos, sin = math.cos(heading), math.sin(heading)
+        values[0], values[1], values[2], values[6], values[7] = 1.0, x, y, cos, sin
+        values[8] = values[9] = 0.0
+        if is_object:
+            values[3] = values[4] = 0.0
+            values[5] = values[10] = values[11] = values[12] = np.nan
+            return
+        speed = vehicle.speed
+        values[3], values[4], values[5] = speed * cos, speed * sin, heading
+        if self._has_destination:
+            self._head_for_destination(vehicle, x, y)
+        if self._has_place:
+            lane = self.lanes[vehicle.lane]
+            self.network.locate(lane, x, y)
+            values[10], values[11] = self.network.along, self.network.across
+            angle = heading - self.network.heading_at(lane, values[10])
+            values[12] = (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+
+    def _head_for_destination(self, vehicle: Any, x: float, y: float) -> None:
+        """Set the direction to the end of a vehicle's route, if it has a route."""
+        route = getattr(vehicle, "route", None)
+        if not route:
+            return
+        start, end, number = route[-1]
+        lane = self.lanes[vehicle.road.network.get_lane((start, end, 0 if number is None else number))]
+        self.network.position(lane, self.network.length(lane), 0.0)
+        dx, dy = self.network.x - x, self.network.y - y
+        away = math.sqrt(dx * dx + dy * dy)
+        if away > 0.0:
+            self.values[8], self.values[9] = dx / away, dy / away
+
+    def subtract(self, x: float, y: float, vx: float, vy: float) -> None:
+        """Make position and velocity relative."""
+        values = self.values
+        values[1] -= x
+        values[2] -= y
+        values[3] -= vx
+        values[4] -= vy
+
+    def scaled(self, feature: int) -> float:
+        """Return a value, scaled if its feature has a range."""
+        value = self.values[feature]
+        if self._is_scaled[feature]:
+            low = self._low[feature]
+            value = -1.0 + (value - low) * 2.0 / (self._high[feature] - low)
+            if self._is_clipped:
+                value = 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
+        return value
+
+
+class Table:
+    """The Kinematics observation: the features of the ego and of the others that are nearest along its lane.
+
+    Args:
+        features: the features of vehicles.
+        options: highway-env's observation, whose options are attributes.
+    """
+
+    def __init__(self, features: Features, options: Any) -> None:
+        self._features = features
+        self._columns = array("i", [FEATURES.index(feature) for feature in options.features])
+        self._count: int = options.vehicles_count
+        self._is_relative = not options.absolute
+        self._sees_behind: bool = options.see_behind
+        self._sees_intentions: bool = options.observe_intentions
+
+    def observe(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float, exit_lane: int) -> Any:
+        """Return the observation as float32 of shape [vehicles, features].
+
+        Args:
+            ego: the vehicle that observes.
+            vehicles: the vehicles on the road.
+            objects: the fixed objects that it may observe.
+            reach: the distance up to which it observes others [m].
+            exit_lane: the number of a lane along which the ego's x is measured, or -1.
+        """
+        features, count = self._features, len(vehicles)
+        near = self._nearest(ego, vehicles, objects, reach)
+        made = np.zeros((max(self._count, len(near) + 1), len(self._columns)), dtype=np.float32)
+        table = made  # typed as a memoryview in the .pxd, so compiled code writes directly
+        features.read(ego, False)
+        x, y, vx, vy = features.values[1], features.values[2], features.values[3], features.values[4]
+        if exit_lane >= 0:
+            features.network.locate(exit_lane, x, y)
+            features.values[1] = features.network.along
+        for row in range(len(near) + 1):
+            if row > 0:
+                _, index, other = near[row - 1]
+                features.read(other, index >= count)
+                if not self._sees_intentions:
+                    features.values[8] = features.values[9] = 0.0
+                if self._is_relative:
+                    features.subtract(x, y, vx, vy)
+            for column in range(len(self._columns)):
+                table[row, column] = features.scaled(self._columns[column])
+        return made
+
+    def _nearest(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float) -> list[tuple[float, int, Any]]:
+        """Return the nearest others along the ego's lane, each after its distance [m] and its number on the road."""
+        network, lane, found = self._features.network, self._features.lanes[ego.lane], []
+        x, y = ego.position.tolist()
+        network.locate(lane, x, y)
+        here, behind, count = network.along, -2.0 * ego.LENGTH, len(vehicles)
+        for index in range(count + len(objects)):
+            other = vehicles[index] if index < count else objects[index - count]
+            if other is ego:
+                continue
+            its_x, its_y = other.position.tolist()
+            dx, dy = its_x - x, its_y - y
+            if math.sqrt(dx * dx + dy * dy) < reach:
+                network.locate(lane, its_x, its_y)
+                ahead = network.along - here
+                if behind < ahead or (self._sees_behind and index < count):
+                    found.append((abs(ahead), index, other))
+        found.sort()
+        return found[: self._count - 1] if self._count > 1 else found  # for highway-env, a count of 0 is no limit

@@ -2,7 +2,7 @@ cimport cython
 from libc cimport math
 from pytest_pafot.world.kernel.bodies cimport Body
 
-cdef double ALMOST
+cdef double ALMOST, STEP, HALF_TURN, ON_LANE
 
 @cython.final
 cdef class Lanes:
@@ -10,8 +10,83 @@ cdef class Lanes:
     cdef readonly double width, length
     cdef double _inside, _last, _left, _right
 
-    @cython.locals(across=double, offset=double, lanes=double, lane=int)
+    @cython.locals(offset=double, lane=int)
     cpdef int locate(self, Body body) except -2
 
-    @cython.locals(near=int, beyond=double, angle=double, best=double, lane=int, index=int, distance=double)
+    @cython.locals(near=int, best=double, lane=int, index=int)
     cpdef int closest(self, double along, double across, double heading) except -1
+
+@cython.locals(below=Py_ssize_t)
+cpdef Py_ssize_t even_rounded(double exact) except? -1
+
+@cython.final
+cdef class Bends:
+    cdef readonly double along, across, angle, offset
+    cdef readonly int lane
+    cdef double[::1] _x, _y, _heading, _across, _direction, _lean, _speed, _sharpest, _widths
+    cdef int[::1] _exists, _part
+    cdef Py_ssize_t _points
+    cdef int _lanes
+    cdef double _end, _lane_width, _share, _x0, _y0, _direction0
+
+    cpdef Py_ssize_t point(self, double along) except -1
+
+    cpdef bint exists(self, int lane, double along) except -1
+
+    @cython.locals(row=Py_ssize_t)
+    cpdef bint continues(self, int lane, double since, double until) except -1
+
+    @cython.locals(index=Py_ssize_t)
+    cdef Py_ssize_t _between(self, double along) except -1
+
+    @cython.locals(index=Py_ssize_t)
+    cdef double _value(self, double[::1] values, int lane, double along) except? -1
+
+    cpdef double across_at(self, int lane, double along) except? -1
+
+    cpdef double direction_at(self, int lane, double along) except? -1
+
+    cpdef double lean_at(self, int lane, double along) except? -1
+
+    cpdef double sharpest_at(self, int lane, double along) except? -1
+
+    cpdef double x_at(self, double along) except? -1
+
+    cpdef double y_at(self, double along) except? -1
+
+    cpdef double heading_at(self, double along) except? -1
+
+    cpdef double speed_at(self, int lane, double along) except? -1
+
+    @cython.locals(index=Py_ssize_t)
+    cpdef double stretch(self, double along, double across) except? -1
+
+    @cython.locals(index=Py_ssize_t)
+    cdef void _refer(self, double along) except *
+
+    @cython.locals(cos=double, ahead=double, point=Py_ssize_t, nearest=int, best=double, lane=int)
+    cpdef void locate(self, double x, double y, double heading, double near) except *
+
+    @cython.locals(toward=int)
+    cpdef double in_lanes(self, int lane, double along, double offset) except? -1
+
+    cpdef int part(self, int lane, double along, double offset) except -2
+
+    @cython.locals(nearest=int)
+    cpdef int nearest_lane(self, double lateral) except -2
+
+@cython.final
+cdef class Track:
+    cdef readonly double along, across, direction
+    cdef readonly double[::1] x, y, heading, lean, speed, sharpest, along_ego
+    cdef readonly int[::1] parts
+    cdef readonly double enters
+    cdef Py_ssize_t _last
+
+    cpdef Py_ssize_t point(self, double along) except -1
+
+    @cython.locals(index=Py_ssize_t, inside=double, dx=double, dy=double, cos=double, sin=double)
+    cpdef void locate(self, double x, double y, double near) except *
+
+    @cython.locals(index=Py_ssize_t)
+    cpdef double value(self, double[::1] values, double along) except? -1

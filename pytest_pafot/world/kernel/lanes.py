@@ -1,8 +1,10 @@
-"""Parallel straight lanes in road coordinates: along the road, and across it from the centre of lane 0."""
+"""The lanes of a road in plain numbers: parallel straight ones, those along a way with bends, and a way of its own."""
 
 from __future__ import annotations
 
 import math
+from array import array
+from collections.abc import Sequence
 
 from pytest_pafot.world.kernel.bodies import Body
 
@@ -54,3 +56,294 @@ class Lanes:
             if distance < best:
                 best, lane = distance, index
         return lane
+
+
+STEP = 0.5
+"""The distance between neighbouring points of a line [m]."""
+HALF_TURN = math.pi
+"""Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
+ON_LANE = 1e-6
+"""The tolerance for rounding within which a vehicle next to a lane is still on it [m]."""
+
+
+class Bends:
+    """The lanes along a line.
+
+    Args:
+        line: x, y and heading of the line's points [m, m, rad].
+        flags: for each point of each lane, lane after lane: 1 if the lane exists there, else 0; and the lane's number
+            in a trace.
+        shape: for each point of each lane, lane after lane: the lane's distance to the right of the line [m], its
+            direction [rad], the lean of a vehicle in it [rad], the highest speed of NPCs [m/s], and the largest
+            curvature over the length of a lane change from there [1/m].
+        widths: the widths of the trace's lanes [m].
+        lane_width: the width of the ego's lane at the start [m].
+
+    Attributes:
+        along, across, angle, lane, offset: the place at which :meth:`locate` has found a vehicle [m, m, rad, , m].
+    """
+
+    def __init__(
+        self,
+        line: tuple[Sequence[float], Sequence[float], Sequence[float]],
+        flags: tuple[Sequence[int], Sequence[int]],
+        shape: tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float], Sequence[float]],
+        widths: Sequence[float],
+        lane_width: float,
+    ) -> None:
+        x, y, heading = line
+        exists, part = flags
+        across, direction, lean, speed, sharpest = shape
+        self._x, self._y, self._heading = array("d", x), array("d", y), array("d", heading)
+        self._exists, self._part = array("i", exists), array("i", part)
+        self._across, self._direction = array("d", across), array("d", direction)
+        self._lean, self._speed = array("d", lean), array("d", speed)
+        self._sharpest = array("d", sharpest)
+        self._widths = array("d", widths)
+        self._points = len(x)
+        self._lanes = len(exists) // len(x)
+        self._end = (len(x) - 1) * STEP
+        self._lane_width = lane_width
+        self.along = self.across = self.angle = self.offset = 0.0
+        self.lane = 0
+        self._share = self._x0 = self._y0 = self._direction0 = 0.0
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return the parts for pickling, because worlds send their roads to other processes."""
+        line = list(self._x), list(self._y), list(self._heading)
+        flags = list(self._exists), list(self._part)
+        shape = list(self._across), list(self._direction), list(self._lean), list(self._speed), list(self._sharpest)
+        return Bends, (line, flags, shape, list(self._widths), self._lane_width)
+
+    def point(self, along: float) -> int:
+        """Return the number of the line's point nearest to a place; of two equally near, the even one."""
+        return min(max(even_rounded(along / STEP), 0), self._points - 1)
+
+    def exists(self, lane: int, along: float) -> bool:
+        """Return whether a lane exists at a place along the road."""
+        if not (0 <= lane < self._lanes and 0.0 <= along <= self._end):
+            return False
+        return self._exists[lane * self._points + self.point(along)] != 0
+
+    def continues(self, lane: int, since: float, until: float) -> bool:
+        """Return whether a lane exists from one place to another, or to the end of the road."""
+        if not 0 <= lane < self._lanes or since < 0.0:
+            return False
+        row = lane * self._points
+        for index in range(row + self.point(since), row + self.point(until) + 1):  # noqa: SIM110  (no closures here)
+            if self._exists[index] == 0:
+                return False
+        return True
+
+    def _between(self, along: float) -> int:
+        """Return the point before a place, and set the share of the step from this point to the next at the place."""
+        index = min(max(int(along / STEP), 0), self._points - 2)
+        self._share = along / STEP - index
+        return index
+
+    def _value(self, values: array[float], lane: int, along: float) -> float:
+        """Return a lane's interpolated value at a place; beyond the ends it is constant."""
+        index = self._between(along) + lane * self._points
+        share = min(max(self._share, 0.0), 1.0)
+        return values[index] + share * (values[index + 1] - values[index])
+
+    def across_at(self, lane: int, along: float) -> float:
+        """Return the distance of a lane's centre from the line, to the right [m]."""
+        return self._value(self._across, lane, along)
+
+    def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
+        """Return a lane's distance to the right of the line [m], its direction, and a vehicle's lean in it [rad]."""
+        return (
+            self._value(self._across, lane, along),
+            self._value(self._direction, lane, along),
+            self._value(self._lean, lane, along),
+        )
+
+    def direction_at(self, lane: int, along: float) -> float:
+        """Return a lane's direction [rad]."""
+        return self._value(self._direction, lane, along)
+
+    def lean_at(self, lane: int, along: float) -> float:
+        """Return a vehicle's lean in a lane [rad]."""
+        return self._value(self._lean, lane, along)
+
+    def sharpest_at(self, lane: int, along: float) -> float:
+        """Return the largest curvature of a lane that an NPC meets during a lane change from a place [1/m]."""
+        return self._sharpest[lane * self._points + self.point(along)]
+
+    def x_at(self, along: float) -> float:
+        """Return world x of the line [m]."""
+        self._refer(along)
+        return self._x0
+
+    def y_at(self, along: float) -> float:
+        """Return world y of the line [m]."""
+        self._refer(along)
+        return self._y0
+
+    def heading_at(self, along: float) -> float:
+        """Return the direction of the line [rad]."""
+        self._refer(along)
+        return self._direction0
+
+    def speed_at(self, lane: int, along: float) -> float:
+        """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""
+        return self._value(self._speed, lane, along)
+
+    def stretch(self, along: float, across: float) -> float:
+        """Return the metres that a vehicle drives per metre of the line: above 1 on the outside of a bend."""
+        index = self._between(along)
+        bend = (self._heading[index + 1] - self._heading[index]) / STEP
+        return max(1.0 - bend * across, 0.2)  # beyond the centre of a bend it would be zero or negative
+
+    def _refer(self, along: float) -> None:
+        """Set x, y and direction of the line at a place; it goes straight on beyond its ends."""
+        index = self._between(along)
+        share = self._share
+        turned = min(max(share, 0.0), 1.0) * (self._heading[index + 1] - self._heading[index])
+        self._x0 = self._x[index] + share * (self._x[index + 1] - self._x[index])
+        self._y0 = self._y[index] + share * (self._y[index + 1] - self._y[index])
+        self._direction0 = self._heading[index] + turned
+
+    def reference(self, along: float) -> tuple[float, float, float]:
+        """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""
+        self._refer(along)
+        return self._x0, self._y0, self._direction0
+
+    def locate(self, x: float, y: float, heading: float, near: float) -> None:
+        """Find a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.
+
+        ``near`` is a place close to the vehicle, because roads may cross themselves [m].
+        """
+        along = near
+        for _ in range(4):  # each step projects onto the tangent at the last place; this converges in bends, too
+            self._refer(along)
+            cos, sin = math.cos(self._direction0), math.sin(self._direction0)
+            ahead = (x - self._x0) * cos + (y - self._y0) * sin
+            across = (y - self._y0) * cos - (x - self._x0) * sin
+            along = min(max(along + ahead / self.stretch(along, across), -self._end), 2.0 * self._end)
+            if abs(ahead) < 1e-9:
+                break
+        self._refer(along)
+        across = (y - self._y0) * math.cos(self._direction0) - (x - self._x0) * math.sin(self._direction0)
+        point, nearest, best = self.point(along), 0, math.inf
+        for lane in range(self._lanes):
+            index = lane * self._points + point
+            if self._exists[index] != 0 and abs(across - self._across[index]) < best:
+                nearest, best = lane, abs(across - self._across[index])
+        self.along, self.across, self.lane = along, across, nearest
+        self.angle = (heading - self._direction0 + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+        self.offset = across - self._value(self._across, nearest, along)
+
+    def in_lanes(self, lane: int, along: float, offset: float) -> float:
+        """Return the nominal position across the road of a vehicle with an offset from a lane's centre [m]."""
+        toward = lane + (1 if offset > 0.0 else -1)
+        scale = 1.0
+        if self.exists(toward, along):
+            apart = abs(self._value(self._across, toward, along) - self._value(self._across, lane, along))
+            scale = self._lane_width / apart
+        return lane * self._lane_width + offset * scale
+
+    def part(self, lane: int, along: float, offset: float) -> int:
+        """Return the number, among a trace's lanes, of the way's lane on which a vehicle's centre is; -1 if on none."""
+        if not 0.0 <= along <= self._end:
+            return -1
+        part = self._part[lane * self._points + self.point(along)]
+        return part if part >= 0 and abs(offset) <= self._widths[part] / 2.0 + ON_LANE else -1
+
+    def nearest_lane(self, lateral: float) -> int:
+        """Return the lane whose centre is nearest to a nominal position."""
+        nearest = int(math.ceil(lateral / self._lane_width - 0.5))  # noqa: RUF046  (a C function returns a float)
+        return min(max(nearest, 0), self._lanes - 1)
+
+
+class Track:
+    """The points of a way, with the values that an NPC needs at each of them.
+
+    Args:
+        x, y, heading: position and direction of the points [m, m, rad].
+        lean: the angle to the way of a vehicle that follows it exactly [rad].
+        speed: the highest speed of an NPC [m/s].
+        sharpest: the largest curvature over the length of a lane change from each point [1/m].
+        parts: the index in ``Trace.lanes`` of the lane at each point.
+        along_ego: the place along the ego's way of each point [m]; NaN for points that are not on it.
+        enters: the place at which the way enters its zone [m].
+
+    Attributes:
+        along, across, direction: the result of :meth:`locate` [m, m, rad].
+    """
+
+    def __init__(
+        self,
+        x: Sequence[float],
+        y: Sequence[float],
+        heading: Sequence[float],
+        lean: Sequence[float],
+        speed: Sequence[float],
+        sharpest: Sequence[float],
+        parts: Sequence[int],
+        along_ego: Sequence[float],
+        enters: float,
+    ) -> None:
+        self._last = len(x) - 1
+        self.parts, self.along_ego, self.enters = array("i", parts), array("d", along_ego), enters
+        self.x, self.y, self.heading = array("d", x), array("d", y), array("d", heading)
+        self.lean, self.speed, self.sharpest = array("d", lean), array("d", speed), array("d", sharpest)
+        self.along = self.across = self.direction = 0.0
+
+    def __deepcopy__(self, _: object) -> Track:
+        """Return itself, because highway-env deep-copies vehicles with their ways to predict them, which is slow."""
+        return self
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return the parts for pickling, because worlds send their ways to other processes."""
+        x, y, heading, lean = list(self.x), list(self.y), list(self.heading), list(self.lean)
+        of_lane = list(self.speed), list(self.sharpest), list(self.parts), list(self.along_ego)
+        return Track, (x, y, heading, lean, *of_lane, self.enters)
+
+    def point(self, along: float) -> int:
+        """Return the index of the point that is nearest to a place."""
+        return min(max(int(along / STEP + 0.5), 0), self._last)
+
+    def locate(self, x: float, y: float, near: float) -> None:
+        """Find a vehicle on the way, and set ``along``, ``across`` and ``direction``.
+
+        ``near`` is a place close to the vehicle [m]. Beyond its ends, the way goes straight on.
+        """
+        place = near
+        for _ in range(4):
+            index = min(max(int(place / STEP), 0), self._last - 1)
+            share = place / STEP - index
+            inside = min(max(share, 0.0), 1.0)
+            direction = self.heading[index] + inside * (self.heading[index + 1] - self.heading[index])
+            dx = x - (self.x[index] + share * (self.x[index + 1] - self.x[index]))
+            dy = y - (self.y[index] + share * (self.y[index + 1] - self.y[index]))
+            cos, sin = math.cos(direction), math.sin(direction)
+            ahead = dx * cos + dy * sin
+            place += ahead
+            self.across = dy * cos - dx * sin
+            self.direction = direction
+            if -1e-6 < ahead < 1e-6:
+                break
+        self.along = place
+
+    def pose(self, along: float) -> tuple[float, float, float]:
+        """Return world x [m], y [m] and heading [rad] of a vehicle that follows the way."""
+        return (
+            self.value(self.x, along),
+            self.value(self.y, along),
+            self.value(self.heading, along) + self.value(self.lean, along),
+        )
+
+    def value(self, values: array[float], along: float) -> float:
+        """Return the interpolated value of one of the track's arrays at a place; beyond the ends it is constant."""
+        index = min(max(int(along / STEP), 0), self._last - 1)
+        share = min(max(along / STEP - index, 0.0), 1.0)
+        return values[index] + share * (values[index + 1] - values[index])
+
+
+def even_rounded(exact: float) -> int:
+    """Return the nearest whole number; of two equally near, the even one, as Python rounds."""
+    below = int(math.floor(exact))  # noqa: RUF046  (a C function returns a float)
+    rest = exact - below
+    return below + 1 if rest > 0.5 or (rest == 0.5 and below % 2 != 0) else below

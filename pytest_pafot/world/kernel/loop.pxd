@@ -9,7 +9,7 @@ from pytest_pafot.world.kernel.idm cimport GoalVehicle
 from pytest_pafot.world.kernel.lanes cimport Lanes
 from pytest_pafot.world.kernel.observation cimport Sensor
 from pytest_pafot.world.kernel.places cimport Places
-from pytest_pafot.world.kernel.road_rules cimport EgosRoadRules
+from pytest_pafot.world.kernel.idm cimport EgosRoadRules
 
 cdef class EgoDriver:
     cdef readonly Body ego

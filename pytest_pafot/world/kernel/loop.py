@@ -26,12 +26,11 @@ from pytest_pafot.world.kernel.action import (
     possible_steering,
     without_reversing,
 )
-from pytest_pafot.world.kernel.bodies import Body, Box, overlap
+from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, overlap
 from pytest_pafot.world.kernel.driver import LaneTracker
-from pytest_pafot.world.kernel.idm import GoalVehicle
-from pytest_pafot.world.kernel.observation import COLUMNS, Sensor
+from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle
+from pytest_pafot.world.kernel.observation import Sensor
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.kernel.road_rules import EgosRoadRules
 
 
 class EgoDriver:

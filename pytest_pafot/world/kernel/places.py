@@ -9,28 +9,36 @@ from typing import Any
 
 from pytest_pafot.model.crossings import NOT_ON_WAY, STEP
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.world.kernel.bends import Bends, even_rounded
-from pytest_pafot.world.kernel.bodies import Body, Box
-from pytest_pafot.world.kernel.crossing import Track
-from pytest_pafot.world.kernel.lanes import Lanes
-from pytest_pafot.world.kernel.observation import COLUMNS
+from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box
+from pytest_pafot.world.kernel.lanes import Bends, Lanes, Track, even_rounded
 
 HALF_TURN = math.pi
 """Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 NOWHERE = float("nan")
-NOTHING = array("d")
 TRACK_COLUMNS = 5
 """The number of values of a vehicle in a row of ``Trace.track``."""
 
 
 class Places:
-    """The places of vehicles on a straight road.
+    """The places of the vehicles of a run on its road.
+
+    On a straight road they follow from coordinates. On a bent road and on the ways that meet it, vehicles are tracked
+    from tick to tick, because roads may cross or repeat themselves. On the ego's way, a body gets its nominal position
+    across the road, and its heading relative to the way. A crossing NPC's body gets its place along its own way, its
+    distance to the right of it, and its angle to it.
 
     Args:
         vehicles: the vehicles in world coordinates, the ego first.
-        bodies: the same vehicles in road coordinates; the same objects if the road starts at the world's origin.
-        lanes: the road's lanes.
-        x, y: where the road starts [m].
+        bodies: the same vehicles in road coordinates; the same objects if a straight road starts at the world's origin.
+        lanes: the lanes of a straight road; None on a bent one.
+        x, y: where the straight road starts [m].
+        bends: the ego's way on a bent road; the following arguments are for such a road.
+        starts: each vehicle's place along its way at the start [m].
+        ways: the own way of each crossing NPC, None for each other vehicle; the ego is first.
+        end: the place along the ego's way at which the run ends [m].
+        beside: returns, for an ego that is on no lane of its way, the index of its lane in ``Trace.lanes`` and how the
+            run has left its road, by x and y [m], the nearest lane, and the place along the way [m].
+        ticks: the largest number of ticks of the run.
 
     Attributes:
         left: the outcome if the run has left its road, else None. A run on a straight road continues beside it.
@@ -41,17 +49,38 @@ class Places:
     """
 
     def __init__(
-        self, vehicles: list[Any], bodies: list[Any], lanes: Lanes | None = None, x: float = 0.0, y: float = 0.0
+        self,
+        vehicles: list[Any],
+        bodies: list[Any],
+        lanes: Lanes | None = None,
+        x: float = 0.0,
+        y: float = 0.0,
+        *,
+        bends: Bends | None = None,
+        starts: Sequence[float] = (),
+        ways: Sequence[Track | None] = (),
+        end: float = 0.0,
+        beside: Callable[[float, float, int, float], tuple[int, Outcome | None]] | None = None,
+        ticks: int = 0,
     ) -> None:
         self.vehicles: list[Body] = vehicles
         self.obstacles: list[Box] = []
         self.bodies: list[Body] = bodies
         self.left: Outcome | None = None
-        self._lanes = lanes
+        self._lanes: Any = lanes
         self._x = x
         self._y = y
         self.lanes = lanes if vehicles[0] is bodies[0] else None
-        self.track = self.on_way = NOTHING
+        self._bends: Any = bends
+        self._ways = list(ways)
+        self._end = end
+        self._beside: Any = beside
+        self._along = array("d", starts)
+        self._row = 0  # of the tick in `track` and `on_way`, in vehicles
+        npcs = len(vehicles) - 1
+        rows, crosses = 0 if bends is None else ticks + 1, len(ways) > ways.count(None)
+        self.track = array("d", [NOWHERE]) * (TRACK_COLUMNS * (npcs + 1) * rows)
+        self.on_way = array("d", [NOWHERE]) * (npcs * rows if crosses else 0)
 
     def control(self) -> None:
         """Give the NPCs in world coordinates the controls that the director has set."""
@@ -63,88 +92,16 @@ class Places:
     def see(self, record: Any, row: int) -> None:
         """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record.
 
-        Called once a tick, unless :attr:`lanes` makes it unnecessary.
+        Called once a tick, unless :attr:`lanes` makes it unnecessary. On a bent road, it also keeps the vehicles'
+        places, and the run may have left its road.
         """
-        lanes: Any = self._lanes
-        for number in range(len(self.bodies)):
-            vehicle, body = self.vehicles[number], self.bodies[number]
-            body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
-            record[row + 6] = lanes.locate(body)
-            row += COLUMNS
-
-
-class OwnWay:
-    """The way of a crossing NPC, and where it is on the ego's way.
-
-    Attributes:
-        track: the way.
-        parts: the index in ``Trace.lanes`` of the lane at each of its points.
-        enters: the place at which it enters its zone [m].
-        along_ego: the place along the ego's way of each point of the way [m]; NaN for points that are not on it.
-    """
-
-    def __init__(self, track: Track, parts: Sequence[int], enters: float, along_ego: Sequence[float]) -> None:
-        self.track = track
-        self.parts = array("i", parts)
-        self.enters = enters
-        self.along_ego = array("d", along_ego)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Return the parts for pickling, because worlds send their ways to other processes."""
-        return OwnWay, (self.track, list(self.parts), self.enters, list(self.along_ego))
-
-
-class RoadPlaces(Places):
-    """The places of vehicles on a bent road and on the ways that meet it.
-
-    They are tracked from tick to tick, because roads may cross or repeat themselves. On the ego's way, a body gets its
-    nominal position across the road, and its heading relative to the way. A crossing NPC's body gets its place along
-    its own way, its distance to the right of it, and its angle to it.
-
-    Args:
-        bends: the ego's way.
-        starts: each vehicle's place along its way at the start [m].
-        ways: the own way of each crossing NPC, None for each other vehicle; the ego is first.
-        end: the place along the ego's way at which the run ends [m].
-        beside: returns, for an ego that is on no lane of its way, the index of its lane in ``Trace.lanes`` and how the
-            run has left its road, by x and y [m], the nearest lane, and the place along the way [m].
-        ticks: the largest number of ticks of the run.
-    """
-
-    def __init__(
-        self,
-        vehicles: list[Any],
-        bodies: list[Any],
-        bends: Bends,
-        *,
-        starts: Sequence[float],
-        ways: list[Any],
-        end: float,
-        beside: Callable[[float, float, int, float], tuple[int, Outcome | None]],
-        ticks: int,
-    ) -> None:
-        super().__init__(vehicles, bodies)
-        count = len(vehicles)
-        self._bends = bends
-        self._ways: list[OwnWay | None] = ways
-        self._end = end
-        self._beside = beside
-        self._along = array("d", starts)
-        self._crosses = count > ways.count(None)
-        self._row = 0  # of the tick in `track` and `on_way`, in vehicles
-        self.track = array("d", [NOWHERE]) * (TRACK_COLUMNS * count * (ticks + 1))
-        self.on_way = array("d", [NOWHERE]) * ((count - 1) * (ticks + 1) if self._crosses else 0)
-
-    def see(self, record: Any, row: int) -> None:
-        """Find all vehicles, place the bodies on the road, and write the vehicles' lanes into a row of a record.
-
-        Called once a tick, of which it also keeps the vehicles' places, and in which the run may have left its road.
-        """
-        bends, has_ended, count = self._bends, False, len(self.vehicles)
-        first = row
+        bends, has_ended, count, first = self._bends, False, len(self.vehicles), row
         for number in range(count):
-            vehicle, body, way = self.vehicles[number], self.bodies[number], self._ways[number]
-            if way is not None:
+            vehicle, body = self.vehicles[number], self.bodies[number]
+            if bends is None:
+                body.place(vehicle.x - self._x, vehicle.y - self._y, vehicle.heading, vehicle.speed)
+                record[row + 6] = self._lanes.locate(body)
+            elif (way := self._ways[number]) is not None:
                 record[row + 6] = self._on_own_way(vehicle, body, way, number)
             else:
                 bends.locate(vehicle.x, vehicle.y, vehicle.heading, self._along[number])
@@ -159,39 +116,38 @@ class RoadPlaces(Places):
         self._row += count
         if has_ended:
             self.left = Outcome.END_OF_ROAD
-        elif record[first + 6] < 0:
+        elif bends is not None and record[first + 6] < 0:
             ego = self.vehicles[0]
             bends.locate(ego.x, ego.y, ego.heading, self._along[0])
             record[first + 6], self.left = self._beside(ego.x, ego.y, bends.lane, bends.along)
 
-    def _on_own_way(self, vehicle: Body, body: Body, way: OwnWay, number: int) -> int:
+    def _on_own_way(self, vehicle: Body, body: Body, way: Track, number: int) -> int:
         """Find a crossing NPC, note its places on both ways, and return its lane."""
-        track = way.track
-        track.locate(vehicle.x, vehicle.y, self._along[number])
-        along = self._along[number] = track.along
-        turned = vehicle.heading - track.direction
+        way.locate(vehicle.x, vehicle.y, self._along[number])
+        along = self._along[number] = way.along
+        turned = vehicle.heading - way.direction
         turned = (turned + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
-        body.place(along, track.across, turned, vehicle.speed)
+        body.place(along, way.across, turned, vehicle.speed)
         self.on_way[self._row // len(self.vehicles) * (len(self.vehicles) - 1) + number - 1] = along
         if self.is_on_way(way, vehicle.x, vehicle.y, vehicle.heading, along):
             self._note(number)
-        return way.parts[track.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
+        return way.parts[way.point(along)] if 0.0 <= along <= (len(way.parts) - 1) * STEP else -1
 
     def along(self, number: int) -> float:
         """Return the place of a vehicle along its way [m]."""
         return self._along[number]
 
-    def way(self, number: int) -> OwnWay | None:
+    def way(self, number: int) -> Track | None:
         """Return the own way of a vehicle that crosses, else None."""
         return self._ways[number]
 
-    def is_on_way(self, way: OwnWay | None, x: float, y: float, heading: float, along: float) -> bool:
+    def is_on_way(self, way: Track | None, x: float, y: float, heading: float, along: float) -> bool:
         """Locate a vehicle on the ego's way, and return whether it is there.
 
         It is at x and y [m] with a heading [rad], at a place along its own way [m], or along the ego's if it has none.
         Before its zone, a crossing NPC is never on the ego's way.
         """
-        bends = self._bends
+        bends: Bends = self._bends
         if way is None:
             bends.locate(x, y, heading, along)
             return True

@@ -24,10 +24,9 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.crossing import CrossingNpc, Track
-from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.kernel.places import OwnWay
-from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
+from pytest_pafot.world.kernel.crossing import CrossingNpc, JunctionDirector
+from pytest_pafot.world.kernel.director import Director, NetworkDirector
+from pytest_pafot.world.kernel.lanes import Track
 from pytest_pafot.world.limits import NpcLimits
 from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Shaped
 from pytest_pafot.world.roads.road import Pose
@@ -87,6 +86,8 @@ class CrossingWay:
         middle: the place in its zone at which it is nearest to the ego's way, or enters the ego's lane if it merges
             [m].
         shaped: returns the lane for NPCs with given limits and a given length [m].
+        along_ego: the place along the ego's way of each of its points [m]; NaN for points that are not near the ego's
+            way or have a different direction.
     """
 
     way: Way
@@ -94,6 +95,7 @@ class CrossingWay:
     column: Column
     middle: float
     shaped: Shaped
+    along_ego: list[float]
 
     def of(self, vehicle: VehicleType, limits: NpcLimits) -> CrossingWay:
         """Return the way for an NPC that is a given vehicle; ``limits`` are those of all NPCs.
@@ -119,8 +121,9 @@ class CrossingWay:
     @cached_property
     def track(self) -> Track:
         """The same way in plain numbers, for the kernel."""
-        line, column = self.line, self.column
-        return Track(line.x.tolist(), line.y.tolist(), column.direction, column.lean, column.speed, column.sharpest)
+        line, of = self.line, self.column
+        driven = of.direction, of.lean, of.speed, of.sharpest, of.part
+        return Track(line.x.tolist(), line.y.tolist(), *driven, self.along_ego, self.way.zone.npc[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,30 +136,16 @@ class Junction:
         meetings: for the names of two ways, the stretches of both in which they meet; the ego's way is named ``""``.
         shared: for the names of two ways, the place along the first way of each point of the second [m]; NaN for points
             that are not on the first way. Pairs without a shared place are absent.
-        along_ego: for each way, the place along the ego's way of each of its points [m]; NaN for points that are not
-            near the ego's way or have a different direction.
     """
 
     crossings: Crossings
     ways: Mapping[str, CrossingWay]
     meetings: Mapping[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]]
     shared: Mapping[tuple[str, str], array[float]]
-    along_ego: Mapping[str, list[float]]
 
     def __deepcopy__(self, _: dict[int, object]) -> Junction:
         """Return itself, because it is immutable and highway-env deep-copies the road to predict vehicles."""
         return self
-
-    def own_way(self, way: CrossingWay) -> OwnWay:
-        """Return a way in plain numbers, for the kernel."""
-        if way not in self._own_ways:
-            zone = way.way.zone
-            self._own_ways[way] = OwnWay(way.track, way.column.part, zone.npc[0], self.along_ego[zone.way])
-        return self._own_ways[way]
-
-    @cached_property
-    def _own_ways(self) -> dict[CrossingWay, OwnWay]:
-        return {}
 
     def stretches(self, mine: str, theirs: str) -> list[tuple[Stretch, Stretch]]:
         """Return the stretches in which two ways meet; either may be the ego's way."""
@@ -197,10 +186,9 @@ class JunctionRoad(NetworkRoad):
         """Return the zone of each NPC that crosses, None for each other NPC; empty if no NPC crosses."""
         return tuple(None if way is None else way.way.zone for way in self.ways(scenario))
 
-    def own_ways(self, scenario: Scenario) -> list[OwnWay | None]:
+    def tracks(self, scenario: Scenario) -> list[Track | None]:
         """Return the own way of each NPC that crosses, None for each other NPC."""
-        ways = [None if each is None else self.junction.own_way(each) for each in self.ways(scenario)]
-        return ways or super().own_ways(scenario)
+        return [None if way is None else way.track for way in self.ways(scenario)] or super().tracks(scenario)
 
     def can_drive(self, vehicle: VehicleType, zone: str | None = None) -> bool:
         """Return whether a vehicle can follow all bends along the ego's way, or along the way of a zone if given."""
@@ -247,10 +235,9 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
             zone = replace(each.way.zone, ego=longer(each.way.zone.ego, longer_by))
             ways[name] = replace(each, way=replace(each.way, zone=zone))
     first = min(each.way.zone.ego[0] for each in ways.values())
-    lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.point(road.start)])[0]) * STEP
+    lane_begins = float(np.flatnonzero(road.line.piece == road.line.piece[road.bends.point(road.start)])[0]) * STEP
     courses = {name: _course(each.line, each.column) for name, each in sorted(ways.items())}
     shared: dict[tuple[str, str], array[float]] = {}
-    along_ego: dict[str, list[float]] = {}
     meetings: dict[tuple[str, str], tuple[tuple[Stretch, Stretch], ...]] = {}
     for (one, a), (other, b) in combinations([(EGOS, own), *courses.items()], 2):
         pairs = near_pairs(a, b)
@@ -261,7 +248,8 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
             if not np.isnan(places).all():
                 shared[mine, theirs] = array("d", places)
         if one == EGOS:
-            along_ego[other] = _places(a, b, pairs, road.lane_width, NOT_ON_WAY).tolist()
+            along_ego = _places(a, b, pairs, road.lane_width, NOT_ON_WAY).tolist()
+            ways[other] = replace(ways[other], along_ego=along_ego)
         if found := tuple(meeting.stretches for meeting in meetings_of(a, b, pairs)):
             meetings[one, other] = found
     crossings = Crossings(
@@ -270,7 +258,7 @@ def _junction_of(env: Any, road: NetworkRoad, limits: NpcLimits, ego: VehicleTyp
         ego_start=min(road.start, max(first - LEAD * road.ego_speed, lane_begins)),
         ego_speed=road.ego_speed,
     )
-    return Junction(crossings=crossings, ways=ways, meetings=meetings, shared=shared, along_ego=along_ego)
+    return Junction(crossings=crossings, ways=ways, meetings=meetings, shared=shared)
 
 
 def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> dict[str, CrossingWay]:
@@ -292,7 +280,8 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         if met is not None and met.stretches[0][0] > road.start:
             zone = _zone(name, road, line, [piece.index for piece in pieces], network, met)
             way = Way(zone=zone, speeds=_driven(np.array(column.speed), limits), sharpest=max(column.sharpest))
-            ways[name] = CrossingWay(way=way, line=line, column=column, middle=met.closest[1] * STEP, shaped=shaped)
+            middle = met.closest[1] * STEP
+            ways[name] = CrossingWay(way=way, line=line, column=column, middle=middle, shaped=shaped, along_ego=[])
     return ways
 
 
@@ -344,8 +333,9 @@ def _parts_of_way(road: NetworkRoad, line: Line, points: IntArray) -> list[int]:
     near = (x * x + y * y).argmin(axis=1)
     middle = len(points) // 2
     place = int(points[middle])
-    spot = road.spot(float(line.x[place]), float(line.y[place]), float(line.heading[place]), float(near[middle]) * STEP)
-    return [road.columns[spot.lane].part[int(point)] for point in near]
+    bends = road.bends
+    bends.locate(float(line.x[place]), float(line.y[place]), float(line.heading[place]), float(near[middle]) * STEP)
+    return [road.columns[bends.lane].part[int(point)] for point in near]
 
 
 def _course(line: Line, column: Column) -> Course:

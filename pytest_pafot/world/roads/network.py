@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +24,12 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import FloatArray, Lane, Outcome
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
-from pytest_pafot.world.kernel.bends import Bends
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.director import Director
-from pytest_pafot.world.kernel.observation import Sensor
-from pytest_pafot.world.kernel.places import OwnWay, Places, RoadPlaces
-from pytest_pafot.world.kernel.road_directors import JunctionDirector, NetworkDirector
-from pytest_pafot.world.kernel.road_sensor import RoadSensor
+from pytest_pafot.world.kernel.crossing import JunctionDirector
+from pytest_pafot.world.kernel.director import Director, NetworkDirector
+from pytest_pafot.world.kernel.lanes import Bends, Track
+from pytest_pafot.world.kernel.observation import RoadSensor, Sensor
+from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import BEND_SHARE, NpcLimits
 from pytest_pafot.world.roads.road import Meeting, Pose, Road
 from pytest_pafot.world.roads.route import STEP, LaneIndex, Line
@@ -90,23 +89,6 @@ def leans(direction: FloatArray, lengths: FloatArray, vehicle_length: float) -> 
 def sharpest_ahead(curvature: FloatArray, lengths: FloatArray, reach: float) -> FloatArray:
     """Return the largest curvature within a distance ahead of each point of a lane [1/m]."""
     return _of_windows(np.maximum, np.abs(curvature), np.searchsorted(lengths, lengths + reach, side="right"))
-
-
-class Spot(NamedTuple):
-    """The place of a vehicle on the road.
-
-    Attributes:
-        along, across: the place of its centre, along the ego's way and to the right of it [m].
-        angle: its heading relative to the way [rad].
-        lane: the nearest lane that exists there.
-        offset: its offset from the centre of that lane, to the right [m].
-    """
-
-    along: float
-    across: float
-    angle: float
-    lane: int
-    offset: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +168,7 @@ class NetworkRoad(Road):
     @property
     def start_lanes(self) -> tuple[int, ...]:
         """The lanes that exist at the ego's start."""
-        return tuple(lane for lane in range(len(self.columns)) if self.exists(lane, self.start))
+        return tuple(lane for lane in range(len(self.columns)) if self.has_lane(lane, self.start))
 
     @cached_property
     def bends(self) -> Bends:
@@ -218,33 +200,15 @@ class NetworkRoad(Road):
         points, widths = (line.x.tolist(), line.y.tolist(), line.heading.tolist()), [lane.width for lane in self.lanes]
         return Bends(points, (exists, part), (across, direction, lean, speed, sharpest), widths, self.lane_width)
 
-    def exists(self, lane: int, along: float) -> bool:
-        """Return whether a lane exists at a place along the road."""
-        return self.bends.exists(lane, along)
-
     def cells(self, along: float, ego_lane: int, rows: float) -> frozenset[Cell]:
         """Return the cells around an ego whose centres are on lanes; ``rows`` is the distance between rows [m]."""
-        return frozenset(cell for cell in Cell if self.exists(ego_lane + cell.column, along + cell.row * rows))
+        return frozenset(cell for cell in Cell if self.has_lane(ego_lane + cell.column, along + cell.row * rows))
 
     def position(self, longitudinal: float, lane: int, vehicle: VehicleType = CAR) -> Pose:
         """Return the pose of a vehicle on the centre of a lane."""
-        x, y, heading = self.reference(longitudinal)
+        x, y, heading = self.bends.reference(longitudinal)
         across, direction, lean = self.bends_of(vehicle).lane_at(lane, longitudinal)
         return x - math.sin(heading) * across, y + math.cos(heading) * across, direction + lean
-
-    def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Return a lane's distance to the right of the line [m], direction [rad] and lean [rad]; see Column."""
-        return self.bends.lane_at(lane, along)
-
-    def speed_at(self, lane: int, along: float) -> float:
-        """Return the highest speed of an NPC in a lane at a place along the road [m/s]."""
-        return self.bends.speed_at(lane, along)
-
-    def spot(self, x: float, y: float, heading: float, near: float) -> Spot:
-        """Return a vehicle's place on the road; ``near`` is a place close to it, because the road may cross itself."""
-        bends = self.bends
-        bends.locate(x, y, heading, near)
-        return Spot(bends.along, bends.across, bends.angle, bends.lane, bends.offset)
 
     def beside(self, network: Any, x: float, y: float, lane: int, along: float) -> tuple[int, Outcome | None]:
         """Return the lane of an ego that is on no lane of its way, and the outcome of the run.
@@ -256,14 +220,14 @@ class NetworkRoad(Road):
         """
         on = [index for index, each in network.lanes_dict().items() if each.on_lane(np.array([x, y]))]
         if any(index[:2] in self.sections for index in on):
-            return self.columns[lane].part[self.point(along)], None
+            return self.columns[lane].part[self.bends.point(along)], None
         if on:
             return len(self.lanes) - len(self.others) + self.others.index(on[0]), Outcome.LEFT_ROUTE
         return -1, Outcome.OFF_ROAD
 
     def has_lane(self, lane: int, along: float) -> bool:
         """Return whether a lane exists at a place along the road [m]."""
-        return bool(self.exists(lane, along))
+        return self.bends.exists(lane, along)
 
     def stretch(self, lane: int, along: float) -> float:
         """Return how many metres a vehicle drives in a lane per metre of the way."""
@@ -321,18 +285,18 @@ class NetworkRoad(Road):
         stock_road: Callable[[], Any],
     ) -> Places:
         """Make the places of the vehicles of a run, which are tracked from tick to tick."""
-        return RoadPlaces(
+        return Places(
             vehicles,
             bodies,
-            self.bends,
+            bends=self.bends,
             starts=starts,
-            ways=[None, *self.own_ways(scenario)],
+            ways=[None, *self.tracks(scenario)],
             end=self.end,
             beside=lambda x, y, lane, along: self.beside(stock_road().network, x, y, lane, along),
             ticks=ticks,
         )
 
-    def own_ways(self, scenario: Scenario) -> list[OwnWay | None]:
+    def tracks(self, scenario: Scenario) -> list[Track | None]:
         """Return the own way of each NPC that crosses, None for each other NPC."""
         return [None] * len(scenario.npcs)
 
@@ -348,8 +312,8 @@ class NetworkRoad(Road):
         """Make the maker of a planner's observations, in which the road is straight."""
         common = self.lane_count, self.lane_width, self.speed_limit, self.end
         zones, leaning = list(self.zones(scenario)), [*map(self.bends_of, (ego, *scenario.all_vehicles))]
-        on_road = cast("RoadPlaces", places), record, self.bends, leaning, zones, common, *rates
-        return RoadSensor(*on_road, None if sight is None else (sight, scenario.seed))
+        seen = None if sight is None else (sight, scenario.seed)
+        return RoadSensor(places, record, self.bends, leaning, zones, common, *rates, seen)
 
     def foresight(self, body: Body) -> Callable[[float], Pose] | None:
         """Return where an NPC goes along its lane.
@@ -358,14 +322,6 @@ class NetworkRoad(Road):
         that it keeps its steering angle.
         """
         return lambda along: self.position(along, body.lane)
-
-    def reference(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""
-        return self.bends.reference(along)
-
-    def point(self, along: float) -> int:
-        """Return the index of the line's point that is nearest to a place along the road."""
-        return self.bends.point(along)
 
     @cached_property
     def unused(self) -> frozenset[Meeting]:

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.observations import FastTable, observer
+from pytest_pafot.world.driving.environment import FastTable, observer
 from pytest_pafot.world.driving.vehicles import Car, SearchedLanes
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.features import FEATURES
+from pytest_pafot.world.kernel.lane_network import FEATURES
 from tests.helpers.c_library import c_library
 from tests.helpers.interpreted import InterpretedWorld
 from tests.helpers.road_cases import ROADS
@@ -92,7 +92,7 @@ def observers():
     """Return the function that is tested in the kernel of this process and in the interpreted one."""
     interpreted = InterpretedWorld()
     with interpreted.in_place():
-        from pytest_pafot.world.driving import observations
+        from pytest_pafot.world.driving import environment as observations
     return [(observer, nullcontext), (observations.observer, interpreted.in_place)]
 
 

@@ -12,7 +12,7 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, SPEED, X, Y
 from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError
-from pytest_pafot.world.driving.perception import sight_of
+from pytest_pafot.world.driving.policy import sight_of
 from tests.helpers.c_library import c_library
 from tests.helpers.tables import table
 from tests.helpers.world_cases import changing_lanes

@@ -18,7 +18,7 @@ from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver
-from pytest_pafot.world.engines import egos
+from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import SteppedRun
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
 from pytest_pafot.world.reference_drivers import REFERENCES

@@ -16,7 +16,7 @@ import pytest
 
 from pytest_pafot.support.errors import AdsFactoryError, OutOfTime
 from pytest_pafot.world import Highway, World
-from pytest_pafot.world.driving.ads import make_ads
+from pytest_pafot.world.driving.policy import make_ads
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard
 from tests.world.driving.test_ads import SCENARIO

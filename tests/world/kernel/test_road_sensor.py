@@ -15,10 +15,9 @@ from pytest_pafot import CrossingInstruction, Drive, Perception, PositionInstruc
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
 from pytest_pafot.world import AdsFactoryError, from_dict
-from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.observation import COLUMNS
-from pytest_pafot.world.kernel.places import RoadPlaces
-from pytest_pafot.world.kernel.road_sensor import RoadSensor
+from pytest_pafot.world.kernel.bodies import COLUMNS, Body
+from pytest_pafot.world.kernel.observation import RoadSensor
+from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.roads.route import STEP
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
@@ -38,10 +37,9 @@ def sensor_on(*npcs, ways, sight=None):
     vehicles, bodies = ([Body(5.0, 2.0) for _ in states] for _ in range(2))
     lines = [road.line, *(road.line if way is None else JUNCTION.ways[way].line for way in ways)]
     starts = [np.hypot(line.x - x, line.y - y).argmin() * STEP for line, (x, y, *_) in zip(lines, states, strict=True)]
-    own = [None, *(None if way is None else JUNCTION.own_way(JUNCTION.ways[way]) for way in ways)]
-    places = RoadPlaces(
-        vehicles, bodies, road.bends, starts=starts, ways=own, end=road.end, beside=lambda *_: (-1, None), ticks=3
-    )
+    own = [None, *(None if way is None else JUNCTION.ways[way].track for way in ways)]
+    common = {"starts": starts, "ways": own, "end": road.end, "beside": lambda *_: (-1, None), "ticks": 3}
+    places = Places(vehicles, bodies, bends=road.bends, **common)
     rows = array("d", bytes(8 * 4 * len(states) * COLUMNS))
     for tick in range(4):
         for number, (vehicle, (x, y, heading, speed)) in enumerate(zip(vehicles, states, strict=True)):
@@ -52,17 +50,8 @@ def sensor_on(*npcs, ways, sight=None):
         places.see(rows, tick * len(states) * COLUMNS)
     zones = [None if way is None else JUNCTION.ways[way].way.zone for way in ways]
     common = road.lane_count, road.lane_width, road.speed_limit, road.end
-    return RoadSensor(
-        places,
-        rows,
-        road.bends,
-        [road.bends] * len(states),
-        zones,
-        common,
-        15,
-        3,
-        None if sight is None else (sight, 7),
-    )
+    leaning, seen = [road.bends] * len(states), None if sight is None else (sight, 7)
+    return RoadSensor(places, rows, road.bends, leaning, zones, common, 15, 3, seen)
 
 
 EGO_ENTERS, ENTERS = FROM_THE_RIGHT.way.zone.ego[0], FROM_THE_RIGHT.way.zone.npc[0]

@@ -25,7 +25,7 @@ from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE,
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import World, WorldError
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import StraightRoad
 from tests.helpers.road_cases import ROADS, OwnEnvironment, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle, oracle
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest_pafot as pafot
 from pytest_pafot import CAR, Highway, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, SPEED
-from pytest_pafot.world.kernel.observation import COLUMNS, Observer, Sensor
+from pytest_pafot.world.kernel.bodies import COLUMNS
+from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.roads.straight import StraightRoad
+from pytest_pafot.world.roads.road import StraightRoad
 from tests.helpers.tables import table
 
 ANGLE = 0.7
