@@ -55,7 +55,7 @@ OPTIONAL = {
 }  # fmt: skip
 """Libraries that cost time to import, or that need not be installed."""
 
-CLIMBS = {"collision": 15, "check": 9, "environment": 13, "workers": 13, "replay": 8}
+CLIMBS = {"collision": 12, "check": 8, "environment": 11, "workers": 10, "replay": 7}
 """For each route the number of pairs of files of which the lower one calls the higher one. Numbers here only fall.
 
 Such a call is one of something that was passed in, so a reader of the lower file cannot see what it does. Two on each
@@ -79,7 +79,7 @@ QUESTIONS = {
     "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
     "searching/space.py": 3,  # whether NPCs can cross at all
     "world/base_world.py": 1,  # hands the straight road to whoever draws starts on it
-    "world/driving/compiled_vehicle.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes
+    "world/driving/vehicles.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes
     "world/engines/policies.py": 1,  # the same
     "world/guard/own_worlds.py": 1,  # the road of a user's world may be anything
     "world/gym_environment.py": 6,  # what options of highway-env do, and which routes it plans

@@ -28,8 +28,7 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.replaced import REPLACED
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.guard.failure import UNFIT, let_through
-from pytest_pafot.world.guard.hang_guard import runs_end_in
+from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in
 
 
 @dataclass(slots=True, kw_only=True)

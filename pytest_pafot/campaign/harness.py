@@ -32,7 +32,7 @@ from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Perception, Policy, hint_at_object, sight_of
-from pytest_pafot.world.guard.failure import exits, let_through
+from pytest_pafot.world.guard.hang_guard import exits, let_through
 
 if TYPE_CHECKING:
     from pytest_pafot.execution.dask_cluster import Cluster

@@ -56,8 +56,7 @@ from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.guard.failure import is_interruption
-from pytest_pafot.world.guard.hang_guard import runs_end_in
+from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 from pytest_pafot.world.guard.own_worlds import base_world
 
 FOR_SIMPLIFYING = 1 / 3

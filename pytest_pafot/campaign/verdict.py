@@ -22,7 +22,7 @@ from pytest_pafot.oracle.checks import Check, Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.support.errors import DriverError, RequestError
-from pytest_pafot.world.guard.failure import UNFIT, is_interruption
+from pytest_pafot.world.guard.hang_guard import UNFIT, is_interruption
 
 Test = Callable[[Run], Any]
 """The user's test function with all arguments except the run filled in. It asserts, and returns None."""

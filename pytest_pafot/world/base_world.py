@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 
 import numpy as np
@@ -412,10 +413,13 @@ class BuiltInWorld(BaseWorld):
     def _rules(self) -> Rules:
         """The settings that all runs have in common if their scenario and ``duration`` decide how long they last."""
 
-    @property
-    @abstractmethod
+    @cached_property
     def network(self) -> Any:
-        """The road as a road network of highway-env."""
+        """The road, which is straight, as a road network of highway-env."""
+        from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
+
+        lane = self.road.lanes[0]
+        return SearchedLanes(straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit))
 
     @property
     def stock_road(self) -> Any:
@@ -577,9 +581,8 @@ class BuiltInWorld(BaseWorld):
         """Simulate a scenario by the given rules with a planner in SI units; see :func:`planner_run`."""
         guard = HangGuard(rules.hang_limit)
         stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
-        run = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
-        run.ends = self._own_ends(rules, scenario, run.vehicles, guard)
-        return run.finish()
+        vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
+        return vehicles.drive(driver, guard, self._own_ends(rules, scenario, vehicles, guard))
 
     def _own_ends(self, rules: Rules, scenario: Scenario, vehicles: VehiclesOfRun, guard: HangGuard) -> OwnEnds | None:
         """Return what may end a run before its time, in the environment of this world; None if nothing does."""

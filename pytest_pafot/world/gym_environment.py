@@ -29,8 +29,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, SearchedLanes, compiled_network, straight_road
-from pytest_pafot.world.guard.failure import UNFIT, let_through
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang, patience_with_world
+from pytest_pafot.world.guard.hang_guard import UNFIT, AdsHang, HangGuard, WorldHang, let_through, patience_with_world
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.limits import ADS_HZ, CONNECTED, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
 from pytest_pafot.world.roads.road import StraightRoad
@@ -155,12 +154,8 @@ class EnvironmentGuard(HangGuard):
             OutOfTime: if the time of the search is over.
         """
         try:
-            try:
-                self.decision_starts()
+            with self.decision():
                 yield
-            finally:
-                self.decision_ends()
-            self.raise_swallowed()
         except AdsHang as error:
             self.decision_ends()
             message = f"{_running(error)} did not return within {self.limit:g} s and was interrupted"
@@ -245,7 +240,10 @@ class GymEnvironment:
         except WorldError:
             raise
         except Exception as error:
-            if not has_traffic and _may_begin_in_traffic(creator, given):
+            # highway-env's own environments need no traffic, and with too much of it, a second try would take long.
+            is_stock = str(getattr(creator, "__module__", "")).startswith("highway_env.")
+            is_much = any(_exceeded("vehicles_count", given.get(name)) for name in REPLACED)
+            if not (has_traffic or is_stock or is_much):
                 return self.make(has_traffic=True)
             field, received = "config", f"{self.config!r:.200}"
             expected = f"a configuration that the environment {self.env_id} accepts"
@@ -396,7 +394,9 @@ class GymEnvironment:
     @property
     def has_own_step(self) -> bool:
         """True if the environment overrides the ``step`` of highway-env."""
-        return not has_known_step(type(self.unwrapped))
+        cls: Any = type(self.unwrapped)
+        is_stock = cls.step in (AbstractEnv.step, IntersectionEnv.step, ExitEnv.step)
+        return not (is_stock and cls._simulate is AbstractEnv._simulate)
 
     @cached_property
     def own_ends(self) -> tuple[str, ...]:
@@ -651,11 +651,6 @@ def has_own_act(road: Any) -> bool:
     return type(road).act is not Road.act or "act" in vars(road)
 
 
-def has_known_step(cls: Any) -> bool:
-    """Return whether a class of environments has one of highway-env's own ``step``, which moves traffic by its road."""
-    return cls.step in (AbstractEnv.step, IntersectionEnv.step, ExitEnv.step) and cls._simulate is AbstractEnv._simulate
-
-
 def wrapper_names(env: Any) -> list[str]:
     """Return the class names of an environment's wrappers that are not in :data:`NEUTRAL`, the innermost first."""
     return [type(each).__name__ for each in wrappers_of(env) if type(each) not in NEUTRAL]
@@ -726,15 +721,6 @@ def _creator(env_id: str) -> Any:
         raise WorldError(field="env_id", expected="a registered environment", received=repr(env_id), fix=fix)
     entry_point = gymnasium.registry[env_id].entry_point
     return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
-
-
-def _may_begin_in_traffic(creator: Any, given: Mapping[str, Any]) -> bool:
-    """Return whether an environment that fails without traffic may be tried with it, which must not take long.
-
-    highway-env's own environments need no traffic.
-    """
-    is_stock = str(getattr(creator, "__module__", "")).startswith("highway_env.")
-    return not is_stock and not any(_exceeded("vehicles_count", given.get(name)) for name in REPLACED)
 
 
 def _check_base(env_id: str, cls: type[Any]) -> None:

@@ -15,8 +15,7 @@ from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BuiltInWorld, EgoVehicle
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
-from pytest_pafot.world.guard.failure import closing
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.limits import (
     ADS_HZ,
     CLEARANCE,

@@ -13,10 +13,9 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BuiltInWorld, EgoVehicle
-from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.policy import AdsFactory, Policy
+from pytest_pafot.world.driving.policy import AdsFactory, Policy, idm_model
 from pytest_pafot.world.engines.run import vehicle_run
-from pytest_pafot.world.guard.failure import closing
+from pytest_pafot.world.guard.hang_guard import closing
 from pytest_pafot.world.limits import (
     ADS_HZ,
     CLEARANCE,
@@ -123,7 +122,7 @@ class Highway(BuiltInWorld):
                     f"decisions: expected none for {ads.given!r}, a vehicle class, which drives itself and returns no "
                     f"actions, received {len(decisions)}; leave them out"
                 )
-            return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given).finish()
+            return vehicle_run(rules, scenario, self.road, lambda: self.network, ads.given)
         with closing(ads.given, self.hang_limit):
             return self._planned(rules, scenario, ads.given, decisions)
 
@@ -148,14 +147,6 @@ class Highway(BuiltInWorld):
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a corpus file; :func:`pytest_pafot.world.from_dict` reads it."""
         return {"kind": "highway", **self._to_dict()}
-
-    @cached_property
-    def network(self) -> Any:
-        """The road as a road network of highway-env."""
-        from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (imports highway-env)
-
-        lane = self.road.lanes[0]
-        return SearchedLanes(straight_network(self.lanes, lane.length, lane.width, self.speed_limit))
 
     @cached_property
     def _rules(self) -> Rules:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -215,53 +214,24 @@ class Rules:
         return ticks if self.step_limit is None else min(ticks, self.step_limit)
 
 
-def _around_ego(scenario: Scenario) -> list[VehicleType]:
-    """Return what vehicles the NPCs are that start around the ego, and not on a way that crosses."""
-    return [kind for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True) if not chain[0].crosses]
-
-
-def start_places(
-    rules: Rules, scenario: Scenario, cells: tuple[Cell, ...], ego_length: float
-) -> list[tuple[float, int]]:
-    """Return the place along the road [m] and the lane of the ego and of each NPC that does not cross, at tick 0.
-
-    NPCs of cells 4 and 8 start next to the ego, those of other cells in their cell's lane, ahead or behind by the
-    headway. So there is no danger at the start, and all danger results from driving.
-    """
-    start, apart, beside = rules.ego_start, rules.start_distance(scenario, ego_length), []
-    for cell, vehicle in zip(cells, _around_ego(scenario), strict=True):
-        lane, far = scenario.ego_lane + cell.column, apart + (vehicle.length - CAR.length) / 2
-        if vehicle.length > CAR.length and not rules.road.has_lane(lane, start + cell.row * far):
-            far = apart  # where the lane ends, a car has room to start
-        beside.append((start + cell.row * far, lane))
-    return [(start, scenario.ego_lane), *beside]
-
-
-def start_speeds(rules: Rules, scenario: Scenario, places: Sequence[tuple[float, int]]) -> list[float]:
-    """Return the speed of each NPC that starts at one of the places, which are along the road [m] and in a lane [m/s].
-
-    It is the ego's speed, or less where the road requires it. No vehicle starts faster than its own top speed.
-    """
-    return [
-        rules.road.start_speed(min(rules.ego_speed(scenario), kind.top_speed), lane, along, kind)
-        for kind, (along, lane) in zip(_around_ego(scenario), places, strict=True)
-    ]
-
-
 def starts_of(
     rules: Rules, scenario: Scenario, director: Director | JunctionDirector, ego_length: float
 ) -> tuple[list[float], list[tuple[float, float, float, float]]]:
     """Return the places of all vehicles along their ways at tick 0 [m], the ego first; and each NPC's start.
 
-    A start is x [m], y [m], heading [rad] and speed [m/s].
+    A start is x [m], y [m], heading [rad] and speed [m/s]. NPCs of cells 4 and 8 start next to the ego, those of other
+    cells in their cell's lane, ahead or behind by the headway. So there is no danger at the start, and all danger
+    results from driving. They start at the ego's speed, or slower where the road or their own top speed requires it.
     """
-    cells = director.first_cells()
-    in_lanes = start_places(rules, scenario, cells, ego_length)
-    places = [along for along, _ in in_lanes]
-    kinds = [rules.ego, *_around_ego(scenario)]
-    _, *poses = (rules.road.position(*place, kind) for place, kind in zip(in_lanes, kinds, strict=True))
-    speeds = start_speeds(rules, scenario, in_lanes[1:])
-    starts = [(*pose, speed) for pose, speed in zip(poses, speeds, strict=True)]
-    own, *others = places
-    placed = director.started(list(zip(others, starts, strict=True)))
-    return [own, *(place for place, _ in placed)], [start for _, start in placed]
+    road, start, apart = rules.road, rules.ego_start, rules.start_distance(scenario, ego_length)
+    around = [kind for chain, kind in zip(scenario.npcs, scenario.all_vehicles, strict=True) if not chain[0].crosses]
+    starts = []
+    for cell, kind in zip(director.first_cells(), around, strict=True):
+        lane, far = scenario.ego_lane + cell.column, apart + (kind.length - CAR.length) / 2
+        if kind.length > CAR.length and not road.has_lane(lane, start + cell.row * far):
+            far = apart  # where the lane ends, a car has room to start
+        along, wanted = start + cell.row * far, min(rules.ego_speed(scenario), kind.top_speed)
+        pose, speed = road.position(along, lane, kind), road.start_speed(wanted, lane, along, kind)
+        starts.append((along, (*pose, speed)))
+    starts = director.started(starts)
+    return [start, *(along for along, _ in starts)], [each for _, each in starts]

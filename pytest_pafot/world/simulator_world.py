@@ -23,10 +23,9 @@ from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.world.base_world import BuiltInWorld, EgoVehicle
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
-from pytest_pafot.world.engines.run import SteppedRun, planner_driver, planner_run
+from pytest_pafot.world.engines.run import planner_driver, planner_run
 from pytest_pafot.world.engines.simulation import HEADINGS, Frame, RepeatedBody, Simulation, Simulator, Simulators
-from pytest_pafot.world.guard.failure import closing
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.limits import (
     ADS_HZ,
@@ -199,12 +198,10 @@ class SimulatorWorld(BuiltInWorld):
     @cached_property
     def network(self) -> Any:
         """The road as a road network of highway-env."""
-        from pytest_pafot.world.driving.vehicles import SearchedLanes, straight_network  # noqa: PLC0415  (highway-env)
+        from pytest_pafot.world.driving.vehicles import SearchedLanes  # noqa: PLC0415  (imports highway-env)
 
-        if self._on_road.network is not None:
-            return SearchedLanes(self._on_road.network)
-        lane = self.road.lanes[0]
-        return SearchedLanes(straight_network(self.road.lane_count, lane.length, lane.width, self.speed_limit))
+        bent = self._on_road.network
+        return super().network if bent is None else SearchedLanes(bent)
 
     @cached_property
     def _rules(self) -> Rules:
@@ -282,22 +279,19 @@ class SimulatorWorld(BuiltInWorld):
         body: Body | None = None,
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
-        run = planner_run(rules, scenario, lambda: self.stock_road, ads, guard, decisions=decisions, body=body)
+        stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
+        vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
         if isinstance(body, RepeatedBody):
             own = replace(rules, ads_hz=self.rules.ads_hz)
-            body.repeats = planner_driver(run.vehicles, None, guard, None, rules=own)
-        with guard:
-            self._simulate(run, scenario, guard)
-        return run.finish()
-
-    def _simulate(self, run: SteppedRun, scenario: Scenario, guard: HangGuard) -> None:
-        """Let the simulator move the vehicles of a run that begins."""
-        frame, vehicles = self._on_road.frame, run.vehicles
+            body.repeats = planner_driver(vehicles, None, guard, None, rules=own)
         try:
-            vehicles.loop.simulation = Simulation(self._simulators, frame, vehicles, scenario.seed, guard)
+            with guard:
+                simulation = Simulation(self._simulators, self._on_road.frame, vehicles, scenario.seed, guard)
+                vehicles.loop.simulation = simulation
         except BaseException:
             vehicles.close()
             raise
+        return vehicles.drive(driver, guard)
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
         """Return an ego that repeats its decisions up to a tick, which leads the simulator to the same states."""

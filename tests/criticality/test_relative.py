@@ -18,8 +18,7 @@ from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.places import Places
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import Column, NetworkRoad
-from pytest_pafot.world.roads.route import STEP, Line
+from pytest_pafot.world.roads.network import STEP, Column, Line, NetworkRoad
 from tests.helpers.traces import LANE_WIDTH, LENGTH, WIDTH, scenario_of, trace_of, vehicle
 from tests.report.builders import view_of
 

@@ -141,7 +141,7 @@ def lanes_of(trace, road, ticks):
             number for number, column in enumerate(road.columns)
             if column.part[road.bends.point(along)] == trace.npcs[tick, npc, 6] or number == len(road.columns) - 1
         )  # fmt: skip
-        _, direction[row, npc], _ = road.bends.lane_at(lane, along)
+        direction[row, npc] = road.bends.direction_at(lane, along)
         x, y, _ = zip(*(road.position(along + step, lane) for step in (-1.5, 0.0, 1.5)), strict=True)
         turn = math.atan2(y[2] - y[1], x[2] - x[1]) - math.atan2(y[1] - y[0], x[1] - x[0])
         bend = abs((turn + math.pi) % (2 * math.pi) - math.pi) / math.hypot(x[2] - x[1], y[2] - y[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.limits import BEND_SHARE
-from pytest_pafot.world.run_config import start_places, start_speeds
+from pytest_pafot.world.run_config import starts_of
 from tests.helpers.tables import table
 from tests.helpers.world_cases import LENGTH, WIDTH, constant_speed, random_scenario
 
@@ -101,10 +102,11 @@ def test_npc_starts_no_faster_than_bend_allows():
     """If it leans in its lane as in the bend, it turns by v sin(lean) / (length / 2) [rad/s]; times v is sideways."""
     world = World("racetrack-v0")
     rules, scenario, slowed = world.rules, hold(*Cell, ego_lane=0, ego_speed=20.0), 0
-    cells = tuple(Cell)
-    places = start_places(rules, scenario, cells, LENGTH)[1:]
-    for speed, (along, lane) in zip(start_speeds(rules, scenario, places), places, strict=True):
-        sideways = speed**2 * np.sin(abs(rules.road.bends.lane_at(lane, along)[2])) / (LENGTH / 2)
+    director = SimpleNamespace(first_cells=lambda: tuple(Cell), started=list)
+    (_, *places), driven = starts_of(rules, scenario, director, LENGTH)
+    for cell, along, (*_, speed) in zip(Cell, places, driven, strict=True):
+        lane = scenario.ego_lane + cell.column
+        sideways = speed**2 * np.sin(abs(rules.road.bends.lean_at(lane, along))) / (LENGTH / 2)
         most = BEND_SHARE * rules.limits.lateral_acceleration
         assert sideways <= most + 1e-9
         if speed < min(scenario.ego_speed, rules.road.bends.speed_at(lane, along)):

@@ -24,8 +24,7 @@ from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Sighting
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.text import one_line
-from pytest_pafot.world.guard.failure import is_interruption
-from pytest_pafot.world.guard.hang_guard import runs_end_in
+from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 
 EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
 """The steps that examine the simplest scenario of a finding, by what they are about. The first one that finds no time,

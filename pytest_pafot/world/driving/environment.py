@@ -16,7 +16,7 @@ from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.vehicles import compiled_network
 from pytest_pafot.world.kernel.action import hint_at
-from pytest_pafot.world.kernel.lane_network import FEATURES, Features, Network, Table
+from pytest_pafot.world.kernel.lane_network import FEATURES, Network, Table
 from pytest_pafot.world.stock import AbstractLane, Road, RoadObject, Vehicle, class_from_path, observation
 
 
@@ -237,7 +237,7 @@ class FastTable:
             ends = 5.0 * Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * lanes, *(2 * Vehicle.MAX_SPEED,) * 2
             stock.features_range = {name: [-end, end] for name, end in zip(("x", "y", "vx", "vy"), ends, strict=True)}
         ranges = stock.features_range if stock.normalize else {}
-        return Table(Features(self._network, self._lanes, stock.features, ranges, is_clipped=stock.clip), stock)
+        return Table(self._network, self._lanes, stock, ranges)
 
 
 def _slow(stock: Any) -> Any:

@@ -10,12 +10,10 @@ import numpy as np
 
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction
-from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad
 from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, hide, observer
 from pytest_pafot.world.driving.shadow import Unseeing
-from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
-from pytest_pafot.world.guard.failure import UNFIT, error_of
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.driving.vehicles import Car, CompiledRoad, EgosRegulatedRoad
+from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import EgoDriver

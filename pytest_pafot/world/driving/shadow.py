@@ -14,7 +14,7 @@ from typing import Any
 
 from pytest_pafot.world.driving.conditions import Conditions, Evaluated
 from pytest_pafot.world.driving.policy import AdsFactory, rewrapped
-from pytest_pafot.world.guard.failure import Around
+from pytest_pafot.world.guard.hang_guard import Around
 from pytest_pafot.world.kernel.observation import Observation
 
 Check = Callable[[Any], Any]

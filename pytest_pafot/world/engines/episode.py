@@ -18,8 +18,7 @@ from pytest_pafot.world.driving.object_driver import body_of
 from pytest_pafot.world.driving.policy import Ads, AdsFactory, ImperfectSensor, Policy, give_route
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of, stand_in
-from pytest_pafot.world.guard.failure import UNFIT, closing, error_of
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, closing, error_of
 from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body
@@ -128,12 +127,8 @@ def _drive_by_actions(
     for step in range(_steps(outer)):
         if view is not None:
             view.show(step * every)
-        guard.decision_starts()
-        try:
+        with guard.decision():
             action = policy(seen)
-        finally:
-            guard.decision_ends()
-        guard.raise_swallowed()
         action = checked_action(action, outer.action_space)
         with around.call():
             seen, _, *ends, _ = outer.step(action)

@@ -27,14 +27,13 @@ from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, hide
-from pytest_pafot.world.driving.object_driver import GuardedDriver, body_of, follow, foresee
+from pytest_pafot.world.driving.object_driver import GuardedDriver, ObjectDriver, body_of, follow, foresee
 from pytest_pafot.world.driving.policy import Ads, Policy
 from pytest_pafot.world.driving.shadow import Unseeing
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, planner_driver, vehicle_of
-from pytest_pafot.world.guard.failure import UNFIT, closing, error_of, let_through
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, WorldHang
+from pytest_pafot.world.guard.hang_guard import UNFIT, AdsHang, HangGuard, WorldHang, closing, error_of, let_through
 from pytest_pafot.world.gym_environment import (
     ENDS,
     EnvironmentGuard,
@@ -296,7 +295,7 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
     vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
     driver: EgoDriver
     if ads.drives_itself:
-        driver = _VehicleClass(env.vehicle, ego, guard)
+        driver = ObjectDriver(env.vehicle, env.road, guard, ego=ego)
     else:
         driver = planner_driver(vehicles, ads.decides, guard, ads.sight)
     env.observation_type.observe = env._reward = env._info = _nothing
@@ -422,18 +421,6 @@ def end_of(outer: Any) -> str:
     passed = [each._max_episode_steps for each in limits if each._elapsed_steps == each._max_episode_steps]
     said = " in ".join(wrapper_names(outer)) or f"{type(outer.unwrapped).__name__}.step"
     return f"max_episode_steps={passed[0]}" if passed else said
-
-
-class _VehicleClass(GuardedDriver):
-    """The driver of an ego whose vehicle class decides at every tick how it drives."""
-
-    def __init__(self, vehicle: Any, ego: Body, guard: HangGuard) -> None:
-        super().__init__(ego, 1, guard)
-        self._vehicle = vehicle
-
-    def decided(self, tick: int) -> None:
-        """Call the vehicle's own ``act``."""
-        self._vehicle.act()
 
 
 def _nothing(*_: Any, **__: Any) -> None:

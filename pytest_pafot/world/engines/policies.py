@@ -18,17 +18,13 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.compiled_vehicle import CompiledRoad, egos_rules, obstacles_on
 from pytest_pafot.world.driving.environment import View, copies_on
-from pytest_pafot.world.driving.idm_model import idm_model
 from pytest_pafot.world.driving.object_driver import ModelPolicyDriver, ObjectDriver, PolicyDriver
-from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad
-from pytest_pafot.world.engines.run import OwnEnds, SteppedRun, VehiclesOfRun, built_as, vehicle_of
-from pytest_pafot.world.guard.failure import closing
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.driving.policy import Policy, idm_model
+from pytest_pafot.world.driving.vehicles import Car, CompiledRoad, EgosRegulatedRoad, egos_rules, obstacles_on
+from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, vehicle_of
+from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
-from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.loop import ModelDriver
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.run_config import Rules
@@ -64,28 +60,29 @@ def rollout(
                 view = View(environment.make().unwrapped, env)
             ads = policy.make() if view is None else policy.make(env=view.env)
             at_the_end.enter_context(closing(ads.given, rules.hang_limit))
-        guard = HangGuard(rules.hang_limit)
+        guard, lanes = HangGuard(rules.hang_limit), environment.compiled_lanes
         if ads.drives_itself:
             start = rules.ego_position(scenario)
             given = built_as(rules.ego, ads.given)
             ego = vehicle_of(given, env.road, start, rules.ego_speed(scenario), environment.route)
-            lanes = _lanes_of_idm(environment, env.road)
-            if idm_model(given) is None or lanes is None:
+            # On a straight road, the kernel's IDM knows no objects, and no rules of who has to yield.
+            has_more = isinstance(lanes, StraightRoad) and (env.road.objects or isinstance(env.road, EgosRegulatedRoad))
+            if idm_model(given) is None or lanes is None or has_more:
                 if rules.ends:
                     put_ego(env, ego)
-                begun = _begun(rules, scenario, ObjectDriver(ego, env.road, guard), guard, env)
-                if rules.ends_in_steps:
-                    begun.ends = own_ends(rules, scenario, begun.vehicles, guard)
-                return begun.finish()
+                return _driven(rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             model_driver = ModelDriver(model, others, egos_rules(env.road, model, vehicles.places, rules, lanes))
-            run = SteppedRun(vehicles, model_driver, guard)
-            run.ends = own_ends(rules, scenario, vehicles, guard)
-            return run.finish()
-        driver = _policy_driver(environment, rules, scenario, ads.policy, env, guard, view)
-        return _begun(rules, scenario, driver, guard, env).finish()
+            return vehicles.drive(model_driver, guard, own_ends(rules, scenario, vehicles, guard))
+        every = rules.physics_hz // rules.ads_hz
+        is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
+        if is_known and lanes is not None:  # the kernel moves the ego
+            driver: PolicyDriver = ModelPolicyDriver(ads.policy, env, guard, every, view, lanes)
+        else:
+            driver = PolicyDriver(ads.policy, env, guard, every, view)
+        return _driven(rules, scenario, driver, env)
 
 
 def ends_beside(
@@ -112,40 +109,20 @@ def showing(env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
     return show
 
 
-def _lanes_of_idm(environment: GymEnvironment, road: Any) -> StraightRoad | Network | None:
-    """Return the lanes for an IDM vehicle; None if the kernel does not know them.
-
-    On a straight road, the kernel's IDM knows no objects, and no rules of who has to yield.
-    """
-    lanes = environment.compiled_lanes
-    has_more = road.objects or isinstance(road, EgosRegulatedRoad)
-    return None if isinstance(lanes, StraightRoad) and has_more else lanes
-
-
-def _policy_driver(
-    environment: GymEnvironment,
+def _driven(
     rules: Rules,
     scenario: Scenario,
-    ads: Any,
+    driver: ObjectDriver,
     env: Any,
-    guard: HangGuard,
-    view: View | None,
-) -> PolicyDriver:
-    """Return the driver of a policy's ego, which the kernel moves if it knows the class of the ego and the road."""
-    every, lanes = rules.physics_hz // rules.ads_hz, environment.compiled_lanes
-    is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
-    if is_known and lanes is not None:
-        return ModelPolicyDriver(ads, env, guard, every, view, lanes)
-    return PolicyDriver(ads, env, guard, every, view)
-
-
-def _begun(rules: Rules, scenario: Scenario, driver: ObjectDriver, guard: HangGuard, env: Any) -> SteppedRun:
+    own_ends: Callable[..., OwnEnds | None] | None = None,
+) -> Trace:
+    """Drive a run whose ego highway-env's code moves; ``own_ends`` is as in :func:`rollout`, None for a policy."""
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
     driver.show(vehicles.places, rules.road)
-    run = SteppedRun(vehicles, driver, guard)
-    if rules.ends:
-        run.ends = OwnEnds(env, rules.ends, rules, guard, driver.show_ego)
-    return run
+    ends = OwnEnds(env, rules.ends, rules, driver.guard, driver.show_ego) if rules.ends else None
+    if own_ends is not None and rules.ends_in_steps:
+        ends = own_ends(rules, scenario, vehicles, driver.guard)
+    return vehicles.drive(driver, driver.guard, ends)
 
 
 def put_ego(env: Any, ego: Any) -> None:

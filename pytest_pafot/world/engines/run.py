@@ -25,10 +25,8 @@ from pytest_pafot.model.trace import (
 )
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.idm_model import idm_model
-from pytest_pafot.world.driving.policy import ads_and_sight, give_route
-from pytest_pafot.world.guard.failure import UNFIT, error_of
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.driving.policy import ads_and_sight, give_route, idm_model
+from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.idm import GoalVehicle
 from pytest_pafot.world.kernel.loop import EgoDriver, GivenDriver, Loop, ModelDriver, PlannerDriver
@@ -184,48 +182,31 @@ class VehiclesOfRun:
         poses = row[:, :3].tolist()
         return [Box(x, y, heading, *size) for (x, y, heading), size in zip(poses, self.sizes, strict=True)]
 
+    def drive(self, driver: EgoDriver, guard: HangGuard, ends: OwnEnds | None = None) -> Trace:
+        """Drive to the end of the run under the guard of the ADS's decisions, and return the trace.
 
-class SteppedRun:
-    """A run that is ready to be driven.
-
-    Args:
-        vehicles: the vehicles of the run, at their starts.
-        driver: the ego's driver.
-        guard: the guard of the ADS's decisions.
-
-    Attributes:
-        ends: what of the environment's own may end the run; None if nothing does.
-    """
-
-    def __init__(self, vehicles: VehiclesOfRun, driver: EgoDriver, guard: HangGuard) -> None:
-        self.ends: OwnEnds | None = None
-        self.vehicles = vehicles
-        self.driver: Any = driver
-        self._guard = guard
-        self._ticks = vehicles.rules.ticks(vehicles.scenario)
-
-    def finish(self) -> Trace:
-        """Drive to the end of the run, and return the trace."""
+        ``ends`` is what of the environment's own may end the run; None if nothing does.
+        """
+        ticks = self.rules.ticks(self.scenario)
         try:
-            with self._guard:
-                run = self.vehicles.loop.run if self.ends is None else self._run_to_ends
-                return self.vehicles.trace(self.driver, run(self.driver, self._ticks))
+            with guard:
+                error = self.loop.run(driver, ticks) if ends is None else self._run_to_ends(driver, ticks, ends)
+                return self.trace(driver, error)
         finally:
-            self.vehicles.close()
+            self.close()
 
-    def _run_to_ends(self, driver: EgoDriver, ticks: int) -> AdsError | None:
+    def _run_to_ends(self, driver: EgoDriver, ticks: int, ends: OwnEnds) -> AdsError | None:
         """Run the loop, and ask the environment between its steps whether it ends the run.
 
         So the loop itself knows nothing of such ends, which most runs do not have.
         """
-        vehicles, loop, ends = self.vehicles, self.vehicles.loop, self.ends
-        assert ends is not None  # noqa: S101  (see the callers)
+        loop = self.loop
         while loop.tick < ticks and not ends.ended:
             error = ends.step(lambda: loop.run(driver, min(loop.tick + ends.every, ticks)), loop)
             if error is not None or loop.is_over:
                 return error
-            if loop.tick < self._ticks:  # else it has lasted for its whole time
-                vehicles.ended, vehicles.has_failed = ends.ended, ends.has_failed
+            if loop.tick < ticks:  # else it has lasted for its whole time
+                self.ended, self.has_failed = ends.ended, ends.has_failed
         return None
 
 
@@ -281,25 +262,16 @@ class OwnEnds:
     def says(self, name: str) -> bool:
         """Return whether a method says that the episode is over. An error that it raises ends the run, too."""
         method = _written(self._env, name, self._methods[name])
+        config = self._env.config
+        longest = {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
         try:
-            is_over = self._answer(self._methods[name])
+            with self._guard.decision(), _options(config, **longest):
+                is_over = bool(self._methods[name]())
         except UNFIT as error:
             self.ended, self.has_failed = f"{method} failed: {error_of(error, self.asked, self._guard).text}", True
             return True
         if is_over:
             self.ended = self.ended or method
-        return is_over
-
-    def _answer(self, method: Callable[[], Any]) -> bool:
-        guard, config = self._guard, self._env.config
-        longest = {"duration": max(config["duration"], self._longest)} if "duration" in config else {}
-        try:
-            guard.decision_starts()
-            with _options(config, **longest):
-                is_over = bool(method())
-        finally:
-            guard.decision_ends()
-        guard.raise_swallowed()
         return is_over
 
 
@@ -332,7 +304,7 @@ def planner_run(
     *,
     decisions: Sequence[Any] = (),
     body: Body | None = None,
-) -> SteppedRun:
+) -> tuple[VehiclesOfRun, GivenDriver]:
     """Begin a run of a planner in SI units, on any road.
 
     Args:
@@ -347,7 +319,7 @@ def planner_run(
     ego = body or Body(rules.ego.length, rules.ego.width)
     ego.place(*rules.ego_position(scenario), rules.ego_speed(scenario))
     vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
-    return SteppedRun(vehicles, planner_driver(vehicles, decides, guard, sight, decisions), guard)
+    return vehicles, planner_driver(vehicles, decides, guard, sight, decisions)
 
 
 def planner_driver(
@@ -377,8 +349,8 @@ def planner_driver(
 
 def vehicle_run(
     rules: Rules, scenario: Scenario, road: StraightRoad, network: Callable[[], Any], vehicle_class: Any
-) -> SteppedRun:
-    """Begin a run of a highway-env vehicle class, which drives itself, on a straight road that starts at the origin."""
+) -> Trace:
+    """Drive a highway-env vehicle class, which drives itself, on a straight road that starts at the origin."""
     vehicle_class = built_as(rules.ego, vehicle_class)
     guard, start, model = HangGuard(rules.hang_limit), rules.ego_position(scenario), idm_model(vehicle_class)
 
@@ -391,14 +363,14 @@ def vehicle_run(
         ego = GoalVehicle(model.constants, road.grid, road.speed_limit)
         ego.start(*start, rules.ego_speed(scenario), model.changes_lanes)
         vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
-        return SteppedRun(vehicles, ModelDriver(ego, vehicles.vehicles[1:]), guard)
+        return vehicles.drive(ModelDriver(ego, vehicles.vehicles[1:]), guard)
     from pytest_pafot.world.driving.object_driver import ObjectDriver  # noqa: PLC0415  (a second of imports)
 
     on = stock_road()
     driver = ObjectDriver(vehicle_of(vehicle_class, on, start, rules.ego_speed(scenario), None), on, guard)
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: on)
     driver.show(vehicles.places, road)
-    return SteppedRun(vehicles, driver, guard)
+    return vehicles.drive(driver, guard)
 
 
 def built_as(kind: VehicleType, vehicle_class: Any) -> Any:

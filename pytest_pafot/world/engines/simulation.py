@@ -23,8 +23,7 @@ import numpy as np
 
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.engines.run import VehiclesOfRun
-from pytest_pafot.world.guard.failure import call_close
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, call_close, patience_with_world
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import GivenDriver
 
@@ -335,51 +334,35 @@ class Simulation:
 
     def _check(self, states: Any, numbers: Sequence[int], most: Any, method: str) -> None:
         """Refuse states that are not those of the bodies."""
-        wrong = self._wrong(states, numbers, most)
-        if wrong is None:
-            return
-        number, name, wanted, value = wrong
-        place = f"{self._place('states')} after {method}"
-        expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
-        fix = "put each vehicle where it is asked to be, in the order given"
-        if method == "start":
-            fix += f"; start received {_shown(self._starts[number])}, and states has {_shown(self._rows[number])}"
-        raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
-
-    def _wrong(self, states: Any, numbers: Sequence[int], most: Any) -> tuple[int, str, float, float] | None:
-        """Return the first vehicle that is not in the state of its body, with what is wrong, wanted and received."""
         for number in numbers:
             for (name, largest), value in zip(most, states[number], strict=True):
                 wanted = getattr(self._bodies[number], name)
-                if abs(value - wanted) > largest:
-                    return number, name, wanted, value
-        return None
+                if abs(value - wanted) <= largest:
+                    continue
+                place = f"{self._place('states')} after {method}"
+                expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
+                fix = "put each vehicle where it is asked to be, in the order given"
+                if method == "start":
+                    received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
+                    fix += f"; start received {received}, and states has {states_has}"
+                raise WorldError(field=place, expected=expected, received=f"{value:.2f}", fix=f"{fix}. {CAUSE}")
 
     def _check_way(self, rows: list[list[float]]) -> None:
         """Refuse a first tick in which vehicles did not drive where they head, as far as their speeds say."""
-        strayed = self._strayed(rows)
-        if strayed is None:
-            return
-        number, way, wanted = strayed
-        moved = math.hypot(*way)
-        expected = f"that {_named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
-        turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
-        received = f"{moved:.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
-        fix = f"do hz, units and axes fit, and does states have what is after the step? {CAUSE}"
-        raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
-
-    def _strayed(self, rows: Any) -> Any:
-        """Return a vehicle that did not drive where it heads, its way and the one expected [m]; None if all did."""
         dt = 1.0 / self._hz
         starts, ends = self._in_run(self._rows), self._in_run(rows)
         for number, ((x, y, heading, speed), (to_x, to_y, *_)) in enumerate(zip(starts, ends, strict=True)):
-            body, way = self._bodies[number], (to_x - x, to_y - y)
+            way = (to_x - x, to_y - y)
             wanted = (speed * math.cos(heading) * dt, speed * math.sin(heading) * dt)
-            slips = abs(math.atan(math.tan(body.steering) / 2.0))
+            slips = abs(math.atan(math.tan(self._bodies[number].steering) / 2.0))
             most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
-            if self._speeds[number] >= MOVES and math.dist(way, wanted) > most:
-                return number, way, wanted
-        return None
+            if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
+                continue
+            expected = f"that {_named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
+            turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
+            received = f"{math.hypot(*way):.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
+            fix = f"do hz, units and axes fit, and does states have what is after the step? {CAUSE}"
+            raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
 
     def _place(self, method: str) -> str:
         return f"{type(self._simulator).__name__}.{method}, tick {self._tick}"

@@ -18,8 +18,7 @@ from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.base_world import REQUIRED, BaseWorld, BuiltInWorld, FirstDecision, RoadStart
 from pytest_pafot.world.driving.policy import AdsFactory, is_vehicle_class, rewrapped
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.guard.failure import error_of
-from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, patience_with_world, unending
+from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, error_of, patience_with_world, unending
 from pytest_pafot.world.gym_world import World
 from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import HANG_LIMIT
@@ -54,6 +53,11 @@ def rollout_of(world: Any, method: str = "rollout") -> Callable[..., Any]:
 def _declared(name: str, default: object) -> Any:
     """Return a property with what a world of the user's states under a name, or else the default."""
     return property(lambda self: getattr(self.world, name, default))
+
+
+def _passed_on(name: str) -> Any:
+    """Return a property with a method of a world of the user's, which must have it."""
+    return property(lambda self: getattr(self.world, name))
 
 
 def _is_declared(name: str) -> Any:
@@ -105,10 +109,8 @@ class OwnWorld(BaseWorld):
         """The wall-clock time after which a decision of the ADS is interrupted [s]."""
         return float(getattr(self.world, "hang_limit", HANG_LIMIT))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the world as plain data."""
-        data: dict[str, Any] = self.world.to_dict()
-        return data
+    to_dict = _passed_on("to_dict")
+    """Return the world as plain data."""
 
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory, **given: Any) -> Trace:
         """Simulate a scenario; ``given`` are further arguments of the world's ``rollout``.
@@ -218,20 +220,16 @@ class OwnWorld(BaseWorld):
         """
         return "rollout_in_gym" in vars(type(self.world))
 
-    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario in gymnasium."""
-        trace: Trace = self.world.rollout_in_gym(scenario, ads_factory)
-        return trace
+    rollout_in_gym = _passed_on("rollout_in_gym")
+    """Simulate a scenario in gymnasium."""
 
     @property
     def reference_drivers(self) -> tuple[str, ...]:
         """The names of the world's reference drivers, if its ``rollout_reference`` runs like its ``rollout``."""
         return self._names("reference_drivers") if self._runs_alike("rollout_reference") else ()
 
-    def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
-        """Simulate a scenario with a reference driver in the ego's place."""
-        trace: Trace = self.world.rollout_reference(scenario, name)
-        return trace
+    rollout_reference = _passed_on("rollout_reference")
+    """Simulate a scenario with a reference driver in the ego's place."""
 
     @property
     def drivers(self) -> tuple[str, ...]:
@@ -243,10 +241,8 @@ class OwnWorld(BaseWorld):
     def _names(self, attribute: str) -> tuple[str, ...]:
         return tuple(getattr(self.world, attribute, ()))
 
-    def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
-        """Simulate a run again, with a driver in the ego's place from a tick on."""
-        taken: Trace = self.world.take_over(trace, tick, name)
-        return taken
+    take_over = _passed_on("take_over")
+    """Simulate a run again, with a driver in the ego's place from a tick on."""
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Return whether ``ads`` is driven without Python code in each tick."""
@@ -259,10 +255,8 @@ class OwnWorld(BaseWorld):
 
     def first_decision(self, scenario: Scenario) -> FirstDecision | None:
         """Describe the first decision of an ADS; return None if the world cannot, or the run fails before it."""
-        asked: FirstDecision | None = None
-        if hasattr(self.world, "first_decision"):
-            asked = self.world.first_decision(scenario)
-        return asked
+        describe: Callable[[Scenario], FirstDecision | None] | None = getattr(self.world, "first_decision", None)
+        return None if describe is None else describe(scenario)
 
 
 @lru_cache(maxsize=16)  # a search asks before each run, and reading a signature takes as long as breeding a child
@@ -346,13 +340,11 @@ class _Watch:
         guard = self._guard()
         started = guard.clock()
         try:
-            guard.decision_starts()
             try:
-                action = ads(*seen, **named)
+                with guard.decision():
+                    action = ads(*seen, **named)
             finally:
-                guard.decision_ends()
                 guard.turned = guard.clock()
-            guard.raise_swallowed()
         except OutOfTime as error:  # for the world an error like others, since it may ask in a thread
             self.is_cut = True
             raise Hang("the time limit of the search is over") from error

@@ -37,7 +37,7 @@ cdef class CrossingNpc(Body):
     cdef int noticed
     cdef public list conflicts, leaders
 
-    @cython.locals(speeds="double[::1]", times="double[::1]", point=Py_ssize_t, most=double)
+    @cython.locals(point=Py_ssize_t)
     cdef void _plan(self) except *
 
     cpdef double lasts(self, double since, double until) except? -1
@@ -53,26 +53,23 @@ cdef class JunctionDirector(BaseDirector):
     cdef double _ego_across, _top_speed, _jerk, _dt
     cdef list _crossing, _vehicles, _relations, _numbers
 
-    @cython.locals(npc=CrossingNpc, wanted=double)
+    @cython.locals(npc=CrossingNpc)
     cpdef command(self, Body ego)
 
     @cython.locals(number=int)
     cpdef double ceiling(self, Npc npc) except? -1
 
-    @cython.locals(leader=LeaderAhead, theirs=Body, along=double, front=Body, rear=Body)
+    @cython.locals(leader=LeaderAhead, theirs=Body, front=Body, rear=Body)
     cpdef bint leaves_room(self, Npc npc, int lane) except -1
 
-    @cython.locals(track=Track, fastest=double, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint, safe=double,
-                   gained=double)
+    @cython.locals(track=Track, fastest=double, wanted=double, room=double, has_passed=bint, is_due=bint, is_late=bint,
+                   safe=double, gained=double)
     cdef double _wanted(self, CrossingNpc npc, Body ego) except? -1
 
-    @cython.locals(left=double)
     cdef double _share(self, CrossingNpc npc, Body ego) except? -1
 
-    @cython.locals(now=double, left=double, speed=double, first=double, last=double, due=double, crossing=double)
     cdef double _due(self, CrossingNpc npc, Body ego) except? -1
 
-    @cython.locals(stays=double, comes=double, room=double)
     cdef bint _answers(self, CrossingNpc npc, Body ego) except -1
 
     cdef double _slower(self, CrossingNpc npc) except? -1
@@ -85,8 +82,8 @@ cdef class JunctionDirector(BaseDirector):
 
     cdef bint _is_beside(self, Body vehicle) except -1
 
-    @cython.locals(leader=LeaderAhead, theirs=Body, distance=double, gap=double)
+    @cython.locals(leader=LeaderAhead, theirs=Body)
     cdef double _following(self, Body mine, list leaders, double wanted) except? -1
 
-    @cython.locals(track=Track, direction=double, lean=double, later=double, turn=double)
+    @cython.locals(track=Track)
     cdef void _steer(self, CrossingNpc npc) except *

@@ -54,12 +54,6 @@ cdef class Director(BaseDirector):
     @cython.locals(npc=Npc, gene=int, wanted_lane=int)
     cdef _begin_gene(self, Body ego)
 
-    cpdef bint _has_lane(self, Npc npc, int lane) except -1
-
-    cpdef object _first_existing(self)
-
-    cpdef object _existing(self, Body ego)
-
     @cython.final
     @cython.locals(npc=Npc)
     cdef bint _is_led(self, Body ego) except -1
@@ -110,12 +104,6 @@ cdef class NetworkDirector(Director):
     cdef Bends _bends
     cdef object _start_cells, _road
     cdef double _width_of_lanes, _jerk, _dt
-
-    cpdef object _first_existing(self)
-
-    cpdef bint _has_lane(self, Npc npc, int lane) except -1
-
-    cpdef object _existing(self, Body ego)
 
     cpdef double _stretch(self, Body body) except? -1
 

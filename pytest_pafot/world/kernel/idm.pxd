@@ -15,22 +15,12 @@ cdef int MOMENTS
 cdef class GoalVehicle(Body):
     cdef Lanes _lanes
     cdef double _speed_limit, _acc_max, _comfort, _braking, _distance, _time, _delta, _politeness, _min_gain
-    cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _kp_speed, _max_steering, _target_speed
+    cdef double _max_imposed, _delay, _kp_heading, _kp_lateral, _kp_speed, _max_steering
     cdef public bint has_goal, drives_itself
-    cdef public double timer
+    cdef public double timer, target_speed
     cdef bint _changes_lanes
-    cdef public int waited
-    cdef int _closest, _goal, _routed
-
-    cpdef start(self, double x, double y, double heading, double speed, bint changes_lanes)
-
-    cpdef aim(self, int goal, double wanted)
-
-    cpdef want(self, double speed)
-
-    cpdef void stay(self, int lane)
-
-    cpdef tuple seen(self)
+    cdef public int waited, closest, goal
+    cdef int _routed
 
     cpdef pursue(self)
 
@@ -81,8 +71,6 @@ cdef class NetworkVehicle(GoalVehicle):
     cdef Network _network
     cdef object _following, _route
     cdef list _searched
-
-    cpdef list route(self)
 
     cdef int _found(self, Body vehicle) except -1
 
@@ -141,7 +129,6 @@ cdef class EgosRoadRules:
 
     cdef bint _comes_second(self, NetworkVehicle one, Body other) except -1
 
-    @cython.locals(bends=Bends, along=double, npc=CrossingNpc, heading=double, across=double, x=double, y=double)
     cdef _foresee_npc(self, Py_ssize_t row, Body body, double time)
 
 @cython.locals(along=int, across=int)

@@ -49,6 +49,8 @@ class GoalVehicle(Body):
         has_goal: true if it steers for a lane and a speed, its goal; else its controls are set from outside and held.
         drives_itself: true if it finds its goal and its acceleration by MOBIL and IDM; else the goal is set from
             outside, for instance by meta-actions.
+        closest: the lane in which it is, until the next step.
+        goal, target_speed: the lane and the speed of its goal [m/s].
         timer: the time since its last decision on lanes [s].
         waited: the number of decisions of the road's rules for which it has yielded; -1 if it does not yield.
     """
@@ -74,9 +76,9 @@ class GoalVehicle(Body):
         self._max_steering = constants["MAX_STEERING_ANGLE"]
         self._kp_speed = constants["KP_A"]
         self._changes_lanes = True
-        self._closest = 0
-        self._goal = 0
-        self._target_speed = 0.0
+        self.closest = 0
+        self.goal = 0
+        self.target_speed = 0.0
         self.timer = 0.0
         self._routed = -1  # the lane that a route demands, counted from the left; -1 for none
 
@@ -84,32 +86,15 @@ class GoalVehicle(Body):
         """Begin a run at x [m], y [m], heading [rad] and speed [m/s], which becomes the desired speed."""
         self.place(x, y, heading, speed)
         self._changes_lanes = changes_lanes
-        self._closest = self._goal = self._found(self)
-        self._target_speed = speed
+        self.closest = self.goal = self._found(self)
+        self.target_speed = speed
         self.timer = ((x + y) * math.pi) % self._delay  # as in highway-env, so that not all vehicles decide at once
-
-    def aim(self, goal: int, wanted: float) -> None:
-        """Set the lane and speed of its goal [m/s]."""
-        self._goal = goal
-        self._target_speed = wanted
-
-    def want(self, speed: float) -> None:
-        """Set the speed of its goal [m/s]."""
-        self._target_speed = speed
-
-    def stay(self, lane: int) -> None:
-        """Be in a lane until the next step, although another one may be closer."""
-        self._closest = lane
-
-    def seen(self) -> tuple[float, float, float, float, int, int, float, float]:
-        """Return x [m], y [m], heading [rad], speed [m/s], its lane, its goal's lane and speed, and its timer [s]."""
-        return self.x, self.y, self.heading, self.speed, self._closest, self._goal, self._target_speed, self.timer
 
     def pursue(self) -> None:
         """Set acceleration and steering for the coming tick towards the goal, whatever others do."""
         self._follow_road()
         self.steering = self._steering()
-        self.acceleration = self._kp_speed * (self._target_speed - self.speed)
+        self.acceleration = self._kp_speed * (self.target_speed - self.speed)
 
     def act(self, others: list[Body]) -> None:
         """Set acceleration and steering for the coming tick, by IDM and MOBIL if it drives itself."""
@@ -121,9 +106,9 @@ class GoalVehicle(Body):
         if self._changes_lanes:
             self._choose_lane(others)
         self.steering = self._steering()
-        acceleration = self._pulled(self, self._ahead(others, self._closest))
-        if self._closest != self._goal:
-            there = self._pulled(self, self._ahead(others, self._goal))
+        acceleration = self._pulled(self, self._ahead(others, self.closest))
+        if self.closest != self.goal:
+            there = self._pulled(self, self._ahead(others, self.goal))
             acceleration = min(acceleration, there)
         self.acceleration = min(max(acceleration, -self._acc_max), self._acc_max)
 
@@ -131,7 +116,7 @@ class GoalVehicle(Body):
         """Move for one time step [s]."""
         self.timer += dt
         Body.step(self, dt)  # C methods have no super()
-        self._closest = self._found(self)
+        self.closest = self._found(self)
 
     # What a road of another shape replaces.
 
@@ -151,13 +136,13 @@ class GoalVehicle(Body):
         return 0 <= side < self._lanes.count
 
     def _choose_lane(self, others: list[Body]) -> None:
-        if self._closest != self._goal or self.timer <= self._delay:
+        if self.closest != self.goal or self.timer <= self._delay:
             return
         self.timer = 0.0
-        lane = self._closest
+        lane = self.closest
         for side in (lane - 1, lane + 1):
             if self._has_beside(lane, side) and self._reaches(side) and self._gains(side, others):
-                self._goal = side
+                self.goal = side
 
     def _reaches(self, lane: int) -> bool:
         lateral = abs(self.y - lane * self._lanes.width)
@@ -170,7 +155,7 @@ class GoalVehicle(Body):
         behind_then = self._pulled(behind, self)
         if behind_then < -self._max_imposed:
             return False
-        left, follower = self._ahead(others, self._closest), self._behind(others, self._closest)
+        left, follower = self._ahead(others, self.closest), self._behind(others, self.closest)
         own = self._pulled(self, ahead)
         if self._routed >= 0:
             return self._is_demanded(lane) and own >= -self._max_imposed
@@ -184,7 +169,7 @@ class GoalVehicle(Body):
         """Return the acceleration of a vehicle behind ``front`` by the IDM [m/s^2]; 0 if ``vehicle`` is None."""
         if vehicle is None:
             return 0.0
-        wanted = self._target_speed if vehicle is self else vehicle.speed
+        wanted = self.target_speed if vehicle is self else vehicle.speed
         liked = min(max(wanted, 0.0), self._limit(vehicle))
         share = max(vehicle.speed, 0.0) / abs(not_zero(liked))
         acceleration = self._comfort * (1.0 - math.pow(share, self._delta))
@@ -210,7 +195,7 @@ class GoalVehicle(Body):
         return self._distance + vehicle.speed * self._time + vehicle.speed * closing / (2.0 * math.sqrt(ab))
 
     def _steering(self) -> float:
-        offset = self.y - self._goal * self._lanes.width
+        offset = self.y - self.goal * self._lanes.width
         angle = lane_steering(offset, 0.0, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
         return clamped(angle, self._max_steering)
 
@@ -276,14 +261,14 @@ class NetworkVehicle(GoalVehicle):
 
     def route(self) -> list[int]:
         """Return the lanes of the rest of its route."""
-        return self._route(self._closest)
+        return self._route(self.closest)
 
     def _found(self, vehicle: Body) -> int:
         return self._network.closest(vehicle.x, vehicle.y, vehicle.heading)
 
     def _follow_road(self) -> None:
-        if self._network.is_after_end(self._goal, self.x, self.y):
-            self._goal, self._routed = self._following(self._goal, self.x, self.y)
+        if self._network.is_after_end(self.goal, self.x, self.y):
+            self.goal, self._routed = self._following(self.goal, self.x, self.y)
 
     def _has_beside(self, lane: int, side: int) -> bool:
         return self._network.is_beside(lane, side)
@@ -292,8 +277,8 @@ class NetworkVehicle(GoalVehicle):
         return self._network.is_reachable(lane, self.x, self.y) and abs(self.speed) >= 1.0
 
     def _is_demanded(self, lane: int) -> bool:
-        number = self._network.number(self._goal)
-        return self._routed < number if lane < self._goal else self._routed > number
+        number = self._network.numbers[self.goal]
+        return self._routed < number if lane < self.goal else self._routed > number
 
     def _pulled(self, vehicle: Body | None, front: Body | None) -> float:
         return 0.0 if isinstance(vehicle, StaticObstacle) else GoalVehicle._pulled(self, vehicle, front)
@@ -306,13 +291,13 @@ class NetworkVehicle(GoalVehicle):
         return there - network.along
 
     def _limit(self, vehicle: Body) -> float:
-        return self._network.speed_limit(self._lane_of(vehicle))
+        return self._network.speed_limits[self._lane_of(vehicle)]
 
     def _lane_of(self, vehicle: Body) -> int:
-        return self._closest if vehicle is self else self._found(vehicle)
+        return self.closest if vehicle is self else self._found(vehicle)
 
     def _steering(self) -> float:
-        network, goal = self._network, self._goal
+        network, goal = self._network, self.goal
         network.locate(goal, self.x, self.y)
         offset, ahead = network.across, network.heading_at(goal, network.along + self.speed * PURSUIT)
         angle = lane_steering(offset, ahead, self.heading, self.speed, self.length, self._kp_heading, self._kp_lateral)
@@ -397,13 +382,13 @@ class EgosRoadRules:
             for moment in range(MOMENTS):
                 self._foresee_npc(3 * (MOMENTS + moment), self._places.bodies[number], APART * (moment + 1))
             if self._conflict(ego, npc) and self._comes_second(ego, npc):
-                ego.want(0.0)
+                ego.target_speed = 0.0
                 ego.waited = 0
 
     def _release(self, vehicle: NetworkVehicle) -> None:
         """Let a vehicle drive on that has yielded for long enough."""
         if vehicle.waited >= self._lasts:
-            vehicle.want(self._network.speed_limit(vehicle._closest))
+            vehicle.target_speed = self._network.speed_limits[vehicle.closest]
             vehicle.waited = -1
         elif vehicle.waited >= 0:
             vehicle.waited += 1
@@ -411,13 +396,13 @@ class EgosRoadRules:
     def _predict(self, vehicle: NetworkVehicle) -> None:
         """Predict the ego at each moment."""
         network, route = self._network, vehicle.route()
-        network.locate(vehicle._closest, vehicle.x, vehicle.y)
+        network.locate(vehicle.closest, vehicle.x, vehicle.y)
         here = network.along
         for moment in range(MOMENTS):
             along, place = here + vehicle.speed * (APART * (moment + 1)), 0
             at: int = route[0]
-            while place < len(route) - 1 and along > network.length(at):
-                along -= network.length(at)
+            while place < len(route) - 1 and along > network.lengths[at]:
+                along -= network.lengths[at]
                 place += 1
                 at = route[place]
             network.position(at, along, 0.0)
@@ -449,7 +434,7 @@ class EgosRoadRules:
 
     def _comes_second(self, one: NetworkVehicle, other: Body) -> bool:
         """Return whether a vehicle has to let another one pass: by the priorities of lanes, or if it is behind."""
-        mine, theirs = self._priorities[one._closest], self._priorities[one._lane_of(other)]
+        mine, theirs = self._priorities[one.closest], self._priorities[one._lane_of(other)]
         if mine != theirs:
             return mine < theirs
         dx, dy = other.x - one.x, other.y - one.y
@@ -459,15 +444,9 @@ class EgosRoadRules:
     def _foresee_npc(self, row: int, body: Body, time: float) -> None:
         """Predict an NPC after a time [s]."""
         along, bends = body.x + body.speed * time, self._bends
-        if isinstance(body, CrossingNpc):
-            npc: Any = body
-            x, y, heading = npc.track.pose(along)
-            self._foresee(row, x, y, heading)
-            return
-        heading, across = bends.heading_at(along), bends.across_at(body.lane, along)
-        x = bends.x_at(along) - math.sin(heading) * across
-        y = bends.y_at(along) + math.cos(heading) * across
-        self._foresee(row, x, y, bends.direction_at(body.lane, along) + bends.lean_at(body.lane, along))
+        npc: Any = body
+        x, y, heading = npc.track.pose(along) if isinstance(body, CrossingNpc) else bends.pose(body.lane, along)
+        self._foresee(row, x, y, heading)
 
 
 def _has_corner_inside(

@@ -22,7 +22,7 @@ LANE_ENDS = 5.0
 FEATURES = (
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 )  # fmt: skip
-"""What highway-env describes a vehicle by, in the order of :attr:`Features.values`."""
+"""What highway-env describes a vehicle by, in the order of :class:`Table`."""
 HALF_TURN = math.pi
 """Pi [rad]; unlike ``math.pi``, it is a C number in compiled code."""
 
@@ -43,6 +43,7 @@ class Network:
 
     Attributes:
         count: the number of lanes.
+        lengths, speed_limits, numbers: those of each lane, as given.
         along, across: the result of :meth:`locate` [m].
         x, y: the result of :meth:`position` [m].
     """
@@ -60,37 +61,21 @@ class Network:
     ) -> None:
         self.count = len(kinds)
         self._kinds, self._shapes = array("i", kinds), array("d", shapes)
-        self._lengths, self._widths = array("d", lengths), array("d", widths)
-        self._speed_limits = array("d", speed_limits)
-        self._sections, self._numbers = array("i", sections), array("i", numbers)
+        self.lengths, self._widths = array("d", lengths), array("d", widths)
+        self.speed_limits = array("d", speed_limits)
+        self._sections, self.numbers = array("i", sections), array("i", numbers)
         self._forbidden = array("i", forbidden)
         self.along = self.across = self.x = self.y = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return the parts for pickling, because worlds are sent to other processes."""
-        sizes = list(self._lengths), list(self._widths), list(self._speed_limits)
-        places = list(self._sections), list(self._numbers), list(self._forbidden)
+        sizes = list(self.lengths), list(self._widths), list(self.speed_limits)
+        places = list(self._sections), list(self.numbers), list(self._forbidden)
         return Network, (list(self._kinds), list(self._shapes), *sizes, *places)
 
     def __deepcopy__(self, _: object) -> Network:
         """Return itself, because highway-env deep-copies vehicles with their road to predict them, which is slow."""
         return self
-
-    def length(self, lane: int) -> float:
-        """Return a lane's length [m]."""
-        return self._lengths[lane]
-
-    def width(self, lane: int) -> float:
-        """Return a lane's width [m]."""
-        return self._widths[lane]
-
-    def speed_limit(self, lane: int) -> float:
-        """Return a lane's speed limit [m/s]."""
-        return self._speed_limits[lane]
-
-    def number(self, lane: int) -> int:
-        """Return the number of a lane in its section, from the left."""
-        return self._numbers[lane]
 
     def is_beside(self, lane: int, other: int) -> bool:
         """Return whether a number is that of a lane in the same road section."""
@@ -150,7 +135,7 @@ class Network:
         best, nearest = math.inf, 0
         for lane in range(self.count):
             self.locate(lane, x, y)
-            along, length = self.along, self._lengths[lane]
+            along, length = self.along, self.lengths[lane]
             distance = abs(self.across) + max(along - length, 0.0) + max(0.0 - along, 0.0)
             if distance < best:  # the angle can only add to it
                 distance += abs(wrapped(heading - self.heading_at(lane, along)))
@@ -161,7 +146,7 @@ class Network:
     def is_on(self, lane: int, x: float, y: float, margin: float) -> bool:
         """Return whether a point is on a lane that is wider by a margin to each side [m], and set its place."""
         self.locate(lane, x, y)
-        inside = -LANE_ENDS <= self.along < self._lengths[lane] + LANE_ENDS
+        inside = -LANE_ENDS <= self.along < self.lengths[lane] + LANE_ENDS
         return inside and abs(self.across) <= self._widths[lane] / 2.0 + margin
 
     def is_reachable(self, lane: int, x: float, y: float) -> bool:
@@ -169,13 +154,13 @@ class Network:
         if self._forbidden[lane] != 0:
             return False
         self.locate(lane, x, y)
-        inside = 0.0 <= self.along < self._lengths[lane] + LANE_ENDS
+        inside = 0.0 <= self.along < self.lengths[lane] + LANE_ENDS
         return inside and abs(self.across) <= 2.0 * self._widths[lane]
 
     def is_after_end(self, lane: int, x: float, y: float) -> bool:
         """Return whether a vehicle at a point must take the next lane."""
         self.locate(lane, x, y)
-        return self.along > self._lengths[lane] - LANE_ENDS / 2.0
+        return self.along > self.lengths[lane] - LANE_ENDS / 2.0
 
 
 def wrapped(angle: float) -> float:
@@ -183,104 +168,30 @@ def wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-class Features:
-    """The features of one vehicle after the other.
+class Table:
+    """The Kinematics observation: the features of the ego and of the others that are nearest along its lane.
 
     Args:
         network: the road's lanes.
         lanes: the number in ``network`` of each of highway-env's lanes.
-        features: names of the features that are needed.
+        options: highway-env's observation, whose options are attributes.
         ranges: for each feature that is scaled, the values that become -1 and 1.
-        is_clipped: whether scaled values are limited to -1 and 1.
-
-    Attributes:
-        values: the features that :meth:`read` has set, in the order of :data:`FEATURES`.
     """
 
     def __init__(
-        self,
-        network: Network,
-        lanes: dict[Any, int],
-        features: Sequence[str],
-        ranges: Mapping[str, Sequence[float]],
-        *,
-        is_clipped: bool = False,
+        self, network: Network, lanes: dict[Any, int], options: Any, ranges: Mapping[str, Sequence[float]]
     ) -> None:
-        self.network = network
-        self.lanes = lanes
-        self.values = array("d", [0.0] * len(FEATURES))
+        features = options.features
+        self._network = network
+        self._lanes = lanes
+        self._values = array("d", [0.0] * len(FEATURES))  # those that were read last
         self._has_destination = "cos_d" in features or "sin_d" in features
         self._has_place = "long_off" in features or "lat_off" in features or "ang_off" in features
         self._is_scaled = array("i", [feature in ranges for feature in FEATURES])
         self._low = array("d", [float(ranges.get(feature, (0, 0))[0]) for feature in FEATURES])
         self._high = array("d", [float(ranges.get(feature, (0, 0))[1]) for feature in FEATURES])
-        self._is_clipped = is_clipped
-
-    def read(self, vehicle: Any, is_object: bool) -> None:
-        """Set the values to the features of a vehicle, or of a fixed object, some of whose features are unknown."""
-        values, heading = self.values, vehicle.heading
-        x, y = vehicle.position.tolist()
-        cos, sin = math.cos(heading), math.sin(heading)
-        values[0], values[1], values[2], values[6], values[7] = 1.0, x, y, cos, sin
-        values[8] = values[9] = 0.0
-        if is_object:
-            values[3] = values[4] = 0.0
-            values[5] = values[10] = values[11] = values[12] = np.nan
-            return
-        speed = vehicle.speed
-        values[3], values[4], values[5] = speed * cos, speed * sin, heading
-        if self._has_destination:
-            self._head_for_destination(vehicle, x, y)
-        if self._has_place:
-            lane = self.lanes[vehicle.lane]
-            self.network.locate(lane, x, y)
-            values[10], values[11] = self.network.along, self.network.across
-            angle = heading - self.network.heading_at(lane, values[10])
-            values[12] = (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
-
-    def _head_for_destination(self, vehicle: Any, x: float, y: float) -> None:
-        """Set the direction to the end of a vehicle's route, if it has a route."""
-        route = getattr(vehicle, "route", None)
-        if not route:
-            return
-        start, end, number = route[-1]
-        lane = self.lanes[vehicle.road.network.get_lane((start, end, 0 if number is None else number))]
-        self.network.position(lane, self.network.length(lane), 0.0)
-        dx, dy = self.network.x - x, self.network.y - y
-        away = math.sqrt(dx * dx + dy * dy)
-        if away > 0.0:
-            self.values[8], self.values[9] = dx / away, dy / away
-
-    def subtract(self, x: float, y: float, vx: float, vy: float) -> None:
-        """Make position and velocity relative."""
-        values = self.values
-        values[1] -= x
-        values[2] -= y
-        values[3] -= vx
-        values[4] -= vy
-
-    def scaled(self, feature: int) -> float:
-        """Return a value, scaled if its feature has a range."""
-        value = self.values[feature]
-        if self._is_scaled[feature]:
-            low = self._low[feature]
-            value = -1.0 + (value - low) * 2.0 / (self._high[feature] - low)
-            if self._is_clipped:
-                value = 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
-        return value
-
-
-class Table:
-    """The Kinematics observation: the features of the ego and of the others that are nearest along its lane.
-
-    Args:
-        features: the features of vehicles.
-        options: highway-env's observation, whose options are attributes.
-    """
-
-    def __init__(self, features: Features, options: Any) -> None:
-        self._features = features
-        self._columns = array("i", [FEATURES.index(feature) for feature in options.features])
+        self._is_clipped: bool = options.clip
+        self._columns = array("i", [FEATURES.index(feature) for feature in features])
         self._count: int = options.vehicles_count
         self._is_relative = not options.absolute
         self._sees_behind: bool = options.see_behind
@@ -296,30 +207,33 @@ class Table:
             reach: the distance up to which it observes others [m].
             exit_lane: the number of a lane along which the ego's x is measured, or -1.
         """
-        features, count = self._features, len(vehicles)
+        values, network, count = self._values, self._network, len(vehicles)
         near = self._nearest(ego, vehicles, objects, reach)
         made = np.zeros((max(self._count, len(near) + 1), len(self._columns)), dtype=np.float32)
         table = made  # typed as a memoryview in the .pxd, so compiled code writes directly
-        features.read(ego, False)
-        x, y, vx, vy = features.values[1], features.values[2], features.values[3], features.values[4]
+        self._read(ego, False)
+        x, y, vx, vy = values[1], values[2], values[3], values[4]
         if exit_lane >= 0:
-            features.network.locate(exit_lane, x, y)
-            features.values[1] = features.network.along
+            network.locate(exit_lane, x, y)
+            values[1] = network.along
         for row in range(len(near) + 1):
             if row > 0:
                 _, index, other = near[row - 1]
-                features.read(other, index >= count)
+                self._read(other, index >= count)
                 if not self._sees_intentions:
-                    features.values[8] = features.values[9] = 0.0
+                    values[8] = values[9] = 0.0
                 if self._is_relative:
-                    features.subtract(x, y, vx, vy)
+                    values[1] -= x
+                    values[2] -= y
+                    values[3] -= vx
+                    values[4] -= vy
             for column in range(len(self._columns)):
-                table[row, column] = features.scaled(self._columns[column])
+                table[row, column] = self._scaled(self._columns[column])
         return made
 
     def _nearest(self, ego: Any, vehicles: list[Any], objects: list[Any], reach: float) -> list[tuple[float, int, Any]]:
         """Return the nearest others along the ego's lane, each after its distance [m] and its number on the road."""
-        network, lane, found = self._features.network, self._features.lanes[ego.lane], []
+        network, lane, found = self._network, self._lanes[ego.lane], []
         x, y = ego.position.tolist()
         network.locate(lane, x, y)
         here, behind, count = network.along, -2.0 * ego.LENGTH, len(vehicles)
@@ -336,3 +250,48 @@ class Table:
                     found.append((abs(ahead), index, other))
         found.sort()
         return found[: self._count - 1] if self._count > 1 else found  # for highway-env, a count of 0 is no limit
+
+    def _read(self, vehicle: Any, is_object: bool) -> None:
+        """Set the values to the features of a vehicle, or of a fixed object, some of whose features are unknown."""
+        values, heading = self._values, vehicle.heading
+        x, y = vehicle.position.tolist()
+        cos, sin = math.cos(heading), math.sin(heading)
+        values[0], values[1], values[2], values[6], values[7] = 1.0, x, y, cos, sin
+        values[8] = values[9] = 0.0
+        if is_object:
+            values[3] = values[4] = 0.0
+            values[5] = values[10] = values[11] = values[12] = np.nan
+            return
+        speed = vehicle.speed
+        values[3], values[4], values[5] = speed * cos, speed * sin, heading
+        if self._has_destination:
+            self._head_for_destination(vehicle, x, y)
+        if self._has_place:
+            lane = self._lanes[vehicle.lane]
+            self._network.locate(lane, x, y)
+            values[10], values[11] = self._network.along, self._network.across
+            angle = heading - self._network.heading_at(lane, values[10])
+            values[12] = (angle + HALF_TURN) % (2.0 * HALF_TURN) - HALF_TURN
+
+    def _head_for_destination(self, vehicle: Any, x: float, y: float) -> None:
+        """Set the direction to the end of a vehicle's route, if it has a route."""
+        route = getattr(vehicle, "route", None)
+        if not route:
+            return
+        start, end, number = route[-1]
+        lane = self._lanes[vehicle.road.network.get_lane((start, end, 0 if number is None else number))]
+        self._network.position(lane, self._network.lengths[lane], 0.0)
+        dx, dy = self._network.x - x, self._network.y - y
+        away = math.sqrt(dx * dx + dy * dy)
+        if away > 0.0:
+            self._values[8], self._values[9] = dx / away, dy / away
+
+    def _scaled(self, feature: int) -> float:
+        """Return a value, scaled if its feature has a range."""
+        value = self._values[feature]
+        if self._is_scaled[feature]:
+            low = self._low[feature]
+            value = -1.0 + (value - low) * 2.0 / (self._high[feature] - low)
+            if self._is_clipped:
+                value = 1.0 if value > 1.0 else -1.0 if value < -1.0 else value
+        return value

@@ -50,10 +50,6 @@ cdef class Bends:
 
     cpdef double sharpest_at(self, int lane, double along) except? -1
 
-    cpdef double x_at(self, double along) except? -1
-
-    cpdef double y_at(self, double along) except? -1
-
     cpdef double heading_at(self, double along) except? -1
 
     cpdef double speed_at(self, int lane, double along) except? -1

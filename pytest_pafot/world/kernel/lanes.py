@@ -151,13 +151,12 @@ class Bends:
         """Return the distance of a lane's centre from the line, to the right [m]."""
         return self._value(self._across, lane, along)
 
-    def lane_at(self, lane: int, along: float) -> tuple[float, float, float]:
-        """Return a lane's distance to the right of the line [m], its direction, and a vehicle's lean in it [rad]."""
-        return (
-            self._value(self._across, lane, along),
-            self._value(self._direction, lane, along),
-            self._value(self._lean, lane, along),
-        )
+    def pose(self, lane: int, along: float) -> tuple[float, float, float]:
+        """Return world x [m], y [m] and heading [rad] of a vehicle on the centre of a lane."""
+        self._refer(along)
+        across, sin, cos = self.across_at(lane, along), math.sin(self._direction0), math.cos(self._direction0)
+        heading = self.direction_at(lane, along) + self.lean_at(lane, along)
+        return self._x0 - sin * across, self._y0 + cos * across, heading
 
     def direction_at(self, lane: int, along: float) -> float:
         """Return a lane's direction [rad]."""
@@ -170,16 +169,6 @@ class Bends:
     def sharpest_at(self, lane: int, along: float) -> float:
         """Return the largest curvature of a lane that an NPC meets during a lane change from a place [1/m]."""
         return self._sharpest[lane * self._points + self.point(along)]
-
-    def x_at(self, along: float) -> float:
-        """Return world x of the line [m]."""
-        self._refer(along)
-        return self._x0
-
-    def y_at(self, along: float) -> float:
-        """Return world y of the line [m]."""
-        self._refer(along)
-        return self._y0
 
     def heading_at(self, along: float) -> float:
         """Return the direction of the line [rad]."""
@@ -204,11 +193,6 @@ class Bends:
         self._x0 = self._x[index] + share * (self._x[index + 1] - self._x[index])
         self._y0 = self._y[index] + share * (self._y[index + 1] - self._y[index])
         self._direction0 = self._heading[index] + turned
-
-    def reference(self, along: float) -> tuple[float, float, float]:
-        """Return world x [m], y [m] and heading [rad] of the line, which goes straight on beyond its ends."""
-        self._refer(along)
-        return self._x0, self._y0, self._direction0
 
     def locate(self, x: float, y: float, heading: float, near: float) -> None:
         """Find a vehicle on the road, and set ``along``, ``across``, ``angle``, ``lane`` and ``offset``.

@@ -53,7 +53,7 @@ cdef class PlannerDriver(GivenDriver):
     cdef Py_ssize_t _given
     cdef double _until, _limit
 
-    @cython.locals(started=double, seconds=double, taken=Py_ssize_t)
+    @cython.locals(started=double, seconds=double)
     cpdef decide(self, int tick)
 
 @cython.final

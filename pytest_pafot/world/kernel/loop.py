@@ -16,8 +16,7 @@ from typing import Any, cast
 from pytest_pafot.model.trace import AdsError
 from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import BadAction, OutOfTime
-from pytest_pafot.world.guard.failure import UNFIT, error_of
-from pytest_pafot.world.guard.hang_guard import HangGuard
+from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import (
     Drive,
     acceleration_to_speed,

@@ -25,7 +25,7 @@ cdef class Observer(Sensor):
     cdef readonly int physics_hz, every, columns
     cdef double _x0, _y0
 
-    @cython.locals(row=Py_ssize_t, x=double, y=double, heading=double, lane=int)
+    @cython.locals(row=Py_ssize_t, lane=int)
     cdef vehicle(self, int tick, int index)
 
     @cython.locals(row=Py_ssize_t, count=Py_ssize_t)
@@ -35,7 +35,7 @@ cdef class Observer(Sensor):
                    values=list)
     cdef tuple lateral_velocities(self, int tick)
 
-    @cython.locals(row=Py_ssize_t, index=Py_ssize_t, x=double, y=double, heading=double)
+    @cython.locals(row=Py_ssize_t, index=Py_ssize_t)
     cdef void fill(self, int tick, double[:, :, ::1] values, Py_ssize_t run) except *
 
     @cython.locals(seen=Observation)
@@ -67,12 +67,12 @@ cdef class RoadSensor(Sensor):
 
     cpdef bint has_lane(self, int lane) except -1
 
-    @cython.locals(bends=Bends, own_bends=Bends, record="double[::1]", places=Places, count=Py_ssize_t,
-                   row=Py_ssize_t, x=double, y=double, heading=double, speed=double, own=double, across=double, stretch=double, cos=double,
-                   sin=double, then=Py_ssize_t, npc=Py_ssize_t, error_x=double, error_y=double, error_speed=double,
-                   at=Py_ssize_t, its_x=double, its_y=double, its_heading=double, its_speed=double, along=double,
-                   way=Track, dx=double, dy=double, turned=double)
+    @cython.locals(bends=Bends, own_bends=Bends, record="double[::1]", places=Places, count=Py_ssize_t, row=Py_ssize_t,
+                   x=double, y=double, heading=double, speed=double, own=double, across=double, stretch=double,
+                   cos=double, sin=double, then=Py_ssize_t, npc=Py_ssize_t, error_x=double, error_y=double,
+                   error_speed=double, at=Py_ssize_t, its_x=double, its_y=double, its_heading=double, its_speed=double,
+                   along=double, way=Track, dx=double, dy=double, turned=double)
     cpdef observation(self, int tick)
 
-    @cython.locals(bends=Bends, own_bends=Bends, along=double, lane=int, driven=double, to_lane=double, y=double, leaning=double)
+    @cython.locals(bends=Bends, own_bends=Bends, lane=int)
     cdef _state(self, Py_ssize_t number, double speed, double steering, double own, double stretch)

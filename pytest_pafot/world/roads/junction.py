@@ -28,10 +28,21 @@ from pytest_pafot.world.kernel.crossing import CrossingNpc, JunctionDirector
 from pytest_pafot.world.kernel.director import Director, NetworkDirector
 from pytest_pafot.world.kernel.lanes import Track
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import SPEED_LAG, Column, NetworkRoad, Shaped
+from pytest_pafot.world.roads.network import (
+    SPEED_LAG,
+    STEP,
+    Column,
+    LaneIndex,
+    Line,
+    NetworkRoad,
+    Piece,
+    Shaped,
+    is_drivable,
+    line_of,
+    wrapped,
+)
+from pytest_pafot.world.roads.network import way as way_of
 from pytest_pafot.world.roads.road import Pose
-from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_drivable, line_of, wrapped
-from pytest_pafot.world.roads.route import way as way_of
 from pytest_pafot.world.roads.survey import curvature_of, lone_column
 
 IntArray = npt.NDArray[np.intp]
@@ -268,7 +279,9 @@ def _ways(network: Any, road: NetworkRoad, own: Course, limits: NpcLimits) -> di
         name = f"{path[0][0]}>{path[-1][1]}"
         if path[0] in road.sections or name in ways:
             continue
-        pieces = _pieces(network, path)
+        (origin, end), *_ = path
+        entry = origin, end, len(network.graph[origin][end]) - 1  # the rightmost lane
+        pieces, _ = way_of(network, entry, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
         line = line_of(pieces)
         if np.abs(curvature_of(line)).max() > TIGHTEST:
             continue  # a jump from lane to lane, such as that of the ramp of merge-v0
@@ -304,14 +317,6 @@ def _paths(network: Any) -> Iterator[tuple[Section, ...]]:
             found += 1
             yield path
         queue.extend((*path, section) for section in follow[path[-1]] if section[1] not in nodes)
-
-
-def _pieces(network: Any, path: Sequence[Section]) -> tuple[Piece, ...]:
-    """Return the lanes of a way, which begins in the rightmost lane at its entry."""
-    (origin, end), *_ = path
-    index: LaneIndex = (origin, end, len(network.graph[origin][end]) - 1)
-    pieces, _ = way_of(network, index, 0.0, [(*section, None) for section in path], ahead=math.inf, behind=0.0)
-    return pieces
 
 
 def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
@@ -402,17 +407,11 @@ def meetings_of(a: Course, b: Course, pairs: tuple[IntArray, IntArray]) -> Itera
     wide = boxes_touch(a, b, pairs, WIDER)
     i, j = pairs[0][wide], pairs[1][wide]
     for run in np.split(np.arange(len(j)), np.flatnonzero(np.diff(j) > 1) + 1):
-        for here, there in _places_of_run(i[run], j[run]):
-            if boxes_touch(a, b, (here, there), 0.0).any():
-                yield _meeting(a, b, here, there)
-
-
-def _places_of_run(i: IntArray, j: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Split the pairs of one run along the second way into runs along the first way."""
-    known = np.unique(i)
-    for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-        belongs = np.isin(i, own)
-        yield i[belongs], j[belongs]
+        known = np.unique(i[run])
+        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):  # runs along the first way
+            belongs = run[np.isin(i[run], own)]
+            if boxes_touch(a, b, (i[belongs], j[belongs]), 0.0).any():
+                yield _meeting(a, b, i[belongs], j[belongs])
 
 
 def _meeting(a: Course, b: Course, i: IntArray, j: IntArray) -> Meeting:
@@ -513,7 +512,8 @@ def _holder(
     else:
         mine, theirs = _circulates(network, own), _circulates(network, other)
         if mine == theirs and met.merges:
-            bends = [_turned(line, stretch) for (line, _), stretch in zip((ego, npc), met.stretches, strict=True)]
+            ends = [[int(place / STEP) for place in stretch] for stretch in met.stretches]
+            bends = [abs(line.heading[b] - line.heading[a]) for (line, _), (a, b) in zip((ego, npc), ends, strict=True)]
             mine, theirs = bends[0] + STRAIGHTER < bends[1], bends[1] + STRAIGHTER < bends[0]
     return "none" if mine == theirs else "ego" if mine > theirs else "npc"
 
@@ -537,8 +537,3 @@ def _circulates(network: Any, lane: LaneIndex) -> bool:
                 seen.add(end)
                 queue.append(end)
     return False
-
-
-def _turned(line: Line, stretch: Stretch) -> float:
-    first, last = (int(place / STEP) for place in stretch)
-    return abs(float(line.heading[last] - line.heading[first]))

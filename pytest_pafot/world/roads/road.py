@@ -100,10 +100,6 @@ class Road(ABC):
     def has_lane(self, lane: int, along: float) -> bool:
         """Return whether an NPC can start in a lane at a place along the road [m]."""
 
-    def stretch(self, lane: int, along: float) -> float:
-        """Return how many metres a vehicle drives in a lane per metre of the road."""
-        return 1.0
-
     # Starts.
 
     @abstractmethod

@@ -15,8 +15,22 @@ from pytest_pafot.model.trace import FloatArray, Lane
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.limits import NpcLimits
-from pytest_pafot.world.roads.network import Column, NetworkRoad, Shaped, allowed_speeds, leans, sharpest_ahead
-from pytest_pafot.world.roads.route import STEP, LaneIndex, Line, Piece, is_dead_end, line_of, way, wrapped
+from pytest_pafot.world.roads.network import (
+    STEP,
+    Column,
+    LaneIndex,
+    Line,
+    NetworkRoad,
+    Piece,
+    Shaped,
+    allowed_speeds,
+    is_dead_end,
+    leans,
+    line_of,
+    sharpest_ahead,
+    way,
+    wrapped,
+)
 
 SHORTEST_LANE = 10.0
 """The least length of a lane next to the way; the grid ignores shorter lanes [m]."""

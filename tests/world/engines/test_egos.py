@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World
-from pytest_pafot.world.driving.idm_model import CONSTANTS, idm_model
 from pytest_pafot.world.driving.object_driver import ObjectDriver
+from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.engines import run as egos
-from pytest_pafot.world.engines.run import SteppedRun
+from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.c_library import c_library
@@ -156,8 +156,9 @@ def test_reference_driver_drives_exactly_as_by_env_step():
 @pytest.fixture
 def drivers(monkeypatch):
     """Return the classes of the drivers that drove, in order."""
-    classes, finish = [], SteppedRun.finish
-    monkeypatch.setattr(SteppedRun, "finish", lambda run: classes.append(type(run.driver)) or finish(run))
+    classes, drive = [], VehiclesOfRun.drive
+    drives = lambda run, driver, *given: classes.append(type(driver)) or drive(run, driver, *given)  # noqa: E731
+    monkeypatch.setattr(VehiclesOfRun, "drive", drives)
     return classes
 
 

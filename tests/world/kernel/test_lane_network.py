@@ -94,13 +94,9 @@ def test_idm_in_the_kernel_drives_as_highway_envs_own(env_id):
 
 @pytest.mark.parametrize("env_id", BENT)
 def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
-    drivers = []
-    original = policies.SteppedRun
-    monkeypatch.setattr(
-        policies,
-        "SteppedRun",
-        lambda vehicles, driver, guard: drivers.append(driver) or original(vehicles, driver, guard),
-    )
+    drivers, drive = [], policies.VehiclesOfRun.drive
+    noting = lambda run, driver, *given: drivers.append(driver) or drive(run, driver, *given)  # noqa: E731
+    monkeypatch.setattr(policies.VehiclesOfRun, "drive", noting)
     world = world_of(env_id, duration=6.0)
     scenario = sample(space_of(world), np.random.default_rng(0))
     for ads in (IDMVehicle, Own, MDPVehicle):

@@ -18,7 +18,7 @@ from pytest_pafot.world import AdsFactoryError, from_dict
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.observation import RoadSensor
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.roads.route import STEP
+from pytest_pafot.world.roads.network import STEP
 
 WORLD = World("intersection-v0", config={"destination": "o2"}, planner_hz=5)
 JUNCTION = WORLD.road.junction

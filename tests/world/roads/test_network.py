@@ -8,8 +8,16 @@ from highway_env.road.lane import StraightLane
 
 from pytest_pafot.world import NpcLimits
 from pytest_pafot.world.kernel.lanes import even_rounded
-from pytest_pafot.world.roads.network import BEND_SHARE, SLOWING, SPEED_LAG, allowed_speeds, leans, sharpest_ahead
-from pytest_pafot.world.roads.route import Piece, line_of
+from pytest_pafot.world.roads.network import (
+    BEND_SHARE,
+    SLOWING,
+    SPEED_LAG,
+    Piece,
+    allowed_speeds,
+    leans,
+    line_of,
+    sharpest_ahead,
+)
 from pytest_pafot.world.roads.survey import _curvature
 from tests.helpers.tables import table
 
