@@ -287,20 +287,12 @@ def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
     assert quiet > 5
 
 
-@table(
-    ("holds", "argument"),
-    [
-        (properties.comfort, "jerk"),
-        (properties.comfort, "braking"),
-        (properties.comfort, "lateral_acceleration"),
-        (properties.comfort, "lateral_jerk"),
-    ],
-)
-def test_properties_refuse_negative_or_non_finite_arguments(holds, argument):
+@table("argument", ["jerk", "braking", "lateral_acceleration", "lateral_jerk"])
+def test_comfort_refuses_negative_or_non_finite_arguments(argument):
     for odd in (-1.0, np.nan, np.inf, "2", True):
         told = f"expected {argument}= as a finite number of at least 0, received {odd!r}"
         with pytest.raises(ValueError, match=told):
-            holds(pafot.Run(following(100.0)), **{argument: odd})
+            properties.comfort(pafot.Run(following(100.0)), **{argument: odd})
 
 
 def test_rules_of_another_kind_are_refused():

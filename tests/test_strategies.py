@@ -75,8 +75,9 @@ def test_scenarios_are_valid_whatever_the_number_of_npcs(scenario):
 
 
 @given(strategies.scenarios())
-def test_scenarios_have_two_npcs_at_most_by_default(scenario):
+def test_scenarios_have_two_npcs_at_most_and_hostile_traffic_by_default(scenario):
     assert len(scenario.npcs) <= 2
+    assert scenario.traffic == "hostile"
 
 
 @given(strategies.scenarios(lanes=3, max_npcs=5))
@@ -107,16 +108,6 @@ def test_failing_change_of_lanes_shrinks_to_one_npc():
 
     found = find(strategies.scenarios(max_npcs=4), changes, settings=SIMPLEST)
     assert found.npcs == ((LaneInstruction("right", 0.0),),)
-
-
-@given(strategies.scenarios())
-def test_scenarios_are_of_attentive_traffic_unless_told_otherwise(scenario):
-    assert scenario.traffic == "hostile"
-
-
-@given(strategies.scenarios(traffic="assertive"))
-def test_a_style_alone_is_a_traffic(scenario):
-    assert scenario.traffic == "assertive"
 
 
 @given(strategies.scenarios(traffic="everyday", min_speed=3.0))

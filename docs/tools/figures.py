@@ -51,7 +51,7 @@ BENCHMARKS: Mapping[str, str] = {
     "planted-defects": "planted_defects --arms default random cells random-cells lanes --seeds {20|1} "
     "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
     "margins": "margins --seeds {40|1} --runs {240|12} --workers WORKERS",
-    "margins-of-others": "margins --policies OneSpeedNear OneResumes OneCentred --seeds {40|1} --runs {240|12} "
+    "margins-of-others": "margins --policies GippsBased IdmBased Planner --seeds {40|1} --runs {240|12} "
     "--workers WORKERS",
     "speed": "speed --rounds {9|1} --parts {engines ads search|search}",
 }

@@ -214,13 +214,9 @@ def test_keeping_the_lane_avoids_a_vehicle_beside_or_ahead_but_not_one_that_come
 
 
 @table("fault", [None, "entered-lane", "braked-for-nothing", "stopped-for-nothing"])
-def test_braking_is_not_tried_for_other_faults(fault):
+def test_braking_is_not_tried_for_other_faults_or_without_a_collision(fault):
     assert avoidance(crash(), fault, lambda *_: pytest.fail("simulated")) is None
-
-
-def test_braking_is_not_tried_without_collision():
-    safe = crash(outcome=Outcome.SAFE)
-    assert avoidance(safe, "leader-unanswered", lambda *_: pytest.fail("simulated")) is None
+    assert avoidance(crash(outcome=Outcome.SAFE), "leader-unanswered", lambda *_: pytest.fail("simulated")) is None
 
 
 @pytest.mark.parametrize("closing", [3.0, 5.0])

@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 from pytest_pafot import Run
 
-KeyT = TypeVar("KeyT")
 ResultT = TypeVar("ResultT")
 
 
@@ -41,16 +40,6 @@ def holds(run: Run) -> None:
 def seeds_of(given: argparse.Namespace) -> range:
     """Return the seeds of the options ``seeds`` and ``first_seed``."""
     return range(given.first_seed, given.first_seed + given.seeds)
-
-
-def in_processes(
-    workers: int, function: Callable[..., ResultT], keys: Iterable[KeyT], seeds: Iterable[int], *more: Any
-) -> Iterator[tuple[KeyT, list[ResultT]]]:
-    """Yield each key with the results of ``function(key, seed, *more)`` for each seed, as soon as they are there."""
-    with ProcessPoolExecutor(workers) as pool:
-        jobs = {key: [pool.submit(function, key, seed, *more) for seed in seeds] for key in keys}
-        for key, futures in jobs.items():
-            yield key, [future.result() for future in futures]
 
 
 def as_they_end(workers: int, function: Callable[..., ResultT], tasks: Iterable[tuple[Any, ...]]) -> Iterator[ResultT]:

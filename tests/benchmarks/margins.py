@@ -6,7 +6,7 @@
 There are four measures (a headway, a jerk, a gap, a mean speed) for each policy, each with a bound that one of 200
 random runs breaks. Each is searched as a check, as a plain assertion with a hand-written fitness, as a plain assertion
 only (then danger steers the search), and by random scenarios. Prints how many searches found a failure, by measure and
-in total. A policy may also be any of ``policies_with_defects`` without its defects; nothing here was tuned on these.
+in total. A policy may also be one of the ``planners``; nothing here was tuned on these.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from example_ads import defects
 from pytest_pafot import Run, Trace
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.world.reference_drivers import REFERENCES
-from tests.benchmarks import policies_with_defects as held_out
 from tests.benchmarks.command import options, print_head, seeds_of
+from tests.benchmarks.planners import GippsBased, IdmBased, Planner
 
 POLICIES: Mapping[str, Any] = {
     "idm": IDMVehicle,
     "careful-human": REFERENCES["careful-human"],
     "healthy": defects.make("healthy"),
     "brakes-weakly": defects.make("brakes-weakly"),
-    **{name: held_out.make(name, repaired=every) for name, (_, every) in held_out.POLICIES.items()},
+    **{planner.__name__: planner for planner in (GippsBased, IdmBased, Planner)},
 }
 ONE_IN, RANDOM_RUNS = 200, 4000
 

@@ -16,11 +16,15 @@ from tests.helpers.situations import FAR, LEFT, OWN, RIGHT
 from tests.helpers.traces import LENGTH, trace_of
 
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
-FOUND = Found(seed=1, generation=0, algorithm="distinct")
 BRAKES = {"brakes": [(3.0, 6.0, 8.0)]}
 """Braking from 20 to 8 m/s, between 3 and 5 s."""
 MOVES = {"shifts": [(4.0, RIGHT, 3.0)]}
 """A move into the lane to the right, between 4 and 7 s."""
+
+
+def finding_of(run):
+    found = Found(seed=1, generation=0, algorithm="distinct")
+    return Finding.of(run, FAILS, test="t.py::t", world={}, found=found)
 
 
 def situation(run, failure=FAILS):
@@ -157,16 +161,14 @@ def test_miss_says_where_npc_was_and_came_nearest():
 
 
 def test_pass_is_fixed_only_if_situation_came_up():
-    saved = Finding.of(
-        into_the_side(), FAILS, test="t.py::t", world={}, found=Found(seed=1, generation=0, algorithm="")
-    )
+    saved = finding_of(into_the_side())
     fixed, drifted = (Run(trace_of(driven(0.0), driven(x, RIGHT))) for x in (-2.0, -20.0))
     assert [replay_label(saved, run, None, {}) for run in (fixed, drifted)] == ["fixed", "drifted"]
 
 
 def test_blameless_impact_after_failure_time_is_fixed():
     """The ego slows down as its leader does, unlike before; then a vehicle that does not slow hits it from behind."""
-    saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
+    saved = finding_of(rear_end())
     ego, leader = driven(0.0, **BRAKES), driven(35.0, **BRAKES)
     safe = Run(trace_of(ego, leader))
     met = safe.duration - seconds_after(saved.expect.situation, safe)
@@ -179,7 +181,7 @@ def test_blameless_impact_after_failure_time_is_fixed():
 
 
 def test_collision_with_the_same_npc_is_no_fix():
-    saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
+    saved = finding_of(rear_end())
     later = Run(crash(driven(0.0), driven(35.0, brakes=[(6.0, 6.0, 8.0)])))
     assert replay_label(saved, later, None, {}) == "drifted"
     assert unhandled(saved, later) == (
@@ -188,7 +190,7 @@ def test_collision_with_the_same_npc_is_no_fix():
 
 
 def test_ego_that_leaves_road_has_fixed_nothing():
-    saved = Finding.of(rear_end(), FAILS, test="t.py::t", world={}, found=FOUND)
+    saved = finding_of(rear_end())
     met = trace_of(driven(0.0, **BRAKES), driven(35.0, **BRAKES))
     off = replace(met, outcome=Outcome.OFF_ROAD, off_road_tick=met.ticks)
     assert [replay_label(saved, Run(trace), None, {}) for trace in (met, off)] == ["fixed", "drifted"]
@@ -198,14 +200,12 @@ def test_same_collision_with_other_responsibility_is_no_fix():
     """The ego drives as before, and only the verdict has changed, as if the other had cut in just before."""
     run = rear_end()
     assert run.responsibility == "ego"
-    saved = Finding.of(run, FAILS, test="t.py::t", world={}, found=FOUND)
+    saved = finding_of(run)
     other = replace(saved, expect=replace(saved.expect, responsibility="npc"))
     assert [replay_label(each, run, None, {}) for each in (saved, other)] == ["fixed", "drifted"]
 
 
 def test_file_without_situation_is_fixed_by_a_pass():
-    saved = Finding.of(
-        into_the_side(), FAILS, test="t.py::t", world={}, found=Found(seed=1, generation=0, algorithm="")
-    )
+    saved = finding_of(into_the_side())
     saved = replace(saved, expect=replace(saved.expect, situation=None))
     assert replay_label(saved, Run(trace_of(driven(0.0), driven(-20.0, RIGHT))), None, {}) == "fixed"

@@ -55,19 +55,16 @@ def test_lane_is_named_relative_to_the_egos(lane, npc, words):
     assert lane_text(run.trace, 0, 0) == words
 
 
-def test_far_lane_is_counted():
-    run = run_of(in_lanes("keep@8"), ego=0, lanes=((4, 4),))
-    assert lane_text(run.trace, 0, 0) == "keep the 4th lane right of the ego"
-
-
-def test_lane_of_an_ego_off_the_road_is_not_named():
-    run = run_of(in_lanes("left@8"), ego=-1, lanes=((1, 1),))
-    assert lane_text(run.trace, 0, 0) == "one lane left"
-
-
-def test_gene_that_the_run_never_reached_names_no_lane_of_the_ego():
-    run = run_of(in_lanes("keep@8 keep@8 keep@8 left@8"))
-    assert lane_text(run.trace, 0, 3) == "one lane left"
+@pytest.mark.parametrize(
+    ("run", "gene", "words"),
+    [
+        (run_of(in_lanes("keep@8"), ego=0, lanes=((4, 4),)), 0, "keep the 4th lane right of the ego"),
+        (run_of(in_lanes("left@8"), ego=-1, lanes=((1, 1),)), 0, "one lane left"),  # the ego is off the road
+        (run_of(in_lanes("keep@8 keep@8 keep@8 left@8")), 3, "one lane left"),  # the run never reached this gene
+    ],
+)
+def test_lane_is_counted_from_the_egos_if_both_are_known(run, gene, words):
+    assert lane_text(run.trace, 0, gene) == words
 
 
 def test_lane_that_does_not_exist_is_kept():

@@ -32,12 +32,8 @@ def test_a_run_shows_what_its_trace_records():
     assert not run.off_road
     assert run.ads_error is None
     assert run.responsibility == "ego"
-
-
-def test_without_a_collision_nobody_is_responsible():
-    run = Run(closing())
-    assert not run.collision
-    assert run.responsibility is None
+    safe = Run(closing(max_decision_seconds=0.3))
+    assert (safe.collision, safe.responsibility, safe.max_decision_time) == (None, None, 0.3)
 
 
 def test_position_rule_is_named_only_when_it_disagrees():
@@ -111,10 +107,6 @@ def test_event_is_collision_then_fault_then_worst_moment():
     assert Run(closing(outcome=Outcome.ADS_ERROR, error=error)).event_time == pytest.approx(0.4)
     assert Run(closing(outcome=Outcome.OFF_ROAD, off_road_tick=3)).event_time == pytest.approx(0.2)
     assert Run(closing(ticks=15)).event_time == 1.0
-
-
-def test_longest_decision_is_that_of_the_trace():
-    assert Run(closing(max_decision_seconds=0.3)).max_decision_time == 0.3
 
 
 def test_its_repr_fits_the_header_of_a_traceback():

@@ -57,6 +57,7 @@ def test_frame_positions_and_measures_match_the_trace():
             assert is_close(shown.along[frame], x)
             assert is_close(shown.across[frame], y)
             assert is_close(shown.speed[frame], speed)
+            assert shown.acceleration[frame] == pytest.approx(trace.states[tick, index, ACCELERATION], abs=0.06)
         for npc, shown in enumerate(view.vehicles[1:]):
             assert is_close(shown.gap[frame], gaps[tick, npc])
             seconds = times[tick, npc]
@@ -208,14 +209,6 @@ def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_acti
     trace = replace(braking_ahead(), actions=actions)
     view = view_of(trace, finding_of(trace, world=world))
     assert list(view.decisions) == [(start, min(end, view.times[-1]), words) for start, end, words in shown]
-
-
-def test_view_has_recorded_acceleration():
-    trace = cut_in_trace()
-    ticks, vehicle = frame_ticks(trace), 1
-    view = view_of(trace).vehicles[vehicle]
-    recorded = trace.states[:, vehicle, ACCELERATION]
-    assert view.acceleration == pytest.approx([recorded[tick] for tick in ticks], abs=0.06)
 
 
 @pytest.mark.parametrize(

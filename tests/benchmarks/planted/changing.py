@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
-from tests.benchmarks.planted.policy import WIDE, Driver, Planted, about_of, braking_needed, listed
-from tests.benchmarks.policies_with_defects import FirstLaneOnly, GippsBased
+from tests.benchmarks.planners import GippsBased
+from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, listed
 
 
 class Changer(Driver):
@@ -44,10 +43,27 @@ class Changer(Driver):
         return c.gap > 14 + 1.3 * max(c.v, v) + 4 * closing + closing * closing / 6
 
 
-class SecondLane(FirstLaneOnly, GippsBased):
+class SecondLane(GippsBased):
     """If the lane after the next is no slower, the ego crosses both at once but has only checked the first."""
 
-    DEFECTS = ("second-lane-unchecked",)
+    def __init__(self, *, repaired=False):
+        super().__init__()
+        self.repaired = repaired
+
+    def wants(self, o, seen):
+        near = super().wants(o, seen)
+        if self.repaired:
+            return near
+        both = [(k, k + k - self.lane) for k in near]
+        far = [m for k, m in both if 0 <= m < o.lanes and self.pace(o, m, seen) >= self.pace(o, k, seen)]
+        return far + near
+
+    def free(self, o, k, seen):
+        home = self.lane if self.old is None else self.old
+        if not self.repaired and abs(k - home) == 2:
+            mid = (k + home) // 2
+            return all(self.fits(o, mid, s) for s in seen if self.beside(o, mid, s))
+        return super().free(o, k, seen)
 
 
 class OutOfQueue(Changer):
@@ -76,12 +92,4 @@ class OutOfQueue(Changer):
         return super().room(v, c)
 
 
-PLANTED = listed("changing", {"out-of-queue": (OutOfQueue, 3)}) | {
-    "second-lane-unchecked": Planted(
-        "changing",
-        2,
-        partial(partial, SecondLane),
-        partial(partial, SecondLane, SecondLane.DEFECTS),
-        about_of(SecondLane),
-    )
-}
+PLANTED = listed("changing", {"out-of-queue": (OutOfQueue, 3), "second-lane-unchecked": (SecondLane, 2)})

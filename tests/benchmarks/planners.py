@@ -1,4 +1,4 @@
-"""Planners with one seeded defect each, which can be switched off (``repaired=``).
+"""Three makes of a planner that follows, overtakes and returns to the right.
 
 Units are metres, seconds and radians throughout.
 """
@@ -6,7 +6,6 @@ Units are metres, seconds and radians throughout.
 from __future__ import annotations
 
 import math
-from functools import partial
 
 
 def clip(x, lo, hi):
@@ -16,16 +15,11 @@ def clip(x, lo, hi):
 class Seen:
     """A planner's data about another vehicle: `v` along the road, `w` sideways, `a` its acceleration."""
 
-    __slots__ = ("a", "i", "length", "reach", "turned", "v", "w", "width", "x", "y")
+    __slots__ = ("a", "length", "reach", "turned", "v", "w", "width", "x", "y")
 
-    def __init__(self, i, o, a):
-        self.i, self.x, self.y, self.v, self.w = (
-            i,
-            o.x,
-            o.y,
-            o.speed * math.cos(o.heading),
-            o.speed * math.sin(o.heading),
-        )
+    def __init__(self, o, a):
+        self.x, self.y = o.x, o.y
+        self.v, self.w = o.speed * math.cos(o.heading), o.speed * math.sin(o.heading)
         self.a, self.length, self.width, self.turned = a, o.length, o.width, o.heading
         self.reach = (o.length * abs(math.sin(o.heading)) + o.width * abs(math.cos(o.heading))) / 2
 
@@ -83,27 +77,17 @@ class Preview:
 
 
 class Planner:
-    """The sound planner. Defects override one of its hooks and check `self.bad(name)`."""
+    """The first make; the others have other constants and other laws."""
 
-    DEFECTS: tuple[str, ...] = ()
     HEADWAY = 1.8
     SHARE = 0.97  # of the speed limit
     GAIN, LOSS = 2.0, 9.0  # speed that a change must promise; time between two changes [s]
     SIDES = (-1, 1)
     LATERAL = Ramp
 
-    def __init__(self, repaired=frozenset()):
-        self.repaired = frozenset(repaired)
-        assert self.repaired <= set(self.DEFECTS), self.repaired
+    def __init__(self):
         self.lat, self.lane, self.old, self.changed, self.rest = self.LATERAL(), None, None, -3.0, 0.0
         self.tracks, self.t, self.low = {}, None, 99.0
-        self.begin()
-
-    def begin(self):
-        pass
-
-    def bad(self, name):
-        return name in self.DEFECTS and name not in self.repaired
 
     # perception
     def perceive(self, o):
@@ -112,18 +96,18 @@ class Planner:
             before = self.tracks.get(i)
             a = (other.speed - before) / dt if before is not None and dt > 0 else 0.0
             self.tracks[i] = other.speed
-            seen.append(Seen(i, other, a))
-        self.t, self.dt = o.time, dt
+            seen.append(Seen(other, a))
+        self.t = o.time
         return seen
 
     def gap(self, o, s):
         return abs(s.x - o.ego.x) - (s.length + o.ego.length) / 2
 
-    def off(self, o, s, look=1.2):
+    def off(self, o, s):
         """Return how far the other is, or soon will be, from the strip that the ego drives in."""
         a, b = o.ego.y, self.lane * o.lane_width
         lo, hi = min(a, b), max(a, b)
-        return min(max(lo - y, y - hi, 0.0) for y in (s.y, s.y + look * s.w, s.y + self.may(s)))
+        return min(max(lo - y, y - hi, 0.0) for y in (s.y, s.y + 1.2 * s.w, s.y + self.may(s)))
 
     def may(self, s):
         """Return the sideways distance that a slow vehicle turned towards a different lane may soon move."""
@@ -228,25 +212,13 @@ class Planner:
                 self.old, self.lane = self.lane, k
                 return
 
-    def goal(self, o, seen):
-        return self.lane * o.lane_width
-
-    def command(self, o, seen, a):
-        """Return the final acceleration."""
-        return a
-
     def __call__(self, o):
         if self.lane is None:
             self.lane = o.ego.lane
         seen = self.perceive(o)
         self.choose(o, seen)
-        a = self.command(o, seen, self.along(o, seen))
-        return float(max(clip(a, -8.0, 2.5), -4.0 * max(o.ego.speed, 0.0))), float(
-            self.lat.steer(o, self.goal(o, seen))
-        )
-
-
-# different makes of the planner
+        a = max(clip(self.along(o, seen), -8.0, 2.5), -4.0 * max(o.ego.speed, 0.0))
+        return float(a), float(self.lat.steer(o, self.lane * o.lane_width))
 
 
 class IdmBased(Planner):
@@ -266,86 +238,3 @@ class GippsBased(Planner):
             (b * tau / 2) ** 2 + max(v, 0) ** 2 + 2 * b * max(g - 3 - 0.5 * tau * e.speed, 0)
         )
         return (safe - e.speed) / 0.8
-
-
-# defects along the road
-
-
-class SpeedNearOnly:
-    """A vehicle more than 12 m ahead gets the speed limit as its speed, as a track does until the radar confirms it."""
-
-    RANGE = 12.0
-
-    def follow(self, o, s):
-        if self.bad("speed-near-only") and self.gap(o, s) > self.RANGE:
-            s.v, s.a = o.speed_limit, 0.0
-        return super().follow(o, s)
-
-
-class ResumesUnasked:
-    """Stop and go: 3 s after it has stopped, it drives off for 4 s even if the vehicle ahead still stands."""
-
-    def command(self, o, seen, a):
-        a = super().command(o, seen, a)
-        if not self.bad("resumes-unasked"):
-            return a
-        self.stood = getattr(self, "stood", 0.0) + self.dt if o.ego.speed < 0.3 else 0.0
-        if self.stood > 3.0:
-            self.off_until = o.time + 4.0
-        return max(a, 1.5) if o.time < getattr(self, "off_until", -1) else a
-
-
-class CentredOnly:
-    """A vehicle that comes in counts only when it has been centred in the lane for 1 s."""
-
-    def in_path(self, o, s):
-        p = super().in_path(o, s)
-        if not self.bad("cut-in-centred-only"):
-            return p
-        c = self.__dict__.setdefault("centred", {})
-        if min(abs(s.y - o.ego.y), abs(s.y - self.lane * o.lane_width)) > 0.5:
-            if s.x <= o.ego.x or self.off(o, s, 0.0) > 1.0:
-                c.pop(s.i, None)
-            return p and s.i in c and o.time - c[s.i] > 1.0
-        c.setdefault(s.i, o.time if o.time > 0.5 else -9.0)
-        return p and o.time - c[s.i] > 1.0
-
-
-# defects in lane changes
-
-
-class FirstLaneOnly:
-    """If two lanes in a row are better, it crosses both at once, but has only checked the first."""
-
-    def wants(self, o, seen):
-        c = super().wants(o, seen)
-        if not self.bad("second-lane-unchecked"):
-            return c
-        far = [k + k - self.lane for k in c]
-        return [
-            m
-            for k, m in zip(c, far, strict=True)
-            if 0 <= m < o.lanes and self.pace(o, m, seen) >= self.pace(o, k, seen)
-        ] + c
-
-    def free(self, o, k, seen):
-        home = self.lane if self.old is None else self.old
-        if self.bad("second-lane-unchecked") and abs(k - home) == 2:
-            mid = (k + home) // 2
-            return all(self.fits(o, mid, s) for s in seen if self.beside(o, mid, s))
-        return super().free(o, k, seen)
-
-
-MADE_OF: dict[str, tuple[tuple[type, ...], tuple[str, ...]]] = {
-    "OneSpeedNear": ((SpeedNearOnly, GippsBased), ("speed-near-only",)),
-    "OneResumes": ((ResumesUnasked, IdmBased), ("resumes-unasked",)),
-    "OneCentred": ((CentredOnly, Planner), ("cut-in-centred-only",)),
-}
-"""The classes of each policy, and its defects."""
-POLICIES: dict[str, tuple[type, tuple[str, ...]]] = {
-    name: (type(name, classes, {"DEFECTS": defects}), defects) for name, (classes, defects) in MADE_OF.items()
-}
-
-
-def make(name, repaired=()):
-    return partial(POLICIES[name][0], frozenset(repaired))
