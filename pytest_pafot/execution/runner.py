@@ -42,8 +42,7 @@ from pytest_pafot.support import isolates, monotonic
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.driving.shadow import ending_after
+from pytest_pafot.world.driving.policy import Policy, ending_after
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 

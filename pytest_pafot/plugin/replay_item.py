@@ -32,7 +32,7 @@ from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
-from pytest_pafot.world.driving.shadow import wrapped
+from pytest_pafot.world.driving.policy import wrapped
 from pytest_pafot.world.guard.hang_guard import Around
 from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 

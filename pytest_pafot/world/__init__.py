@@ -6,7 +6,7 @@ an ego has depends on the ADS:
 
 - a planner, which returns acceleration and steering: ``PlannerDriver`` of the kernel;
 - highway-env's IDM, on lanes that the kernel knows: ``ModelDriver`` of the kernel;
-- any other vehicle class: ``ObjectDriver`` (``driving/object_driver.py``), which calls the class's own code;
+- any other vehicle class: ``ObjectDriver`` (``driving/environment.py``), which calls the class's own code;
 - a policy with an environment's actions: ``ModelPolicyDriver`` of the same file, and where the kernel does not know the
   lanes or the environment's vehicle, ``PolicyDriver``, which calls highway-env's code.
 

@@ -110,7 +110,9 @@ class Rules:
         """
         if not isinstance(scenario, Scenario):
             raise ScenarioError(field="scenario", expected="a Scenario", received=repr(scenario))
-        self._check_lane(scenario.ego_lane)
+        if scenario.ego_lane not in self.road.start_lanes:
+            expected, fix = self.road.said_of_start_lanes
+            raise ScenarioError(field="ego_lane", expected=expected, received=str(scenario.ego_lane), fix=fix)
         cells, crossings = self.start_cells(scenario, self.ego.length), scenario.crossings
         on_grid = sum(not chain[0].crosses for chain in scenario.npcs)
         if on_grid > len(cells):
@@ -140,11 +142,6 @@ class Rules:
                 least = vehicle.length / (TIGHTEST * CAR.length)
                 fix = f"it needs a radius of {least:.1f} m; give the NPC a shorter vehicle, or another way"
                 raise ScenarioError(field=f"vehicles[{npc}]", expected=expected, received=vehicle.described, fix=fix)
-
-    def _check_lane(self, lane: int) -> None:
-        if lane not in self.road.start_lanes:
-            expected, fix = self.road.said_of_start_lanes
-            raise ScenarioError(field="ego_lane", expected=expected, received=str(lane), fix=fix)
 
     def _at_start(self, lane: int, speed: float) -> tuple[float, ...] | None:
         """Return a fixed object at the ego's start or, if the ego may start anywhere, within its headway; else None."""

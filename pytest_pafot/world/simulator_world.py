@@ -164,7 +164,7 @@ class SimulatorWorld(BuiltInWorld):
         if lines is None:
             length = 100.0 + ends + TOP_SPEED * (self.duration + DRIVEN_ON)
             return _OnRoad(StraightRoad.uniform(stated.count, length, width, limit), Frame(stated), math.inf)
-        from pytest_pafot.world.roads.lines import network_of, straight_along  # noqa: PLC0415  (not in each world)
+        from pytest_pafot.world.roads.survey import network_of, straight_along  # noqa: PLC0415  (not in each world)
 
         if (found := straight_along(lines, width)) is not None:
             origin, length = found

@@ -13,7 +13,7 @@ from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import Moment, advice_on, deciding, differ, placed, seen_of, vehicle_of
 from pytest_pafot.findings.finding import Bounded, Expect
-from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed, without
+from pytest_pafot.world.driving.policy import Aside, Question, beside, changed, without
 from pytest_pafot.world.kernel.action import checked_si_action
 from tests.helpers.situations import lane_change
 

@@ -36,8 +36,7 @@ from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.source_files import source_files
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.conditions import Conditions, Parted, differing, parting, shown
-from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.driving.shadow import Aside, Question, beside, changed, without
+from pytest_pafot.world.driving.policy import Aside, Policy, Question, beside, changed, without
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
 from pytest_pafot.world.kernel.observation import Observation

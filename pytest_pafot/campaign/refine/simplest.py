@@ -24,7 +24,7 @@ from pytest_pafot.model.trace import SPEED, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world import codec
-from pytest_pafot.world.driving.shadow import repeating
+from pytest_pafot.world.driving.policy import repeating
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 ROLLOUTS, ROLLOUTS_IN_KERNEL = 300, 3000

@@ -13,8 +13,14 @@ from pytest_pafot.model.trace import AdsError
 from pytest_pafot.searching.health import IMMEDIATE
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
-from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, observe_by, observer
-from pytest_pafot.world.driving.object_driver import body_of
+from pytest_pafot.world.driving.environment import (
+    View,
+    body_of,
+    check_action_space,
+    checked_action,
+    observe_by,
+    observer,
+)
 from pytest_pafot.world.driving.policy import Ads, AdsFactory, ImperfectSensor, Policy, give_route
 from pytest_pafot.world.driving.vehicles import straight_road
 from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of, stand_in

@@ -26,10 +26,18 @@ from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import AdsError, Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import plural
-from pytest_pafot.world.driving.environment import View, check_action_space, checked_action, hide
-from pytest_pafot.world.driving.object_driver import GuardedDriver, ObjectDriver, body_of, follow, foresee
-from pytest_pafot.world.driving.policy import Ads, Policy
-from pytest_pafot.world.driving.shadow import Unseeing
+from pytest_pafot.world.driving.environment import (
+    GuardedDriver,
+    ObjectDriver,
+    View,
+    body_of,
+    check_action_space,
+    checked_action,
+    follow,
+    foresee,
+    hide,
+)
+from pytest_pafot.world.driving.policy import Ads, Policy, Unseeing
 from pytest_pafot.world.driving.vehicles import is_regulated
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, planner_driver, vehicle_of

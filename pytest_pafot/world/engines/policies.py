@@ -18,8 +18,7 @@ import numpy as np
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.environment import View, copies_on
-from pytest_pafot.world.driving.object_driver import ModelPolicyDriver, ObjectDriver, PolicyDriver
+from pytest_pafot.world.driving.environment import ModelPolicyDriver, ObjectDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.policy import Policy, idm_model
 from pytest_pafot.world.driving.vehicles import Car, CompiledRoad, EgosRegulatedRoad, egos_rules, obstacles_on
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, vehicle_of

@@ -364,7 +364,7 @@ def vehicle_run(
         ego.start(*start, rules.ego_speed(scenario), model.changes_lanes)
         vehicles = VehiclesOfRun(rules, scenario, ego, stock_road)
         return vehicles.drive(ModelDriver(ego, vehicles.vehicles[1:]), guard)
-    from pytest_pafot.world.driving.object_driver import ObjectDriver  # noqa: PLC0415  (a second of imports)
+    from pytest_pafot.world.driving.environment import ObjectDriver  # noqa: PLC0415  (a second of imports)
 
     on = stock_road()
     driver = ObjectDriver(vehicle_of(vehicle_class, on, start, rules.ego_speed(scenario), None), on, guard)

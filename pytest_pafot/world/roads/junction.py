@@ -327,20 +327,13 @@ def _parts(road: NetworkRoad, pieces: Sequence[Piece], line: Line) -> list[int]:
         points = np.flatnonzero(line.piece == number)
         if piece.index in others:
             parts[points] = others[piece.index]
-        elif points.size:
-            parts[points] = _parts_of_way(road, line, points)
+        elif points.size:  # in one lane of the ego's way
+            x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
+            near, middle, bends = (x * x + y * y).argmin(axis=1), len(points) // 2, road.bends
+            place = points[middle]
+            bends.locate(line.x[place], line.y[place], line.heading[place], float(near[middle]) * STEP)
+            parts[points] = [road.columns[bends.lane].part[int(point)] for point in near]
     return [int(part) for part in parts]
-
-
-def _parts_of_way(road: NetworkRoad, line: Line, points: IntArray) -> list[int]:
-    """Return the index in ``Trace.lanes`` at each of some points that are all in one lane of the ego's way."""
-    x, y = line.x[points, None] - road.line.x, line.y[points, None] - road.line.y
-    near = (x * x + y * y).argmin(axis=1)
-    middle = len(points) // 2
-    place = int(points[middle])
-    bends = road.bends
-    bends.locate(float(line.x[place]), float(line.y[place]), float(line.heading[place]), float(near[middle]) * STEP)
-    return [road.columns[bends.lane].part[int(point)] for point in near]
 
 
 def _course(line: Line, column: Column) -> Course:

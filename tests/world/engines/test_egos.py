@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from example_ads import defects
 from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World
-from pytest_pafot.world.driving.object_driver import ObjectDriver
+from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun

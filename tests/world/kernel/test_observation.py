@@ -1,4 +1,4 @@
-"""A planner's observation is made on access, and is a value like any other."""
+"""A planner's observation is made on access, and is a value like any other, which users can make and change."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from pytest_pafot.world import Highway, Observation, VehicleState
 from tests.helpers.tables import table
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(1, 25.0)], [PositionInstruction(5, 20.0)]], gene_seconds=4.0)
+EGO = VehicleState(x=200.0, y=4.0, heading=0.1, speed=20.0, lane=1)
+OTHERS = (EGO._replace(x=230.0), EGO._replace(y=8.0, lane=2))
 
 
 def seen_in(rollout):
@@ -53,3 +55,32 @@ def test_an_observation_can_be_made_printed_and_pickled():
 def test_an_observation_is_read_only(name):
     with pytest.raises(AttributeError):
         setattr(seen_in(Highway().rollout)[0], name, 1)
+
+
+def test_user_makes_an_observation_of_an_ego_alone():
+    seen = Observation(time=1.0, ego=EGO)
+    assert (seen.others, seen.ids, seen.lanes, seen.lane_width, seen.speed_limit) == ((), (), 4, 4.0, 26.8)
+    assert seen.array.tolist() == [[200.0, 4.0, 0.1, 20.0, 1.0, 5.0, 2.0]]
+
+
+def test_copy_has_the_changed_field_and_all_others():
+    seen = Observation(time=1.0, ego=EGO, others=OTHERS, steering=0.2, ids=(4, 7), lateral_velocities=(1.0, 2.0, 3.0))
+    copy = seen.replace(time=2.0)
+    assert (copy.time, copy.steering, copy.ids, copy.lateral_velocities) == (2.0, 0.2, (4, 7), (1.0, 2.0, 3.0))
+    assert copy.replace(time=1.0) == seen
+
+
+def test_what_describes_other_vehicles_is_made_again_for_them():
+    seen = Observation(time=1.0, ego=EGO, others=OTHERS, ids=(4, 7), lateral_velocities=(1.0, 2.0, 3.0))
+    alone = seen.replace(others=())
+    assert (alone.ids, alone.lateral_velocities) == ((), (pytest.approx(20.0 * 0.0998334, abs=1e-4),))
+    moved = seen.replace(others=OTHERS[::-1])
+    assert (moved.ids, len(moved.lateral_velocities)) == ((4, 7), 3)
+
+
+def test_observation_of_a_run_is_copied_as_it_is_seen_and_has_no_other_fields():
+    seen = seen_in(Highway().rollout)[2]
+    assert seen.replace() == seen
+    assert seen.replace() is not seen
+    with pytest.raises(TypeError, match="colour"):
+        seen.replace(colour="red")
