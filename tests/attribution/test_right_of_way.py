@@ -16,6 +16,7 @@ from pytest_pafot.oracle.run import LINE_LENGTH
 from tests.helpers.junctions import hit, plan
 from tests.helpers.pencil_and_paper import judge
 from tests.helpers.tables import table
+from tests.helpers.traces import LENGTH
 
 
 def agreed(trace):
@@ -152,6 +153,17 @@ def test_npc_hitting_ego_standing_in_zone_shares_responsibility():
     ego, npc = (Passing(trace, vehicle, trace.zones[0]) for vehicle in (0, 1))
     assert npc.chances()[0].tick < ego.entry  # when the ego enters, it can no longer stop before the zone
     assert agreed(trace) == ("both", "did-not-give-way")
+
+
+@table(("enters", "speed"), [(4.5, 2.0), (5.0, 1.5)])
+def test_braking_behind_an_npc_that_merged_slowly_is_due_while_there_is_room(enters, speed):
+    trace = hit(plan("west straight", 7, 9), plan("south right", enters, speed), priority="ego")
+    found = rss_rule(trace)
+    assert (found.responsibility, found.fault) == ("ego", "entered-taken-zone")
+    ego, npc = (Passing(trace, vehicle, trace.zones[0]) for vehicle in (0, 1))
+    due, closing = round(found.facts[-1].in_full.due_s * 15), 9 - speed
+    room = (ego.ends - ego.places[due]) - (npc.ends - npc.places[due]) - LENGTH
+    assert 0.0 <= room - closing**2 / (2 * 6.0) - closing / 30 < closing / 15  # one tick later it would be too late
 
 
 @table(("speed", "expected"), [(3, ("ego", "entered-taken-zone")), (4, ("none", None))])
