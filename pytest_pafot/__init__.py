@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Chromosome, Scenario
     from pytest_pafot.model.trace import Collision, Outcome, Trace
     from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
-    from pytest_pafot.oracle.checks import CheckFailed, check, reject, target
+    from pytest_pafot.oracle.checks import CheckFailed, check, reject
     from pytest_pafot.oracle.run import Run
     from pytest_pafot.plugin.marks import search
     from pytest_pafot.world import (
@@ -49,7 +49,7 @@ _NAMES = {
     "model.scenario": "Chromosome Scenario",
     "model.trace": "Collision Outcome Trace",
     "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",
-    "oracle.checks": "CheckFailed check reject target",
+    "oracle.checks": "CheckFailed check reject",
     "oracle.run": "Run",
     "plugin.marks": "search",
     "world.sumo": "sumo",
@@ -66,7 +66,7 @@ __all__ = [
     "Observation", "Outcome", "Perception", "PositionInstruction", "Run", "SavedScenario",
     "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Trace",
     "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "check", "explore", "load",
-    "policies", "properties", "reject", "search", "strategies", "sumo", "target",
+    "policies", "properties", "reject", "search", "strategies", "sumo",
 ]  # fmt: skip
 
 

@@ -6,8 +6,8 @@ For example::
     def test_drives_well(run):
         pafot.properties.comfort(run)
 
-Each property except :func:`no_fault` is a check with a name and a margin, and the margin steers the search. If a
-property does not apply to a run, it makes no check. Each docstring names the source and how reliable that is: *read*
+Each property except :func:`no_fault` is a check with a name and a margin. If a property does not apply to a run, it
+makes no check. Each docstring names the source and how reliable that is: *read*
 means that the source itself was read; *second hand* means that it is quoted from others. All other numbers are choices.
 The bounds of most properties are arguments.
 """

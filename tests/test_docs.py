@@ -537,7 +537,7 @@ def test_searching_job_has_more_time_than_its_searches():
         commands = {
             name: " ".join(step.get("run", "") for step in job["steps"]) for name, job in workflow["jobs"].items()
         }
-        searching = {name: text for name, text in commands.items() if "--pafot-generations=0" not in text}
+        searching = {name: text for name, text in commands.items() if "--pafot-runs=0" not in text}
         assert searching
         for name, text in searching.items():
             (seconds,) = re.findall(r"--pafot-max-time=(\d+)", text)  # of the only search

@@ -76,7 +76,7 @@ QUESTIONS = {
     "testing/traces.py": 10,  # the same
     "model/trace.py": 1,  # the one place that chooses the kind
     "report/views.py": 1,  # two kinds of pictures, and the page has both
-    "searching/evaluation.py": 2,  # how far ahead is along the ego's heading there; and whether NPCs can cross
+    "searching/evaluation.py": 1,  # how far ahead is along the ego's heading there; and whether NPCs can cross
     "searching/space.py": 3,  # whether NPCs can cross at all
     "world/base_world.py": 1,  # hands the straight road to whoever draws starts on it
     "world/driving/vehicles.py": 3,  # highway-env's vehicles have two compiled classes, by their lanes

@@ -34,12 +34,12 @@ from pytest_pafot.support.text import csv_text  # noqa: E402
 from pytest_pafot.support.versions import installed_versions  # noqa: E402
 
 COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
-EVERY = "--blame ego --algorithms distinct,distinct@paper,pafot,av-fuzzer@15,random"
+EVERY = "--blame ego --algorithms random,random@paper,pafot,av-fuzzer@15"
 DEFECT = "--ads example_ads.defects:make:"
 REPORTS = {
     "paper": "--algorithms pafot,av-fuzzer@15,av-fuzzer,random-manoeuvre,random@paper --ads idm_mobil "
     "--runs {10|2} --seconds {14400|600}",
-    "idm": f"{EVERY},random-manoeuvre --runs {{30|2}} --seconds {{43200|600}} --ads idm_mobil",
+    "idm": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} --ads idm_mobil",
     "two-defects": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}two-defects",
     "sees-cut-ins-late": f"{EVERY} --runs {{20|2}} --seconds {{3600|600}} {DEFECT}sees-cut-ins-late",
     "ppo": f"{EVERY} --runs {{20|1}} --seconds {{3600|300}} --ads ppo --world highway-v0",
@@ -48,11 +48,8 @@ REPORTS = {
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
 BENCHMARKS: Mapping[str, str] = {
-    "planted-defects": "planted_defects --arms default random cells random-cells lanes --seeds {20|1} "
-    "--runs {2000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
-    "margins": "margins --seeds {40|1} --runs {240|12} --workers WORKERS",
-    "margins-of-others": "margins --policies GippsBased IdmBased Planner --seeds {40|1} --runs {240|12} "
-    "--workers WORKERS",
+    "planted-defects": "planted_defects --arms default cells lanes --seeds {10|1} --first-seed 1000 --runs {1000|20} "
+    "--workers WORKERS --save OUT.jsonl --picture OUT.png",
     "speed": "speed --rounds {9|1} --parts {engines ads search|search}",
 }
 """Arguments of the programs in tests/benchmarks."""
@@ -75,8 +72,6 @@ STATISTICS = "statistics.csv"
 STATISTICS_COLUMNS = "report,measure,at equal,first,second,median of first,median of second,A12 [95 %],p,Holm's p,test"
 STORED = {
     "planted-defects": ("planted-defects.csv", "planted-defects-of-each.csv"),
-    "margins": ("margins.csv",),
-    "margins-of-others": ("margins-of-others.csv",),
 }
 """Files in docs/comparisons for the tables of a benchmark, in their order."""
 PICTURES = {"paper/figures/collisions-over-time.png": "paper.png", "planted-defects.png": "planted-defects.png"}

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.tallies import BlockDriver, Tally, facts_of
+from pytest_pafot.campaign.tallies import Driver, Tally
 from pytest_pafot.campaign.verdict import Verdict, evaluated
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated, Runner
 from pytest_pafot.execution.scenario_pool import trace_of
-from pytest_pafot.findings.finding import disagreement, failed_as, message_of
+from pytest_pafot.findings.finding import disagreement, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
@@ -42,9 +42,8 @@ class Bench:
     runner: Runner
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
-    driver: BlockDriver | None = None  # how other processes drive blocks; None if they cannot
+    driver: Driver | None = None  # how other processes drive chunks; None if they cannot
     fitness: Callable[[Run], float]  # the fitness of a run; higher is worse for the ego
-    is_steered_by_checks: bool = True  # as in :class:`~pytest_pafot.campaign.tallies.Reader`
     clock: Callable[[], float] = monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
     refining_end: float = math.inf  # the time at which the work on findings ends [s]
@@ -61,7 +60,7 @@ class Bench:
 
     def evaluation(self, run: Run, verdict: Verdict, signature: Signature | None) -> Evaluation:
         """Return what the algorithm sees of a run that this process has judged."""
-        return evaluated(run, verdict, signature, self.fitness, self.is_steered_by_checks)
+        return evaluated(run, verdict, signature, self.fitness)
 
     def make(self, scenario: Scenario) -> Run | Tally:
         """Return the run of the next scenario of a plan, or its tally if another process has made and judged it.
@@ -92,15 +91,6 @@ class Bench:
         run = self.harness.run_of(made)
         self._judged_ahead[scenario] = run, self.finish(run)
         return self._judged_ahead[scenario]
-
-    def evaluate_ahead(self, scenario: Scenario) -> Evaluation:
-        """Return what the algorithm sees of a run that was judged before its turn."""
-        (run, verdict), signature = self._judged_ahead[scenario], None
-        if verdict.failed and verdict.failure is not None:
-            signature, _ = failed_as(run, verdict.failure)
-        evaluation = self.evaluation(run, verdict, signature)
-        self._judged_ahead[scenario] = replace(run, facts=facts_of(run, evaluation)), verdict  # for its own turn
-        return evaluation
 
     def run(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.

@@ -37,9 +37,9 @@ from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
+from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import Evaluated, GenerationFinished
+from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
@@ -90,25 +90,13 @@ class Exploration:
 
 
 def _unpacked(events: Iterable[SearchEvent]) -> Iterator[SearchEvent]:
-    """Yield events with one for each run in place of those on several runs, and with all populations."""
-    population: list[Evaluation] = []
+    """Yield events with one for each run in place of those on several runs."""
     for event in events:
-        match event:
-            case Evaluated():
-                population.append(event.evaluation)
-            case Tally():
-                evaluations = event.unpacked
-                population += evaluations
-                for index, each in enumerate(evaluations, event.index):
-                    yield Evaluated(
-                        generation=event.generation, local_generation=0, index=index, evaluation=each, reused=False
-                    )
-                continue
-            case GenerationFinished():
-                yield event if event.is_whole else replace(event, population=tuple(population), is_whole=True)
-                population = []
-                continue
-        yield event
+        if not isinstance(event, Tally):
+            yield event
+            continue
+        for number, each in enumerate(event.unpacked, event.generation):
+            yield Evaluated(generation=number, local_generation=0, index=0, evaluation=each, reused=False)
 
 
 def explore(
@@ -135,7 +123,7 @@ def explore(
         world: the world, such as ``pafot.World("highway-v0")``, or the name of one, such as ``"module:factory"``; by
             default ``pafot.Highway()``.
         runs: the number of runs after which the search ends; 100 if ``generations`` is not given.
-        generations: the number of generations after which the search ends.
+        generations: the number of generations after which the search ends; by default of the paper's algorithm.
         seed: the base seed; the seed of the search is derived from it and the node id.
         node_id: the node id of the corresponding test, without ``[search]``; by default a name made from ``holds``.
         on_event: receives the events of the search as they happen; see :mod:`pytest_pafot.campaign.events`.
@@ -193,17 +181,18 @@ class AlgorithmRun:
     again nor simplifies them.
 
     Attributes:
-        algorithm, parameters: the algorithm, and values of its class attributes in place of its own.
+        algorithm: the algorithm.
         ads: the factory of the policy.
         holds: the property, as for :func:`explore`.
         world, space: the world, and the scenarios that the algorithm draws from.
         blame, fitness: as for :func:`explore`; without a fitness it is the algorithm's own.
         seed: the seed of the algorithm, from which no other seed is derived.
-        generations: the number of generations after which the run ends.
+        generations: the number of generations after which the run ends; of an algorithm without generations, one is a
+            number of runs, the paper's population.
         seconds: the simulated time after which no scenario begins [s].
 
     Raises:
-        ValueError: if the algorithm does not take the space or the parameters, or if there is no such fitness.
+        ValueError: if the algorithm does not take the space, or if there is no such fitness.
         RequestError: if anything else is wrong.
     """
 
@@ -228,7 +217,6 @@ class AlgorithmRun:
     world: Any
     space: SearchSpace
     seed: int
-    parameters: Mapping[str, Any] = field(default_factory=dict)
     blame: str = "any"
     fitness: str | None = None
     generations: int = 10**9
@@ -239,8 +227,8 @@ class AlgorithmRun:
         if self.fitness is not None:
             resolve(self.fitness)
 
-    def _made(self) -> Algorithm[Any]:
-        return self.algorithm.make(self.space, **self.parameters)
+    def _made(self) -> Algorithm[Any] | RandomSearch:
+        return self.algorithm.make(self.space)
 
     def rows(self, tick: Callable[[float], object]) -> list[run_table.Row]:
         """Make the run, and return a row for each scenario that the algorithm has asked for.
@@ -253,6 +241,7 @@ class AlgorithmRun:
         given = {"ads": self.ads, "world": self.world, "algorithm": self.algorithm.made_by}
         request = request_of({**given, "fitness": self.fitness, "blame": self.blame})
         table, seconds = RunTable(seed=self.seed, more=_of_collision), 0.0
+        runs = POPULATION * self.generations if self.algorithm.draws_by_number else None
 
         def see(event: Any) -> None:
             nonlocal seconds
@@ -260,7 +249,7 @@ class AlgorithmRun:
             if isinstance(event, Evaluated):
                 evaluation = event.evaluation
                 seconds += 0.0 if event.reused else evaluation.duration
-                tick(max(event.generation / self.generations, seconds / self.seconds))
+                tick(max(event.generation / (runs or self.generations), seconds / self.seconds))
                 table.rows[-1] |= {
                     "index": event.index,
                     "clock": seconds,
@@ -276,7 +265,11 @@ class AlgorithmRun:
             is_steered = request.fitness != "av-fuzzer"
             with prepared(harness, space=self.space, is_steered=is_steered) as parts:
                 events = parts.search(
-                    self._made(), generations=self.generations, seed=self.seed, stop=lambda: seconds >= self.seconds
+                    self._made(),
+                    generations=self.generations,
+                    runs=runs,
+                    seed=self.seed,
+                    stop=lambda: seconds >= self.seconds,
                 )
                 with closing(events):
                     for event in events:
@@ -284,6 +277,9 @@ class AlgorithmRun:
         tick(1.0)
         return table.rows
 
+
+POPULATION = 4
+"""The number of scenarios in a generation of the paper's algorithm, which stands for one of a random search."""
 
 COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
 """The failure that tells the collisions of an :class:`AlgorithmRun` apart, also those that its property accepts."""

@@ -23,7 +23,7 @@ Kind = Literal[
     "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file"
 ]  # fmt: skip
 
-AlgorithmName = Literal["distinct", "pafot", "av-fuzzer", "random", "random-manoeuvre"]
+AlgorithmName = Literal["random", "pafot", "av-fuzzer", "random-manoeuvre"]
 """The name of a search algorithm of this package."""
 
 SEED_LIMIT = 2**63
@@ -112,19 +112,20 @@ class Settings:
 
     runs: int | None = option(
         "integer",
-        "Stop each search after N runs.",
-        f"It ends also within a generation. By default {RUNS}, or no limit with `--pafot-generations`.",
-        least=1,
+        "Stop each search after N runs; 0 only replays.",
+        f"It ends also within a generation. By default {RUNS}, or no limit with `--pafot-generations`. At least 1 in "
+        "the mark.",
     )
     generations: int | None = option(
         "integer",
-        "Stop each search after N generations; 0 only replays.",
-        "With 0, only saved scenarios run. At least 1 in the mark.",
+        "Breed N generations, by default of the paper's search.",
+        "Only algorithms that breed have generations: without `--pafot-algorithm` it is `pafot`, the genetic algorithm "
+        "of the paper with its local fuzzer and restarts. With 0, only saved scenarios run. At least 1 in the mark.",
     )
     population: int | None = option(
         "integer",
         "Draw N scenarios for each generation.",
-        "At most 10000. By default 16 for `distinct`, 4 for other built-in ones.",
+        "At most 10000. By default 4, except for `random`, which has no generations.",
         least=2,
         most=10_000,
     )
@@ -134,12 +135,12 @@ class Settings:
         "Another one gives other scenarios.",
         default=0,
     )
-    algorithm: AlgorithmName | type[Algorithm[Any]] = option(  # noqa: RUF009  (it returns a field)
+    algorithm: AlgorithmName | type[Algorithm[Any]] | None = option(  # noqa: RUF009  (it returns a field)
         "text",
-        "Search with distinct, pafot, random, or module:Class.",
+        "Search with random, pafot, av-fuzzer, or module:Class.",
+        "By default `random`, and `pafot` with `--pafot-generations`. "
         "[What each is](../comparisons/README.md#the-searches). In the mark, [your "
         "own](../guide/algorithms.md#an-algorithm-of-your-own) is the class itself.",
-        default="distinct",
         choices=get_args(AlgorithmName),
         or_class=True,
     )
@@ -274,7 +275,7 @@ class Settings:
     @property
     def is_search(self) -> bool:
         """True if a search is requested; False if only saved scenarios are replayed."""
-        return self.generations != 0
+        return 0 not in (self.runs, self.generations)
 
     @property
     def repeated(self) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypedDict, get_args
 
-from pytest_pafot.campaign.options import BY_NAME, AlgorithmName, Settings
+from pytest_pafot.campaign.options import BUDGETS, BY_NAME, AlgorithmName, Settings
 from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES, Style
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, rng_of
 from pytest_pafot.model.vehicle_type import CAR, READY, VehicleName, VehicleType, named_vehicles
@@ -132,9 +132,15 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         RequestError: on the first wrong argument.
     """
     try:
-        algorithm = resolve_algorithm(settings.algorithm)
+        algorithm = resolve_algorithm(settings.algorithm or ("pafot" if settings.generations else "random"))
     except ValueError as error:
         raise RequestError(str(error)) from error
+    if algorithm.draws_by_number and settings.generations:
+        raise RequestError(
+            f"generations: expected a limit that {algorithm.name!r} can reach, received {settings.generations} "
+            f"generations, which only algorithms that breed have; give a number of runs, or leave the algorithm out, "
+            "since generations are by default those of the paper's algorithm, pafot"
+        )
     names = ("ads", "arg", "blame", "world")
     own = {name: arguments[name] for name in names if name in arguments}
     if isinstance(own.get("ads"), str) and ":" in own["ads"]:
@@ -168,10 +174,10 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         raise request.error("arg=...", f"expected a name, received {request.arg!r}")
     if request.blame not in BLAMES:
         raise request.error("blame=...", f"expected one of {', '.join(BLAMES)}, received {request.blame!r}")
-    generations = arguments.get("generations")  # it may be a text, such as "00"
-    if generations is not None and int(generations) == 0:  # such a search would always pass
-        problem = f"expected at least 1, since 0 searches nothing; to replay only, give pytest {flag('generations', 0)}"
-        raise request.error("generations=0", problem)
+    for name in BUDGETS:
+        if arguments.get(name) is not None and int(arguments[name]) == 0:  # a text, too; such a search always passes
+            problem = f"expected at least 1, since 0 searches nothing; to replay only, give pytest {flag('runs', 0)}"
+            raise request.error(f"{name}=0", problem)
     if not (isinstance(goal, str) or callable(goal)):
         raise request.error(
             "fitness=...",

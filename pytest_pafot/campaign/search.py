@@ -7,12 +7,10 @@ What is around it, such as the replays of saved scenarios and the simplification
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
-from pytest_pafot.campaign.blocks import Blocks, PendingFailure
 from pytest_pafot.campaign.events import Judged, SearchEvent
+from pytest_pafot.campaign.scenarios import FIRST, Bred, Numbers, PendingFailure
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
@@ -24,72 +22,73 @@ from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import EndReason, Event
-from pytest_pafot.searching.plan import Plan
+from pytest_pafot.searching.events import Event
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
 
-def search(blocks: Blocks, state: State, store: Store, watch: Watch) -> Generator[SearchEvent, None, None]:
+def search(
+    scenarios: Bred | Numbers, state: State, bench: Bench, store: Store, watch: Watch
+) -> Generator[SearchEvent, None, None]:
     """Draw scenarios, drive and judge them, let the algorithm learn, and save each new failure; yield what happens.
 
     Raises:
-        SetupFaultError: if all runs of the first generation end in the same exception.
+        SetupFaultError: if all runs at the beginning end in the same exception.
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
-    plan, bench = blocks.plan, blocks.bench
-    began, evaluated_before = state.clock(), plan.sums.evaluated
-    reason: EndReason | None = None
-    yield from _counted([plan.started], state, watch)
-    blocks.begin(state.random.most)
-    while reason is None and not plan.is_over:
-        # Until two runs differ, this process must see each failure, since it may be a fault of the set-up.
-        if not state.first_generation.is_alike:
-            blocks.give(state.fatal, (state.shown, state.finds))
-        while not plan.is_whole:
-            # Limits count after the first scenario, so that a search tests something.
-            reason = None if plan.sums.evaluated == evaluated_before else watch.reached(plan)
-            if reason is not None:
-                break
-            recalled = plan.recalled()
-            if recalled is not None:
-                yield from _counted([plan.take(recalled, reused=True)], state, watch)
+    began, reason = state.clock(), None
+    first = state.first_generation
+    yield from _counted([scenarios.started], state, watch)
+    while not scenarios.is_over:
+        # Limits count after the first scenario, so that a search tests something.
+        reason = watch.reached(scenarios) if state.runs else None
+        if reason is not None:
+            break
+        state.generation = scenarios.generation
+        # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once. Until
+        # two runs differ, this process must see each failure, since it may be a fault of the set-up.
+        happened: Sequence[Event] = ()
+        try:
+            with runs_end_in(watch.seconds_left()):
+                done = scenarios.next(state.fatal, None if first.is_alike else (state.shown, state.finds))
+                if isinstance(done, Run):
+                    happened = scenarios.take((yield from _judge_and_count(done, state, bench, store, watch)))
+        except OutOfTime:
+            reason = "time"
+            break
+        match done:
+            case Run():
+                pass
+            case Evaluation():
+                happened = scenarios.take(done, reused=True)
+            case Tally():
+                yield from done.judged or ()
+                bench.counted_decisions += done.decisions
+                state.take_tally(done)
+                evaluated, *happened = scenarios.take_tally(done)
+                yield evaluated  # which the state has counted
+                yield from watch.after_event()
+            case PendingFailure():
+                store.add_pending(done, {*state.shown, *state.finds})
                 continue
-            # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once.
-            taken: Sequence[Event] = []
-            try:
-                with runs_end_in(watch.seconds_left()):
-                    done = blocks.next(state.fatal)
-                    if isinstance(done, Run):
-                        taken = [plan.take((yield from _judge_and_count(done, state, bench, store, watch)))]
-            except OutOfTime:
-                reason = "time"
-                break
-            match done:
-                case Tally():
-                    yield from done.judged or ()
-                    bench.counted_decisions += done.decisions
-                    state.take_tally(done)
-                    yield from _tallied(done, plan)
-                    yield from watch.after_event()
-                case PendingFailure():
-                    store.add_pending(done, {*state.shown, *state.finds})
-                    continue
-                case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
-                    state.first_generation.is_alike = False
-                    yield from _released(state, store)
-                    expect = None
-                    if done is not None:
-                        kind = yield from lose(done, state, bench, store, 1)
-                        state.counts.add(kind, "lost")
-                        expect = expectation(done) if kind == "failed" else None
-                    taken = [plan.take(unknown(plan.scenario(), expect), reused=done is None)]
-            yield from _released(state, store)
-            yield from _counted(taken, state, watch)
-        # The algorithm learns from whole generations.
-        if reason is None:
-            yield from _counted(blocks.learn(), state, watch)
-    yield from _counted(plan.finished(reason or "generations", state.clock() - began), state, watch)
+            case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
+                first.is_alike = False
+                yield from _released(state, store)
+                expect = None
+                if done is not None:
+                    kind = yield from lose(done, state, bench, store, 1)
+                    state.counts.add(kind, "lost")
+                    expect = expectation(done) if kind == "failed" else None
+                happened = scenarios.take(unknown(scenarios.scenario(), expect), reused=done is None)
+            case _:
+                happened = done
+        yield from _released(state, store)
+        yield from _counted(happened, state, watch)
+        if isinstance(scenarios, Numbers) and scenarios.number >= FIRST and first.is_alike:
+            first.end(" at the beginning")
+    if isinstance(scenarios, Numbers) and first.is_alike and reason == "runs":
+        first.end()
+    yield from _counted(scenarios.finished(reason or "generations", state.clock() - began), state, watch)
 
 
 def _counted(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
@@ -98,15 +97,6 @@ def _counted(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[
         yield event
         state.see(event)
         yield from watch.after_event()
-
-
-def _tallied(tally: Tally, plan: Plan[Any]) -> Sequence[Event]:
-    """Return the events of runs that another process has judged: one for each, or one for all."""
-    if tally.judged is not None:
-        return [*map(plan.take, tally.unpacked)]
-    first = plan.block.index
-    plan.skip(tally.runs, tally.evaluations)
-    return [replace(tally, index=first)]
 
 
 def _judge_and_count(

@@ -6,6 +6,7 @@ Read :meth:`SearchSession.run` from the top. The loop over scenarios is :func:`p
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -15,7 +16,6 @@ from inspect import GEN_CLOSED, getgeneratorstate
 from typing import Any, Self
 
 from pytest_pafot.campaign.bench import Bench, left_out_text
-from pytest_pafot.campaign.blocks import Blocks
 from pytest_pafot.campaign.events import (
     Ending,
     Note,
@@ -30,11 +30,12 @@ from pytest_pafot.campaign.options import RUNS
 from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
+from pytest_pafot.campaign.scenarios import Bred, Numbers
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.tallies import BlockDriver, Reader
+from pytest_pafot.campaign.tallies import Driver, Reader
 from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, Watch
 from pytest_pafot.corpus.saved import Saved, saved_in
@@ -44,10 +45,11 @@ from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.events import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
-from pytest_pafot.searching.plan import plan_of
+from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
@@ -157,15 +159,26 @@ class Prepared:
     store: Store
 
     def search(
-        self, algorithm: Algorithm[Any], *, generations: int, seed: int, stop: Callable[[], bool]
+        self,
+        algorithm: Algorithm[Any] | RandomSearch,
+        *,
+        generations: int,
+        runs: int | None,
+        seed: int,
+        stop: Callable[[], bool],
     ) -> Generator[SearchEvent, None, None]:
         """Search with an algorithm, without limits of time, until ``stop()`` says so between two scenarios.
 
         Its failures are only counted.
         """
         self.store.only_counts = True
-        plan = plan_of(algorithm, generations=generations, seed=seed)
-        return search(Blocks(plan=plan, bench=self.bench), self.state, self.store, Watch(stop))
+        return search(
+            scenarios_of(algorithm, self.bench, generations=generations, runs=runs, seed=seed),
+            self.state,
+            self.bench,
+            self.store,
+            Watch(stop),
+        )
 
     def watch(self, node_id: str, limit: float, *, progress_seconds: float) -> TimedWatch:
         """Return the watch of the search that is ready, which has to end at the time ``limit`` [s]."""
@@ -207,16 +220,14 @@ def prepared(
         raise request.error("fitness=...", error) from None
     job, settings = harness.job(), request.settings
     # The user's own fitness runs only in this process, where its errors are reported.
-    is_steered_by_checks = request.fitness == "default"
     why_here = _why_judged_here(harness)
     reader = Reader(
         harness=None if why_here else harness,
         fitness=fitness if is_built_in(request.fitness) else None,
-        is_steered_by_checks=is_steered_by_checks,
         has_table=has_table,
     )
     can_drive = not why_here and harness.against is None  # only this process runs the reference
-    driver = BlockDriver(reader=reader) if can_drive else None
+    driver = Driver(reader=reader) if can_drive else None
     if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
         reader = replace(reader, harness=None)
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
@@ -247,11 +258,21 @@ def prepared(
                 reference=reference,
                 driver=driver,
                 fitness=fitness,
-                is_steered_by_checks=is_steered_by_checks,
                 clock=state.clock,
             ),
             store=Store(harness=harness, seed=seed),
         )
+
+
+def scenarios_of(
+    algorithm: Algorithm[Any] | RandomSearch, bench: Bench, *, generations: int | None, runs: int | None, seed: int
+) -> Bred | Numbers:
+    """Return the scenarios of a search, which ends after so many generations or runs."""
+    if isinstance(algorithm, RandomSearch):
+        return Numbers(algorithm=algorithm, seed=seed, runs=runs, bench=bench)
+    seeds_matter = (bench.harness.policy.sight or Sight()).is_drawn
+    plan = Plan(algorithm, generations=generations, runs=runs, seed=seed, seeds_matter=seeds_matter)
+    return Bred(plan=plan, bench=bench)
 
 
 def _why_judged_here(harness: Harness) -> str:
@@ -396,7 +417,7 @@ class SearchSession:
         )
 
     def _settle(self, reason: Ending) -> None:
-        """Take the failures of blocks that were not counted as findings, or forget them if the order says so."""
+        """Take the failures before their turn as findings, or forget them if the order says so."""
         is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
         for signature, find_id, ended in self.store.settle(self.state.runs + 1, keeps=is_cut):
             self.state.add(signature, find_id)
@@ -461,7 +482,7 @@ class SearchSession:
             algorithm = request.algorithm.make(space, **given)
         except ValueError as error:
             raise RequestError(str(error)) from None
-        state.random.most = getattr(algorithm, "counted_at_first", 0.0)
+        state.random.most = math.inf if isinstance(algorithm, RandomSearch) else 0.0
         self.store.replayed = frozenset(each.path for each in saved)
         state.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
@@ -474,15 +495,14 @@ class SearchSession:
         watch.begin(until)
         runs_before = state.runs
         try:
-            plan = plan_of(
+            scenarios = scenarios_of(
                 algorithm,
+                self.bench,
                 generations=settings.generations,
                 runs=settings.runs,
                 seed=self.store.seed,
-                seeds_matter=(self.harness.policy.sight or Sight()).is_drawn,
             )
-            blocks = Blocks(plan=plan, bench=self.bench)
-            yield from self._events(search(blocks, state, self.store, watch))
+            yield from self._events(search(scenarios, state, self.bench, self.store, watch))
         except FitnessError as error:
             raise RequestError(str(error)) from None
         except skips() as error:

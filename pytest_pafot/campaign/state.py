@@ -194,12 +194,7 @@ class State:
                 if len(self.uncounted) >= COUNTED_AT_ONCE:
                     self.count()
             case events.GenerationFinished(local_generation=0):
-                self.generation = event.generation + 1
                 self.first_generation.end()
-            case events.LocalSearchStarted():
-                self.generation = event.generation
-            case events.LocalSearchFinished():
-                self.generation = event.generation + 1
             case events.CampaignFinished():
                 self.finished = event
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.blocks import PendingFailure
 from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.scenarios import PendingFailure
 from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
@@ -58,7 +58,7 @@ class Store:
     first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
-    # failures of blocks that are not counted yet, and their files, if any
+    # failures before their turn, and their files, if any
     pending: dict[Signature, tuple[Path | None, PendingFailure]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 

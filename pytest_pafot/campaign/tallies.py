@@ -1,4 +1,4 @@
-"""What other processes do for a search: they make and judge its runs, count them, and drive whole blocks."""
+"""What other processes do for a search: they draw its scenarios, make and judge the runs, and count them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,14 @@ from pytest_pafot.campaign.verdict import (
     caught_in,
     evaluated,
     fails_by_ego,
-    unknown,
 )
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.pool import KILLED, ProcessLostError
 from pytest_pafot.execution.scenario_pool import (
-    Answer,
-    BlockTask,
     CapturedOutput,
+    Chunk,
     Digest,
     Job,
-    LostRun,
     Timed,
-    expectation,
-    pool_for,
     run_recorded,
 )
 from pytest_pafot.findings.finding import Manner, failed_as
@@ -43,7 +37,6 @@ from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation, has_interaction
 from pytest_pafot.searching.events import RunsEvaluated
 from pytest_pafot.searching.health import Health
-from pytest_pafot.searching.plan import Learnt, Plan
 
 
 def facts_of(run: Run, evaluation: Evaluation) -> Facts:
@@ -86,13 +79,11 @@ class Reader:
     Attributes:
         harness: has the test function; None if only the process of the session may call it.
         fitness: the fitness of a run; None if it is the user's own function, which runs only in the session.
-        is_steered_by_checks: True if margins of checks are objectives, in addition to the fitness.
         has_table: whether a tally has the columns of its runs for the table of runs.
     """
 
     harness: Harness | None
     fitness: Callable[[Run], float] | None
-    is_steered_by_checks: bool
     has_table: bool
 
     def __call__(self, trace: Trace) -> Tally | Facts:
@@ -122,7 +113,7 @@ class Reader:
             known_responsibility=run.responsibility,
             columns=columns_of(run, verdict) if self.has_table else None,
         )
-        evaluation = evaluated(run, verdict, signature, self.fitness, self.is_steered_by_checks)
+        evaluation = evaluated(run, verdict, signature, self.fitness)
         facts = facts_of(run, evaluation)
         return Digested(
             evaluation=evaluation,
@@ -138,13 +129,12 @@ class Reader:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally(Digest, RunsEvaluated):
-    """The counts of consecutive runs that another process has made and judged; as an event, those of a whole block.
+    """The counts of consecutive runs that another process has made and judged; as an event, those of a chunk.
 
     Attributes:
         decisions: the number of decisions of the ADS in the runs.
-        evaluations: the evaluations, packed, because the session seldom needs each of them.
-        judged: the event of each run, with its columns of the table of runs, if it was no process that drives a block
-            that made it; otherwise None.
+        evaluations: the evaluations, packed; none of a chunk without rows, since nothing is learnt.
+        judged: the event of each run, with its columns of the table of runs, if it was not in a chunk; otherwise None.
         health: the figures on the search's health.
         counts: the counts of the runs.
         caught: numbers of runs by check that failed although they passed.
@@ -174,8 +164,8 @@ class Tally(Digest, RunsEvaluated):
         return each
 
     @classmethod
-    def of(cls, runs: Sequence[Digested], generation: int | None = None) -> Tally:
-        """Count runs of a generation; without its number, the tally has the event of each run."""
+    def of(cls, runs: Sequence[Digested], first: int | None = None) -> Tally:
+        """Count runs of a chunk from a number on; without a number, the tally has the event of each run."""
         evaluations, verdicts = [each.evaluation for each in runs], [each.event.verdict for each in runs]
         valid = [each for each in verdicts if not (each.discarded or each.kind == "invalid")]
         failed = [each.event for each in runs if each.event.verdict.kind in FAILING]
@@ -185,18 +175,18 @@ class Tally(Digest, RunsEvaluated):
         for each in runs:
             counts.add(each.event.verdict.kind, each.evaluation.outcome, each.event.responsibility)
         rows: list[dict[str, Any]] = []
-        if generation is not None:
+        if first is not None:
             rows = [
-                row_of(each.evaluation, generation) | dict(each.event.columns)
-                for each in runs
+                row_of(each.evaluation, number) | dict(each.event.columns)
+                for number, each in enumerate(runs, first)
                 if each.event.columns is not None
             ]
         return cls(
-            generation=generation or 0,
+            generation=first or 0,
             runs=len(runs),
             decisions=sum(each.decisions for each in runs),
-            evaluations=pickle.dumps(evaluations),
-            judged=tuple(each.event for each in runs) if generation is None else None,
+            evaluations=pickle.dumps(evaluations if first is None or rows else ()),
+            judged=tuple(each.event for each in runs) if first is None else None,
             health=Health.of_runs(len(runs), evaluations),
             counts=counts,
             caught=Counter(name for each in runs for name in each.caught),
@@ -213,95 +203,51 @@ class Tally(Digest, RunsEvaluated):
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Recovered:
-    """The message of a process that drives a block on the death of its own process in a run that was made again."""
-
-    lost: LostRun
-
-
 @dataclass(slots=True, kw_only=True)
-class BlockDriver:
-    """The driving of whole blocks of a search in the processes that run its scenarios.
+class Driver:
+    """The driving of chunks of a random search in the processes that run its scenarios.
 
     Attributes:
         reader: reads and judges each run.
-        plan: the plan of the search; None before the search begins.
-        random_runs: the number of random scenarios at the beginning of the search that are counted apart.
+        drawn: returns the scenario of a number; None before the search begins.
     """
 
     reader: Reader
-    plan: Plan[Any] | None = None
-    random_runs: float = 0.0
+    drawn: Callable[[int], Scenario] | None = None
 
-    def __call__(self, task: BlockTask, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
-        """Drive a block and say what comes of it, until it ends or only the session can go on."""
-        known = set(task.known_failures)
+    def __call__(self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
+        """Draw and drive the scenarios of a chunk, and say what comes of them."""
+        assert self.drawn is not None  # noqa: S101  (only then there are tasks)
+        known = set(chunk.known)
         read = partial(self.reader.digested, known=known)
-        if not task.is_apart:
-            self._drive(task, known, lambda scenario: run_recorded(job, record, scenario, read), say)
-            return
-        with pool_for(replace(job, read=read, drive=None), 1) as pool:
-
-            def run(scenario: Scenario) -> Answer:
-                answer = pool.fetch(scenario)
-                while pool.recovered:
-                    say((Recovered(pool.recovered.pop()), CapturedOutput(), 0.0))
-                return answer
-
-            self._drive(task, known, run, say)
-
-    def _drive(
-        self,
-        task: BlockTask,
-        known: set[Signature],
-        run: Callable[[Scenario], Answer],
-        say: Callable[[Timed], object],
-    ) -> None:
-        assert self.plan is not None and self.plan.length is not None  # noqa: S101, PT018  (only then there are tasks)
-        block = self.plan.beginning(task.number)
         counted: list[tuple[Digested, CapturedOutput, float]] = []
 
-        def count() -> None:  # the runs since the last one that the session must judge
+        def count() -> None:  # the runs since the last one that the session must see
             if counted:
                 runs, outputs, seconds = zip(*counted, strict=True)
-                tally = Tally.of(runs, block.generation)
+                tally = Tally.of(runs, chunk.first + done - len(counted))
                 say((tally, reduce(CapturedOutput.followed_by, outputs), sum(seconds)))
                 counted.clear()
 
-        for _ in range(self.plan.length):
-            first = block.state.proposed
-            while not block.is_whole:
-                scenario = block.scenario()
-                try:
-                    answer = None if scenario in task.fatal else run(scenario)
-                except MemoryError:  # The session must not use up its memory in the same way.
-                    raise
-                except Exception:  # noqa: BLE001  (the session runs it again, and reports what is raised)
-                    answer = None
-                if isinstance(answer, ProcessLostError) and answer.end != KILLED:
-                    count()
-                    say((answer, CapturedOutput(), 0.0))
-                    block.take(unknown(scenario, expectation(answer)))
-                    continue
-                digested, output, seconds = answer if isinstance(answer, tuple) else (None, CapturedOutput(), 0.0)
-                # Only the session may judge this run, or report what it raised: it goes on with the block from here.
-                if not isinstance(digested, Digested):
-                    count()
-                    return
-                block.take(digested.evaluation)
-                # Nothing new: it is counted with the runs next to it, because a message for each would cost the session
-                # more than the run itself.
-                if digested.facts is None or digested.signature in known:
-                    counted.append((digested, output, seconds))
-                else:
-                    count()
-                    say((digested.facts, output, seconds))
-                    if digested.signature is not None:
-                        known.add(digested.signature)
-                # The random runs of the beginning are counted apart, so a tally must not go beyond their end.
-                if first + block.index == self.random_runs:
-                    count()
+        for done in range(chunk.end - chunk.first):
+            scenario = self.drawn(chunk.first + done)
+            try:
+                answer = None if scenario in chunk.fatal else run_recorded(job, record, scenario, read)
+            except MemoryError:  # The session must not use up its memory in the same way.
+                raise
+            except Exception:  # noqa: BLE001  (the session runs it again, and reports what is raised)
+                answer = None
+            digested, output, seconds = (None, CapturedOutput(), 0.0) if answer is None else answer
+            # Nothing new: it is counted with the runs next to it, since a message costs the session more than a run.
+            if isinstance(digested, Digested) and (digested.facts is None or digested.signature in known):
+                counted.append((digested, output, seconds))
+                continue
             count()
-            events = block.learn()
-            say((Learnt.packed(block.state, events), CapturedOutput(), 0.0))
+            if isinstance(digested, Digested):
+                say((digested.facts, output, seconds))
+                if digested.signature is not None:
+                    known.add(digested.signature)
+            else:  # Only the session may run it, or judge it.
+                say((None, CapturedOutput(), 0.0))
+        done = chunk.end - chunk.first
+        count()

@@ -279,13 +279,11 @@ def evaluated(
     verdict: Verdict,
     signature: Signature | None,
     fitness: Callable[[Run], float],
-    is_steered_by_checks: bool,
 ) -> Evaluation:
     """Return what the algorithm sees of a judged run: how bad it was and how it failed, to look for other failures.
 
     ``signature`` is None if the run is no failure that counts.
     """
-    check = verdict.failure.check if verdict.failed and verdict.failure is not None else None
     facts = run.facts
     return Evaluation.of(
         run.trace,
@@ -293,8 +291,7 @@ def evaluated(
         failing=verdict.failed,
         discarded=verdict.discarded,
         kind=signature,
-        mistake=(None if signature is None else signature.mistake) if check is None else check.name,
-        margins=verdict.margins if is_steered_by_checks else (),
+        margins=verdict.margins,
         interaction=None if facts is None else facts.interaction,
     )
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Progress, SearchEvent
 from pytest_pafot.campaign.refine.simplest import rollouts_for
+from pytest_pafot.campaign.scenarios import Bred, Numbers
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.searching.events import EndReason
-from pytest_pafot.searching.plan import Plan
 
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.
@@ -35,9 +34,9 @@ class Watch:
 
     stop: Callable[[], bool] = lambda: False
 
-    def reached(self, plan: Plan[Any]) -> EndReason | None:
+    def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
         """Return the limit that is reached between two scenarios; None if there is none."""
-        return "stopped" if self.stop() else "runs" if plan.has_all_runs else None
+        return "stopped" if self.stop() else "runs" if scenarios.has_all_runs else None
 
     def seconds_left(self) -> float:
         """Return the time after which a run ends between two decisions [s]."""
@@ -89,11 +88,11 @@ class TimedWatch(Watch):
         self.began = self.last = self.state.clock()
         self.earliest_end, self._runs_before = earliest_end, self.state.runs
 
-    def reached(self, plan: Plan[Any]) -> EndReason | None:
+    def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
         """Return the limit that is reached between two scenarios; None if there is none."""
         if self.most is not None and self.store.count >= self.most:
             return "stopped"
-        if plan.has_all_runs:
+        if scenarios.has_all_runs:
             return "runs"
         return "time" if self.state.clock() >= self._ends() else None
 

@@ -238,7 +238,7 @@ def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
     """
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch, tempfile.TemporaryFile() as output:
         told, environ = Path(scratch, "pafot.json"), {**os.environ, OF_COMMAND: ads}
-        given = {"runs": 4, "generations": 1, "seed": 0, "save": "none", "shrink_rollouts": 0, "json": told}
+        given = {"runs": 4, "seed": 0, "save": "none", "shrink_rollouts": 0, "json": told}
         once = [f"{flag(name)}={value}" for name, value in given.items()]
         with _session(files) as session:
             code = _code_of([*session, *once, f"{flag('corpus')}={scratch}", "-q"], environ, output.fileno())

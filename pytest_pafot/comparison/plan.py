@@ -28,8 +28,8 @@ DIFFERENT = (
     "NAME@paper is an algorithm with the paper's scenarios"
 )
 """The warning if :attr:`Plan.scenarios` has more than one entry."""
-PAPER, POPULATION = "paper", 4
-"""The text after the ``@`` for the paper's scenarios, and the number of these scenarios in a generation."""
+PAPER = "paper"
+"""The text after the ``@`` for the paper's scenarios."""
 
 
 def never_collides(blame: str, run: Run) -> None:
@@ -184,7 +184,6 @@ class Plan:
         (world, space), entrant = self.setting(name), self.entrant(name)
         return AlgorithmRun(
             algorithm=entrant.algorithm,
-            parameters={"population": POPULATION} if entrant.is_papers else {},
             ads=ads_factory(self.ads),
             holds=partial(never_collides, self.blame),
             world=world,

@@ -166,14 +166,6 @@ class DaskPool:
             return answer
         return RuntimeError(self.failure)
 
-    def arrived(self, task: Task) -> Answer | None:
-        """Return the answer to a scenario, which can still be fetched; None if there is none yet."""
-        future = self._under_way.get(task)
-        if future is None or not future.done() or future.cancelled() or future.exception() is not None:
-            return None
-        done = future.result()
-        return done[0] if isinstance(done, tuple) else None
-
     def close(self, *, at_once: bool = False) -> None:
         """Cancel the current tasks."""
         for future in self._under_way.values():

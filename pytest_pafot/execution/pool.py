@@ -219,10 +219,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self._send()
         return self._said.popleft() if self._said else None
 
-    def arrived(self, task: TaskT) -> ResultT | Exception | None:
-        """Return the answer to a task, which can still be fetched; None if there is none yet."""
-        return self._answers.get(task)
-
     def fetch(self, task: TaskT) -> ResultT | Exception:
         """Wait for the answer to a task and return it; a task that was not started before is run next.
 

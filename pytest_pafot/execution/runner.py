@@ -19,7 +19,7 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
-    BlockTask,
+    Chunk,
     Digest,
     ExecutionError,
     InGym,
@@ -112,9 +112,9 @@ class Runner:
         self.announced: dict[Scenario, None] = {}
         """The announced scenarios that were not requested yet, in order."""
         self.ready: dict[Scenario, Timed] = {}
-        """Runs from blocks that other processes drive, which this process must judge."""
+        """Runs from chunks that other processes drive, which this process must judge."""
         self.recovered: list[LostRun] = []
-        """The deaths of processes of earlier pools, and in blocks, in scenarios that ran to their end later."""
+        """The deaths of processes of earlier pools, and in chunks, in scenarios that ran to their end later."""
         self._record = record
         self._workers = workers
         self._cluster = cluster
@@ -221,25 +221,13 @@ class Runner:
         if self._pool is None:
             if self.is_elsewhere or self._workers > 1:
                 self.announced.update(dict.fromkeys(scenarios))
-        elif not more:
-            self._pool.expect(self._noted(scenarios))
-        elif isinstance(self._pool, WorkerPool):
-            self._pool.add_first(self._noted(scenarios))  # before those of later blocks
+        elif more:
+            self._pool.add_all(self._noted(scenarios))
         else:
-            self._pool.add_all(self._noted(scenarios))
+            self._pool.expect(self._noted(scenarios))
 
-    def announce_later(self, scenarios: Iterable[Scenario]) -> None:
-        """Announce scenarios that are requested after all others."""
-        if self._pool is not None:
-            self._pool.add_all(self._noted(scenarios))
-
-    def arrived(self, scenarios: Iterable[Scenario]) -> list[Any]:
-        """Return the runs or digests of announced scenarios that are there; they can still be taken."""
-        answers = () if self._pool is None else map(self._pool.arrived, scenarios)
-        return [answer[0] for answer in answers if isinstance(answer, tuple)]
-
-    def drive(self, task: BlockTask) -> bool:
-        """Let a process drive a block by itself; return False if none can."""
+    def drive(self, task: Chunk) -> bool:
+        """Let a process drive a chunk by itself; return False if none can."""
         if self._pool is None and not self._failure:
             self._start()
         if not isinstance(self._pool, WorkerPool) or self._pool.failure:
@@ -248,8 +236,8 @@ class Runner:
         self._drives = True
         return True
 
-    def hear(self, *, waits: bool) -> tuple[BlockTask, Any] | None:
-        """Return what one of the processes says next that drive blocks, as :meth:`WorkerPool.hear` does."""
+    def hear(self, *, waits: bool) -> tuple[Chunk, Any] | None:
+        """Return what one of the processes says next that drive chunks, as :meth:`WorkerPool.hear` does."""
         return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
 
     def read_here(self) -> None:

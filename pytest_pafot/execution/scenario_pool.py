@@ -141,28 +141,27 @@ Made: TypeAlias = Trace | Facts | Digest
 """What a process sends of a run: its trace, the trace with what the process has read of it, or the digest alone."""
 
 Timed: TypeAlias = tuple[Any, CapturedOutput, float]
-"""What a process sends of a run (:data:`Made`), or of the block that it drives, with the captured output of the runs
+"""What a process sends of a run (:data:`Made`), or of the chunk that it drives, with the captured output of the runs
 that this is about, and their duration in wall-clock time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
-class BlockTask:
-    """A task of a process that drives a block of a search by itself.
+class Chunk:
+    """A task of a process that draws and drives consecutive scenarios of a random search by itself.
 
     Attributes:
-        number: the number of the block.
-        known_failures: the failures of which no run must be sent.
+        first, end: the first number, and the one after the last.
+        known: the failures of which no run must be sent.
         fatal: scenarios that must not be run.
-        is_apart: True if each scenario must run in a process of that process, because it may die.
     """
 
-    number: int
-    known_failures: frozenset[Any] = field(compare=False)
+    first: int
+    end: int
+    known: frozenset[Any] = field(compare=False)
     fatal: frozenset[Scenario] = field(compare=False)
-    is_apart: bool = field(compare=False)
 
     def __repr__(self) -> str:
-        return f"block {self.number} of the search"
+        return f"scenarios {self.first} to {self.end - 1} of the search"
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +179,7 @@ Answer: TypeAlias = Timed | Exception
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-"""Its tasks are scenarios, also :class:`InGym`, with an :data:`Answer`, or a :class:`BlockTask`, of which it says
+"""Its tasks are scenarios, also :class:`InGym`, with an :data:`Answer`, or a :class:`Chunk`, of which it says
 several :data:`Timed`."""
 
 
@@ -206,8 +205,8 @@ class Job:
     read: Callable[[Trace], Facts | Digest | None] = read_nothing
     """A function that reads a trace in the process that made the run, and returns what is sent instead of the trace;
     None if the trace is sent."""
-    drive: Callable[[BlockTask, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
-    """A function that drives a block in a process, with this job and its crash record; None if there is none."""
+    drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
+    """A function that drives a chunk in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
     reference: str = ""
@@ -283,16 +282,16 @@ def _close_simulators() -> CapturedOutput:
 
 
 def _run_task(
-    job: Job, record: CrashRecord, task: Scenario | InGym | BlockTask, say: Callable[[Timed], object]
+    job: Job, record: CrashRecord, task: Scenario | InGym | Chunk, say: Callable[[Timed], object]
 ) -> Timed | None:
-    """Run a scenario or a block in a process of the pool; the crash record of each scenario is on disk during its run.
+    """Run a scenario or a chunk in a process of the pool; the crash record of each scenario is on disk during its run.
 
     The record is closed after each task, since nothing would remove it after the session.
     """
     with record, GENERATORS.held():
         if isinstance(task, InGym):
             return run_recorded(job, record, task.scenario, read_nothing, "rollout_in_gym")
-        if not isinstance(task, BlockTask):
+        if not isinstance(task, Chunk):
             return run_recorded(job, record, task, job.read)
         assert job.drive is not None  # noqa: S101  (only then there are such tasks)
         job.drive(task, job, record, say)

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.model.instructions import SLOTS, CrossingInstruction
+from pytest_pafot.model.instructions import CrossingInstruction
 
 FloatArray = npt.NDArray[np.float64]
 Stretch = tuple[float, float]
@@ -193,11 +193,6 @@ class Crossings:
     def zones(self) -> tuple[Zone, ...]:
         """The zones in the order in which the ego reaches them."""
         return tuple(sorted((way.zone for way in self.ways.values()), key=lambda zone: (zone.ego, zone.way)))
-
-    def meeting_place(self, instruction: CrossingInstruction) -> int:
-        """Return the number of an instruction's zone and interval of slots, from 0."""
-        zone = [each.way for each in self.zones].index(instruction.zone)
-        return len(SLOTS) * zone + list(SLOTS).index(instruction.interval)
 
     def entry(self, instruction: CrossingInstruction, ego: Stretch) -> float:
         """Return the time [s] at which an NPC should enter its zone, given the ego's times (enters, leaves) [s]."""

@@ -258,8 +258,7 @@ class Scenario(_Hashed):
 
     def with_vehicle(self, npc: int, vehicle: VehicleType) -> Scenario:
         """Return this scenario with another vehicle for one NPC."""
-        others = self.all_vehicles
-        return replace(self, vehicles=(*others[:npc], vehicle, *others[npc + 1 :]))
+        return replace(self, vehicles=(*self.all_vehicles[:npc], vehicle, *self.all_vehicles[npc + 1 :]))
 
     def truncated(self, genes: int) -> Scenario:
         """Return this scenario with only the first ``genes`` genes of each NPC."""

@@ -1,6 +1,6 @@
 """Checks: assertions of a test function that report a margin, which is the distance of a value from its bound.
 
-A search can reduce a margin step by step. A plain ``assert`` reports only that it failed.
+A plain ``assert`` reports only that it failed.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """A value of one run that was compared with its bounds, or a target, which is a value that a search maximises.
+    """A value of one run that was compared with its bounds.
 
     Attributes:
         name: name of the check; two failures of checks with the same name count as the same failure.
         value: worst value of the run [unit]; NaN fails.
         margin: distance of the value from its bound, divided by the scale of the check; negative if the bound is
-            broken, minus infinity for NaN. For a target, minus the value.
-        at_most, at_least: bounds [unit]; None if there is no such bound. Both are None for a target.
+            broken, minus infinity for NaN.
+        at_most, at_least: bounds [unit]; None if there is no such bound.
         unit: unit of the value.
         time: time of the worst value [s]; None if unknown.
         npc: index of the NPC that the check is about; None if unknown.
@@ -66,7 +66,7 @@ class Check:
     @property
     def holds(self) -> bool:
         """True if the value is within its bounds."""
-        return self.margin >= 0 or (self.at_most is None and self.at_least is None)
+        return self.margin >= 0
 
     def __str__(self) -> str:
         """Return the check in words, such as ``jerk 35.1 > 20 m/s^3 at 4.2 s``."""
@@ -158,9 +158,7 @@ def check(
     __tracebackhide__ = True  # pytest then shows the line of the test function as the last one
     what = f"check {name!r}"
     if at_most is None and at_least is None:
-        raise ValueError(
-            f"{what}: expected at_most=, at_least= or both, received neither; without bounds use pafot.target"
-        )
+        raise ValueError(f"{what}: expected at_most=, at_least= or both, received neither")
     values = _values(value, name)
     # All bounds become margins in the same direction, of which the smallest counts.
     signed = [(bound, sign) for bound, sign in ((at_most, -1.0), (at_least, 1.0)) if bound is not None]
@@ -186,29 +184,11 @@ def check(
         npc=_npc(name, npc),
         values=None if hz is None else values,
     )
-    # The search learns from checks that hold, too: their margins are its objectives.
-    _record(made)
-    if not made.holds:
-        raise CheckFailed(made)
-
-
-def target(value: Any, *, name: str) -> None:
-    """Make the search maximise a value that has no bound; a target never fails the test.
-
-    Args:
-        value: a number, or an array with one value per tick, of which the largest value is used; NaN is ignored.
-        name: name of the target.
-    """
-    values = _values(value, name)
-    tick = int(np.where(np.isnan(values), -np.inf, values).argmax())
-    best = float(values[tick])
-    _record(Check(name=_named(name), value=best, margin=math.inf if math.isnan(best) else -best))
-
-
-def _record(made: Check) -> None:
-    recording = _RECORDING.get()
+    # A check that holds is recorded, too: an algorithm of the user's may learn from its margin.
     if recording is not None:
         recording.checks.append(made)
+    if not made.holds:
+        raise CheckFailed(made)
 
 
 def _values(value: Any, name: str) -> FloatArray:

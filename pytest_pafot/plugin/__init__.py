@@ -34,7 +34,7 @@ from pytest_pafot.plugin.session import (
     stale_day,
 )
 from pytest_pafot.support import isolating
-from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.errors import RequestError
 
 if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Scenario
@@ -105,8 +105,7 @@ def _check_that_it_searches(config: pytest.Config) -> None:
     except RequestError:  # its test reports it
         return
     if not settings.is_search:
-        given = flag("generations", 0)
-        raise pytest.UsageError(f"search: expected a search, received {given}, which asks for none; leave it out")
+        raise pytest.UsageError("search: expected a search, received a limit of 0 runs or generations; leave it out")
 
 
 @pytest.hookimpl(trylast=True)  # after hooks that add marks

@@ -72,10 +72,10 @@ class Checks:
         with REPLACED.shown(False):  # by a fixture of the module
             is_idle = is_idle and not left_by(base_id(item), records_of(item.config.rootpath))
         if is_idle:
-            option = BY_NAME["generations"]
+            option = BY_NAME["runs" if request.settings.runs == 0 else "generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
                 messages.send(item, "note", {"text": f"no search ran: {option.key} is 0 in the settings"})
-            pytest.skip(f"{IDLE}: {flag('generations', 0)}")
+            pytest.skip(f"{IDLE}: {flag(option.name, 0)}")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(

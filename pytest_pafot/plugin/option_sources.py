@@ -46,7 +46,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
     positional = given.pop(POSITIONAL, ())
     if positional:
         name = getattr(positional[0], "__name__", "")
-        example = "generations=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
+        example = "runs=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
         raise RequestError(
             f"@pafot.search: expected keyword arguments only, received {positional!r:.200}; write the argument's name, "
             f"as in @pafot.search({example})"
@@ -68,8 +68,10 @@ def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
             _read(option, f"@pafot.search({option.name}=...)", marker.get(option.name))
     values = {option.name: option_value(config, option, marker) for option in OPTIONS if option.everywhere}
     # The first source with a budget decides on both.
-    budgets = zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)
+    budgets = [*zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)]
     given = next((budget for budget in budgets if budget != (None, None)), (RUNS, None))
+    # Generations mean the paper's algorithm, also if a source before gives the number of runs.
+    values["algorithm"] = values["algorithm"] or ("pafot" if any(budget[1] for budget in budgets) else None)
     return Settings(**values | dict(zip(BUDGETS, given, strict=True)))
 
 

@@ -6,19 +6,18 @@ This package does not simulate: whoever follows a :class:`~pytest_pafot.searchin
 from __future__ import annotations
 
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
-from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, SearchState
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.health import Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
-from pytest_pafot.searching.plan import Plan, plan_of
+from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [
-    "ALGORITHMS", "Algorithm", "AlgorithmClass", "DistinctSearch", "Evaluation", "GenerationState",
+    "ALGORITHMS", "Algorithm", "AlgorithmClass", "Evaluation", "GenerationState",
     "GenerationalSearch", "Health", "PafotSearch", "Plan", "RandomManoeuvreSearch", "RandomSearch",
-    "SearchSpace", "SearchState", "crossover", "mutate", "plan_of", "resolve_algorithm",
+    "SearchSpace", "SearchState", "crossover", "mutate", "resolve_algorithm",
     "sample", "sample_manoeuvres", "tournament",
 ]  # fmt: skip

@@ -1,16 +1,15 @@
 """The interface of the algorithms of a search, which is ask and tell.
 
-In each generation a :class:`~pytest_pafot.searching.plan.Plan` gets scenarios from ``ask`` of an algorithm, or one by
-one from its ``draw``, and passes their evaluations to ``tell``. A search needs only the methods of :class:`Algorithm`.
-:class:`GenerationalSearch` is a base class for algorithms without local searches, also for users' own: a subclass
-defines what it proposes and what it learns. A search whose class has ``block_runs`` begins anew from time to time.
+In each generation a :class:`~pytest_pafot.searching.plan.Plan` gets scenarios from ``ask`` of an algorithm, and passes
+their evaluations to ``tell``. A search needs only the methods of :class:`Algorithm`. :class:`GenerationalSearch` is a
+base class for algorithms without local searches, also for users' own: a subclass defines what it proposes and learns.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -120,16 +119,6 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         asked = tuple(proposed)
         return replace(state, asked=asked, proposed=state.proposed + len(asked)), asked
 
-    def draw(self, state: GenerationStateT, rng: Rng) -> Generator[Scenario, None, GenerationStateT]:
-        """Yield the scenarios of :meth:`ask` one by one, for a :class:`Drawing`."""
-        check_ask(state.asked)
-        state, proposed = self.propose(state, rng)
-        asked = []
-        for scenario in proposed:
-            asked.append(scenario)
-            yield scenario
-        return replace(state, asked=tuple(asked), proposed=state.proposed + len(asked))
-
     def tell(
         self, state: GenerationStateT, evaluations: Sequence[Evaluation], rng: Rng
     ) -> tuple[GenerationStateT, tuple[AlgorithmEvent, ...]]:
@@ -145,22 +134,6 @@ class GenerationalSearch(ABC, Generic[GenerationStateT]):
         if new is None:
             return learnt, (finished,)
         return learnt, (finished, NewBest(generation=state.generation, local_generation=0, evaluation=new))
-
-
-def block_runs(algorithm: object) -> int | None:
-    """Return the attribute ``block_runs`` of the class of an algorithm, the runs after which its search begins anew.
-
-    It is None if the search has one population from its beginning to its end. So has a subclass that changes how
-    scenarios are drawn or learnt, since it may need all runs; it can give the attribute itself. A search in blocks must
-    propose as many scenarios in each generation as its ``population`` says.
-    """
-    names = [set(vars(each)) for each in type(algorithm).__mro__]
-    given = next((place for place, has in enumerate(names) if "block_runs" in has), None)
-    changed = {"ask", "draw", "propose", "tell", "learn", "kept"}
-    if given is None or changed & set().union(*names[:given]):
-        return None
-    runs: int | None = getattr(algorithm, "block_runs", None)
-    return runs
 
 
 def end_of_local_search(

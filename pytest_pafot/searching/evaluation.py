@@ -10,8 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from pytest_pafot.criticality import Encounters, min_gap, passages, time_advantage, ttc
-from pytest_pafot.model.crossings import Crossings
+from pytest_pafot.criticality import Encounters, min_gap, time_advantage, ttc
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, Trace, X, Y
 from pytest_pafot.searching.space import repaired
@@ -23,15 +22,6 @@ Rank = tuple[bool, bool, float]
 # which NPCs start, so that a start by itself is no interaction ...
 INTERACTION_HEADWAY = 1.5
 INTERACTION_GAP = 2.0  # ... or within this gap at any speed [m]
-
-Demand = tuple[int, int, bool]
-"""The ego's reactions in a run: its hardest braking in steps, its lane changes (at most two), and if it stood still."""
-BRAKING_STEP = 2.0
-"""Width of the steps in which :data:`Demand` counts the hardest braking [m/s^2]."""
-BRAKING_SECONDS = 0.5
-"""Time over which the ego's loss of speed is measured as braking [s]."""
-STANDING = 0.5
-"""Speed below which the ego counts as standing [m/s]."""
 
 BARELY_MOVING = 2.0
 """Mean speed of the ego below which a run tests nothing [m/s]; stopping from 22 m/s gives a lower mean after 30 s."""
@@ -61,13 +51,9 @@ class Evaluation:
         discarded: whether the user's test function declined to give a verdict on the run, or its process ended.
         barely_moved: whether the ego's mean speed was below 2 m/s.
         kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
-        mistake: the ego's mistake in the failure, or the name of the failed check; None if there is none or it is
-            unknown.
         margins: name and worst margin of each check in the user's test function
-            (:attr:`pytest_pafot.oracle.checks.Check.margin`), sorted by name; empty if margins do not steer the search.
+            (:attr:`pytest_pafot.oracle.checks.Check.margin`), sorted by name.
         collision: collision of the run; None without one.
-        demand: what the run required the ego to do, see :func:`demand_of`.
-        crossing: index of the crossing NPC that was nearest to the ego, see :func:`nearest_crossing`.
         ended: what ended the run early, without a collision, see :func:`ended_by`; empty if nothing did.
         gap: the smallest gap to another vehicle in a run that ended early [m]; infinite in other runs.
         is_close: whether a vehicle was within two seconds of the ego when the run ended early, see :data:`CLOSE`.
@@ -86,11 +72,8 @@ class Evaluation:
     discarded: bool = False
     barely_moved: bool = False
     kind: Hashable | None = None
-    mistake: str | None = None
     margins: tuple[tuple[str, float], ...] = ()
     collision: Collision | None = None
-    demand: Demand = (0, 0, False)
-    crossing: int | None = None
     ended: str = ""
     gap: float = math.inf
     is_close: bool = False
@@ -111,7 +94,6 @@ class Evaluation:
         failing: bool,
         discarded: bool = False,
         kind: Hashable | None = None,
-        mistake: str | None = None,
         margins: tuple[tuple[str, float], ...] = (),
         interaction: bool | None = None,
     ) -> Self:
@@ -133,11 +115,8 @@ class Evaluation:
             discarded=discarded,
             barely_moved=bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING),
             kind=kind,
-            mistake=mistake,
             margins=margins,
             collision=trace.collision,
-            demand=demand_of(trace),
-            crossing=nearest_crossing(trace),
             ended=ended,
             gap=min(math.inf, min_gap(trace)) if ended else math.inf,  # and not NaN
             is_close=bool(ended and (ttc(trace)[-1] < CLOSE).any()),
@@ -156,15 +135,6 @@ class Evaluation:
         says nothing about the ego, and NaN cannot be compared.
         """
         return (True, self.failing, self.fitness) if self.eligible else _IMPOSSIBLE
-
-    def meeting_place(self, crossings: Crossings | None) -> int | None:
-        """Return a number for the zone and slot of the nearest NPC that crosses; None if no NPC crosses.
-
-        Zones are counted in the order in which the ego reaches them.
-        """
-        told = self.scenario.crossings
-        instruction = told[self.crossing] if told and self.crossing is not None else None
-        return None if crossings is None or instruction is None else crossings.meeting_place(instruction)
 
     @property
     def depth(self) -> int:
@@ -205,21 +175,6 @@ def has_interaction(trace: Trace) -> bool:
     return bool(is_close.any() or meets)
 
 
-def nearest_crossing(trace: Trace) -> int | None:
-    """Return the index of the crossing NPC that came closest to meeting the ego in a zone; None without crossing NPCs.
-
-    It is the NPC that the ego hit, otherwise the NPC with the smallest post-encroachment time. If the ego or the NPC
-    never arrived at the zone, the smallest expected difference between their times of arrival decides.
-    """
-    times = {each.npc: each.post_encroachment_time for each in passages(trace) if each is not None}
-    if trace.collision is not None and trace.collision.npc in times:
-        return trace.collision.npc
-    if not times:
-        return None
-    expected = time_advantage(trace).min(axis=0)
-    return min(times, key=lambda npc: (times[npc], expected[npc]))
-
-
 def ended_by(trace: Trace) -> str:
     """Return what ended a run early, without a collision; empty if nothing did.
 
@@ -230,15 +185,6 @@ def ended_by(trace: Trace) -> str:
     if is_own and trace.ended:
         return trace.ended
     return (".".join(trace.ended.split(".")[-2:]) or LEAVING[trace.outcome]) if is_cut else ""  # without the module
-
-
-def demand_of(trace: Trace) -> Demand:
-    """Return how the ego reacted in a run: braking, lane changes, standing. It tells runs without an impact apart."""
-    speed, ticks = trace.ego[:, SPEED], max(round(BRAKING_SECONDS * trace.physics_hz), 1)
-    # fmax ignores NaN, which a user's world may record.
-    lost = float(np.fmax.reduce(speed[:-ticks] - speed[ticks:], initial=0.0)) * trace.physics_hz / ticks
-    changes = int(np.count_nonzero(np.diff(trace.ego[:, LANE])))
-    return int(min(lost, 9.9) / BRAKING_STEP), min(changes, 2), bool(speed.min() < STANDING)
 
 
 # Results of earlier runs of a campaign, so that none of the last ten thousand runs is simulated twice.

@@ -38,13 +38,12 @@ class Evaluated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunsEvaluated:
-    """Consecutive scenarios of a generation were evaluated in another process, which sent only what it counted.
+    """Consecutive scenarios of a random search were evaluated in another process, which sent only what it counted.
 
     What it counts is in a subclass.
     """
 
-    generation: int
-    index: int = 0  # position of the first one in the generation, from 0
+    generation: int  # the number of the first one
     runs: int  # the number of scenarios; each was simulated
     rows: tuple[dict[str, Any], ...] = ()  # of the table of runs, if the process makes them
 
@@ -57,12 +56,11 @@ class GenerationFinished:
     local_generation: int
     population: tuple[Evaluation, ...]  # the unchanged elites, then the new ones in the requested order
     elites: int  # number of elites in the population
-    is_whole: bool = True  # False if the population is left out, because another process has counted its runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewBest:
-    """A generation, or a local search at its end, produced the best scenario since the last restart or in its block."""
+    """A generation, or a local search at its end, produced the best scenario since the last restart."""
 
     generation: int
     local_generation: int

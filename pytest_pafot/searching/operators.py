@@ -46,14 +46,6 @@ def crossover(a: Scenario, b: Scenario, rng: Generator) -> tuple[Scenario, Scena
     return _with_npc(a, *first, rng), _with_npc(b, *second, rng)
 
 
-def first_crossed(a: Scenario, b: Scenario, rng: Generator) -> Scenario:
-    """Return the first child of :func:`crossover`, for the same random numbers, without repairing the second child."""
-    first, _ = _swapped(a, b, rng)
-    child = _with_npc(a, *first, rng)
-    fresh_seed(rng)
-    return child
-
-
 Swapped = tuple[int, Chromosome, VehicleType]
 """The index of an NPC, and the chain and the vehicle that a crossover gives to it."""
 

@@ -38,7 +38,7 @@ from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged, SearchStarted
 from pytest_pafot.campaign.verdict import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
-from pytest_pafot.searching import RandomSearch
+from pytest_pafot.searching import PafotSearch
 from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
@@ -46,10 +46,9 @@ from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_
 DEFAULT = "default"
 ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
-    "random": {"algorithm": RandomSearch},
+    "pafot": {"algorithm": PafotSearch},
     "cells": {"instructions": "cells"},
     "lanes": {"instructions": "lanes"},
-    "random-cells": {"algorithm": RandomSearch, "instructions": "cells"},
 }
 """Further arguments of ``pafot.explore`` for each search; to add a search, add a line."""
 

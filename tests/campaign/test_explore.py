@@ -28,7 +28,7 @@ from pytest_pafot.searching.events import Evaluated
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 
-SHORT = {"generations": 2, "population": 4, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
+SHORT = {"runs": 8, "genes": 2, "gene_seconds": 5, "shrink_rollouts": 10}
 
 
 class Bare:
@@ -189,7 +189,7 @@ class OwnTraffic(pafot.World):
 
 
 def test_search_notes_once_which_traffic_is_missing():
-    fields = {"holds": lambda run: None, "ads": lambda: lambda observation: 1, "population": 2, "generations": 1}
+    fields = {"holds": lambda run: None, "ads": lambda: lambda observation: 1, "runs": 2}
 
     def notes(world, **more):
         return pafot.explore(world=world, **fields, **more).summary.notes
@@ -204,7 +204,7 @@ def test_search_notes_once_which_traffic_is_missing():
 
 
 def test_search_names_once_the_options_that_have_no_effect():
-    fields = {"holds": lambda run: None, "population": 2, "generations": 1}
+    fields = {"holds": lambda run: None, "runs": 2}
     idle = lambda: lambda observation: 1  # noqa: E731
 
     def notes(config, ads=idle, planner_hz=None, **more):
@@ -256,7 +256,7 @@ def test_search_names_what_of_an_environment_has_no_effect(burning):
 
     def notes(ads=idle, **fields):
         world = pafot.World("Burning-v0", duration=2.0, **fields)
-        return pafot.explore(world=world, ads=ads, holds=lambda run: None, population=2, generations=1).summary.notes
+        return pafot.explore(world=world, ads=ads, holds=lambda run: None, runs=2).summary.notes
 
     assert notes() == (BURNS,)
     assert notes(wrappers=[]) == notes(IDMVehicle) == ()
@@ -401,7 +401,7 @@ def mistakes(tmp_path_factory):
 def mistakes_of_one_who_changes_blindly(**settings):
     return pafot.explore(
         ChangesLanesBlindly, holds=never_collides, world=SHORT_ROAD, blame="ego", instructions="cells", genes=2, npcs=2,
-        ego_lane=1, ego_speed=22, runs=32, population=4, shrink_rollouts=20, vehicles="car", **settings,
+        ego_lane=1, ego_speed=22, runs=32, shrink_rollouts=20, vehicles="car", **settings,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from pytest_pafot.campaign.run_table import row_of
+from pytest_pafot.campaign.scenarios import Bred
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
@@ -21,8 +22,8 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, sample
-from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.plan import Plan, plan_of
+from pytest_pafot.searching.plan import Plan
+from tests.helpers.campaigns import Fresh
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=1, genes=2, gene_seconds=5)
@@ -88,35 +89,22 @@ class Bench:
         return self.verdicts(next(self.numbers))
 
     def evaluation(self, run, verdict, signature):
-        return evaluated(run, verdict, signature, lambda run: 0.0, is_steered_by_checks=True)
+        return evaluated(run, verdict, signature, lambda run: 0.0)
 
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""
         return self.has_reference and next(self.numbers) % 2 == 1
 
 
-@dataclass
-class Blocks:
-    """Have each scenario run on the bench, because there are no other processes."""
+class Scenarios(Bred):
+    """The scenarios of an algorithm that run here, because there are no other processes."""
 
-    plan: Plan
-    bench: Bench
-
-    def begin(self, random_runs):
-        """Do nothing."""
-
-    def give(self, fatal, known):
-        """Do nothing."""
-
-    def next(self, fatal):
+    def next(self, fatal, known):
         scenario = self.plan.scenario()
         try:
             return None if scenario in fatal else self.bench.simulate(scenario)
         except ProcessLostError as error:
             return error
-
-    def learn(self):
-        return self.plan.learn()
 
 
 def searched(
@@ -133,9 +121,9 @@ def searched(
     """Return the state of a random search with these verdicts, and what it saved."""
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
-    plan = plan_of(RandomSearch(SPACE, population=population), generations=generations, seed=1)
-    blocks = Blocks(plan, Bench(verdicts, run, has_reference=has_reference))
-    for _ in search(blocks, state, store, watch or Watch()):
+    plan = Plan(Fresh(SPACE, population=population), generations=generations, seed=1)
+    bench = Bench(verdicts, run, has_reference=has_reference)
+    for _ in search(Scenarios(plan=plan, bench=bench), state, bench, store, watch or Watch()):
         pass
     counts = state.counts
     assert counts.kinds.total() == counts.outcomes.total() == counts.responsibilities.total() == state.runs
@@ -152,8 +140,8 @@ class Reached(Watch):
     def __init__(self, runs):
         self.runs = runs
 
-    def reached(self, plan):
-        return "time" if plan.sums.simulated >= self.runs else None
+    def reached(self, scenarios):
+        return "time" if scenarios.plan.sums.simulated >= self.runs else None
 
 
 @table(

@@ -25,7 +25,6 @@ from pytest_pafot.world.guard.own_worlds import rollout_of
 
 NODE_ID = "test_it.py::test_it"
 SHORT = {
-    "population": 4,
     "genes": 2,
     "gene_seconds": 2,
     "npcs": 2,
@@ -146,7 +145,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     monkeypatch.setattr(runner, "rollout_of", here)
     monkeypatch.setattr("pytest_pafot.campaign.bench.difference", confirming)
     monkeypatch.setattr(search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
-    given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "population": 16, "shrink_rollouts": 0}
+    given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "shrink_rollouts": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
     told = [(event.left, ended[-1] - event.seconds) for event in result.events if isinstance(event, Progress)]
     told = [(left, truth) for left, truth in told if left >= terminal.MINUTE]  # less is not told

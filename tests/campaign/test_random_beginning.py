@@ -68,14 +68,12 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
 
 
 def test_early_stopped_search_gives_no_random_share():
-    summary = explored(runs=40, algorithm="distinct", stop_after=1).summary
+    summary = explored(runs=40, stop_after=1).summary
     assert (summary.random_failing, summary.random_runs, summary.random_otherwise) == (0, 0, 0)
 
 
-def test_random_share_uses_only_initial_random_scenarios():
-    summary = explored(runs=24, algorithm="distinct").summary
-    assert 12 <= summary.random_runs <= 20
-    assert summary.random_failing <= summary.random_runs
+def test_search_of_an_algorithm_that_breeds_gives_no_random_share():
+    assert explored(runs=24, algorithm="pafot").summary.random_runs == 0
 
 
 @pytest.mark.parametrize("kind", ["failed", "unpreventable", "passed", "rejected"])
@@ -84,7 +82,7 @@ def test_random_share_uses_only_initial_random_scenarios():
 def test_session_and_processes_count_the_same_runs_as_failures_of_the_ego(kind, responsible, failure):
     crash = trace_of(vehicle(0, ticks=9), vehicle(0, ticks=9), outcome=Outcome.COLLISION)
     run, verdict = blamed_on(responsible, crash), Verdict(kind=kind, failure=Failure(kind=failure))
-    judged, evaluation = Judged.here(run, verdict), evaluated(run, verdict, None, lambda run: 0.0, False)
+    judged, evaluation = Judged.here(run, verdict), evaluated(run, verdict, None, lambda run: 0.0)
     here, elsewhere = RandomRuns(), RandomRuns()
     here.most = elsewhere.most = 1
     here.see(judged)
@@ -92,7 +90,7 @@ def test_session_and_processes_count_the_same_runs_as_failures_of_the_ego(kind, 
     digested = Digested(
         evaluation=evaluation, event=judged, facts=None, signature=None, manner=None, decisions=0, caught=(), doubt=""
     )
-    elsewhere.take(*Tally.of([digested], generation=0).random)
+    elsewhere.take(*Tally.of([digested], first=0).random)
     counts = [(each.evaluated, each.runs, each.at_fault, each.otherwise, each.checks) for each in (here, elsewhere)]
     assert counts[0] == counts[1]
     is_failure = kind in ("failed", "unpreventable")

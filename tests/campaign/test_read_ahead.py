@@ -62,14 +62,14 @@ def test_what_a_process_reads_of_a_run_is_not_computed_again(monkeypatch, is_own
     chains = [[PositionInstruction(Cell.FRONT, 12.0)], [PositionInstruction(Cell.REAR, 26.0)]]
     trace = Highway().rollout(Scenario.repaired(chains, gene_seconds=10.0), lambda: brakes_late)
     fitness, passed = Steered(resolve("default")), Verdict(kind="passed")
-    expected = evaluated(Run(trace), passed, None, fitness, is_steered_by_checks=True)
-    read = Reader(harness=None, fitness=None if is_own else fitness, is_steered_by_checks=True, has_table=False)
+    expected = evaluated(Run(trace), passed, None, fitness)
+    read = Reader(harness=None, fitness=None if is_own else fitness, has_table=False)
     sent = pickle.loads(pickle.dumps(read(trace)))
     monkeypatch.setattr(evaluation, "has_interaction", lambda trace: pytest.fail("read again"))
     monkeypatch.setattr(oracle_run, "attributed", lambda trace: pytest.fail("read again"))
     computed = []
     own = lambda run: computed.append(run) or fitness(run)  # noqa: E731
     run = Run(sent.trace, facts=sent)
-    assert evaluated(run, passed, None, own, is_steered_by_checks=True) == expected
+    assert evaluated(run, passed, None, own) == expected
     assert len(computed) == is_own
     assert run.attribution == sent.attribution

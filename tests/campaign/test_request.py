@@ -10,10 +10,10 @@ from pytest_pafot.campaign.request import build_space, drawn_space, named_world
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
-from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.operators import mutate, varied
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import RequestError
+from tests.helpers.campaigns import Fresh
 from tests.helpers.tables import table
 
 ANY_LANE, ANY_SPEED = (0, 1, 2, 3), (12.0, 26.8)
@@ -105,7 +105,7 @@ def test_most_npcs_cross_where_ways_meet():
     ],
 )
 def test_own_algorithm_gets_instructions_that_it_can_sample(kinds, drawn):
-    own = type("Own", (RandomSearch,), {"name": "own", "instructions": kinds})
+    own = type("Own", (Fresh,), {"name": "own", "instructions": kinds})
     space = space_of(Highway(), algorithm=own)
     assert (space.instructions, space.gene_durations) == drawn
     for refused in {"cells", "lanes", "both"}.difference(kinds):
@@ -120,7 +120,7 @@ def test_default_search_draws_vehicles_that_fit_the_road():
     assert space_of(Highway(), vehicles=["car"]).vehicles == space_of(Highway(), vehicles="car").vehicles == (CAR,)
 
 
-@table("algorithm", [name for name in ALGORITHMS if name != "distinct"])
+@table("algorithm", [name for name in ALGORITHMS if name != "random"])
 def test_all_other_algorithms_draw_cars(algorithm):
     assert space_of(Highway(), algorithm=algorithm).vehicles == (CAR,)
 

@@ -73,7 +73,7 @@ def test_call_depth_from_search_to_run_is_limited(runner_of):
             runner.run(scenario, announced=True)
     names = callers[-1]
     here = names.index("test_call_depth_from_search_to_run_is_limited")
-    assert here - names.index("finish") + 1 <= FRAMES, names[: here + 1]
+    assert here - names.index("drive") + 1 <= FRAMES, names[: here + 1]
 
 
 def test_crash_record_stays_written_during_the_verdict(runner_of, tmp_path):

@@ -102,13 +102,6 @@ def test_runs_equal_local_runs_in_their_order(pool_of):
     assert numbers(answers) == list(range(48))
 
 
-def test_an_answer_that_has_arrived_can_still_be_fetched(pool_of):
-    pool = pool_of(Inline(lost=(2,)))
-    pool.expect(SCENARIOS[:3])
-    assert numbers(filter(None, map(pool.arrived, SCENARIOS[:4]))) == [0, 1]
-    assert numbers(map(pool.fetch, SCENARIOS[:4])) == [0, 1, 2, 3]
-
-
 def test_world_and_ads_are_sent_once_per_worker(pool_of):
     executor, large = Inline(), os.urandom(100_000)
     pool = pool_of(executor, ads=lambda: lambda number: large)

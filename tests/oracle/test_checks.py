@@ -53,7 +53,6 @@ def test_margin_is_in_units_of_bound_or_scale():
 
 def test_without_a_recording_it_only_asserts():
     pafot.check(1.0, name="x", at_most=2.0)
-    pafot.target(1.0, name="x")
     with pytest.raises(CheckFailed, match=r"x 3\.0 > 2"):
         pafot.check(3.0, name="x", at_most=2.0)
 
@@ -86,15 +85,6 @@ def test_nan_fails():
 def test_infinity_is_beyond_any_bound():
     assert made(math.inf, at_least=1.0).holds
     assert not made(math.inf, at_most=1.0).holds
-
-
-def test_target_never_fails_and_prefers_largest_value():
-    recording = Recording(hz=2, ticks=4)
-    with recorded(recording):
-        pafot.target(JERK, name="jerk")
-        pafot.target(math.nan, name="nothing")
-    assert [(each.value, each.margin, each.holds) for each in recording.checks[:1]] == [(35.1, -35.1, True)]
-    assert recording.checks[1].margin == math.inf
 
 
 def test_a_failure_travels_between_processes():

@@ -102,7 +102,7 @@ class Project:
         text = "import pytest\nimport pytest_pafot as pafot\n\n" + source.replace("SHORT", SHORT)
         return self.pytester.makepyfile(**{name: text})
 
-    def run(self, *args, generations=1, seed=1, plugins=(), apart=False, fresh=False, **inline):
+    def run(self, *args, runs=4, seed=1, plugins=(), apart=False, fresh=False, **inline):
         """Run a session with this plugin and no other plugins except those requested.
 
         Args:
@@ -113,8 +113,8 @@ class Project:
         named = "".join(map(str, args)).replace("-", "")
         names = [*(f"no:{name}" for name in NOT_NAMED if name not in named), "pafot", *parallel, *plugins]
         options = [part for name in names for part in ("-p", name)]
-        if generations is not None:
-            options.append(f"--pafot-generations={generations}")
+        if runs is not None:
+            options.append(f"--pafot-runs={runs}")
         if seed is not None:
             options.append(f"--pafot-seed={seed}")
         options += [*dict.fromkeys(chain(*self.options.values())), *map(str, args)]
@@ -227,7 +227,6 @@ def project(request, pytester, monkeypatch, found, tmp_path_factory):
     else:
         omit_slow_steps(monkeypatch)
     monkeypatch.setattr(steps, "EXAMINATIONS", {})
-    set_keys(monkeypatch, population=4)  # so that a few generations are few runs
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
     monkeypatch.setenv("COLUMNS", "500")  # messages on one line each
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")

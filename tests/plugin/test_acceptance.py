@@ -22,7 +22,7 @@ def accepted(project):
     """Return a project with one saved collision, which is accepted."""
     project.write(TEST)
     project.pytester.makepyfile(planner=KEEPS)
-    project.run_once(generations=4)
+    project.run_once(runs=16)
     edited(project, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     return project
 
@@ -36,7 +36,7 @@ def edited(project, old, new):
 def replayed(project, body="return 0.0, 0.0", *args):
     """Replay the file with a policy; return the session's result and what it recorded of the file."""
     project.pytester.makepyfile(planner=DRIVES.format(body))
-    result = project.run("--pafot-json=pafot.json", *args, generations=0)
+    result = project.run("--pafot-json=pafot.json", *args, runs=0)
     (finding,) = json.loads((project.path / "pafot.json").read_text())["findings"]
     return result, finding
 

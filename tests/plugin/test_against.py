@@ -105,7 +105,7 @@ def test_saved_scenario_label_compares_policy_and_reference(changed):
         (KEEPS, f"{KEEPS}# as now\n", "fixed before", "introduces 0 failures, fixes 0, 0 as before"),
     ):
         policies(changed, now, before)
-        result = changed.run(AGAINST, generations=0)
+        result = changed.run(AGAINST, runs=0)
         result.assert_outcomes(skipped=1, **{"failed" if now is SPEEDS else "passed": 1})
         result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}", f"against planner_before:make: {told}"])
 
@@ -122,20 +122,20 @@ def test_common_failure_reports_harder_hits_than_the_reference(project):
     project.write("import planner\n" + CRASHES)
     brakes = KEEPS.replace("0.0, 0.0", "-1.0, 0.0")
     policies(project, KEEPS, brakes)
-    project.run(generations=4)
+    project.run(runs=16)
     saved = saved_scenario.load(project.only_file)
     speeds = [
         saved.replay(lambda policy=policy: lambda seen: (policy, 0.0)).collision.closing_speed for policy in (0.0, -1.0)
     ]
     assert speeds[0] > speeds[1] + 1.0
-    result = project.run(AGAINST, "--pafot-json=pafot.json", generations=0)
+    result = project.run(AGAINST, "--pafot-json=pafot.json", runs=0)
     worse = f"hits at {speeds[0]:.1f} m/s, {speeds[1]:.1f} before"
     result.stdout.fnmatch_lines([f"1 of 1 failure in common became worse: {saved.id} {worse}"])
     told = json.loads((project.path / "pafot.json").read_text())["findings"][0]
     assert [told[key]["value"] for key in ("severity", "severity_before")] == pytest.approx(speeds, abs=1e-3)
     assert worse in told["detail"]
     policies(project, brakes, KEEPS)
-    project.run(AGAINST, generations=0).stdout.no_fnmatch_line("*became worse*")
+    project.run(AGAINST, runs=0).stdout.no_fnmatch_line("*became worse*")
 
 
 def test_common_failure_hides_no_regression_of_same_kind(changed):
@@ -168,7 +168,7 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
     never = KEEPS.replace("lambda observation:", "lambda observation, more:")
     for now in (KEEPS, SPEEDS):  # Without the error, the file is fixed, or fails with both.
         policies(changed, now, never)
-        result = changed.run(AGAINST, generations=0)
+        result = changed.run(AGAINST, runs=0)
         result.assert_outcomes(failed=1, skipped=1)
         shown = " ".join(result.stdout.str().split())
         assert "against (planner_before:make): expected a reference that drives, received TypeError: " in shown
@@ -177,7 +177,7 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
     raises = f"        assert len(observation.others) != {npcs}\n        return -1.0, 0.0"
     policies(changed, KEEPS, f"def make():\n    def drive(observation):\n{raises}\n    return drive\n")
     changed.write(TEST.replace("MORE", "").replace("SHORT", "genes=2"))  # other scenarios have other numbers of NPCs
-    result = changed.run(AGAINST, generations=0)
+    result = changed.run(AGAINST, runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
 

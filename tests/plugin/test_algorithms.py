@@ -13,7 +13,7 @@ TEST = "@pafot.search(SHORT, algorithm={!r})  # stop_after=1\ndef test_it(run):\
 
 def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, in_highway_env):
     project.write(TEST.format("random-manoeuvre"))
-    result = project.run("--pafot-shrink-rollouts=50", generations=6)
+    result = project.run("--pafot-shrink-rollouts=50", runs=24)
     result.assert_outcomes(failed=2)
     result.stdout.no_fnmatch_line("*flaky*")
     text = project.only_file.read_text()
@@ -21,7 +21,7 @@ def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, in_highway
     assert "algorithm: random-manoeuvre" in text
     assert "shrunk:" in text
     assert "{cell:" not in text
-    again = project.run(generations=0)
+    again = project.run(runs=0)
     again.assert_outcomes(failed=1, skipped=1)
     again.stdout.fnmatch_lines(["*still failing*"])
 
@@ -45,7 +45,7 @@ def test_every_algorithm_searches_with_every_kind_it_supports(project):
                 f"    assert {check}",
             ]
     project.write("\n".join(lines))
-    result = project.run(generations=4)
+    result = project.run(runs=16)
     result.assert_outcomes(passed=supported.count(True), failed=supported.count(False))
     for number, is_supported in enumerate(supported):
         if not is_supported:
@@ -59,7 +59,7 @@ def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
         "SHORT, algorithm='random-manoeuvre', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
         "random-manoeuvre, received 'both'*",
         "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, both, received 'cell'*",
-        "SHORT, algorithm='genetic'": "*expected distinct, pafot, *or random-manoeuvre, received 'genetic'; or give "
+        "SHORT, algorithm='genetic'": "*expected random, pafot, *or random-manoeuvre, received 'genetic'; or give "
         "your own class*",
         "SHORT, algorithm='randm'": "*or random-manoeuvre, received 'randm'; did you mean 'random'[?]",
     }
@@ -91,7 +91,7 @@ def test_custom_algorithm_class_is_named_in_all_output(project, workers):
         "from own import Own\n@pafot.search(SHORT, algorithm=Own)  # stop_after=1\n"
         "def test_it(run):\n    assert not run.collision\n"
     )
-    result = project.run(f"--pafot-workers={workers}", generations=8)
+    result = project.run(f"--pafot-workers={workers}", runs=32)
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*own, seed *"])
     assert "algorithm: own" in project.only_file.read_text()
@@ -100,7 +100,7 @@ def test_custom_algorithm_class_is_named_in_all_output(project, workers):
 def test_algorithm_option_takes_a_class_by_module_name(project):
     project.pytester.makepyfile(own=OWN)
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n")
-    project.run("--pafot-algorithm=own:Own", generations=8).assert_outcomes(failed=2)
+    project.run("--pafot-algorithm=own:Own", runs=32).assert_outcomes(failed=2)
     assert "algorithm: own" in project.only_file.read_text()
 
 

@@ -26,7 +26,7 @@ def test_each_garbled_file_fails_one_item_with_location(saved):
         first.with_name(f"garbled-{number}.pafot.yaml").write_text(garbled)
     first.unlink()
     saved.write("def test_other():\n    pass\n", name="test_other")
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(failed=len(GARBLED), passed=1, skipped=1)
     for number, (_, _, field) in enumerate(GARBLED.values()):
         shown = pytest.LineMatcher(section(result, f"test_fails[saved-garbled-{number}]").splitlines())
@@ -40,7 +40,7 @@ def test_each_invalid_file_name_fails_one_item(saved):
     saved.only_file.unlink()
     for path in saved.path.rglob("*.new"):
         path.rename(path.with_suffix(""))
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(failed=len(names), skipped=1)
     lines = [line for line in result.outlines if line.endswith("; rename the file")]
     for name in names:
@@ -106,7 +106,7 @@ def test_same_seed_gives_same_bytes_in_another_process(project):
 def test_half_written_leftovers_disappear_in_the_next_session(saved):
     leftover = saved.only_file.with_name(".pafot-1-0123456789abcdef.tmp")
     leftover.write_text("half a fi")
-    saved.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    saved.run(runs=0).assert_outcomes(failed=1, skipped=1)
     assert not leftover.exists()
 
 

@@ -42,16 +42,16 @@ def test_lives(run):
 def test_scenario_of_dead_process_is_reported_without_searching(project):
     project.write(PASSES)
     project.leave_crash("test_it.py::test_lives")
-    project.run(generations=0).assert_outcomes(failed=2)
+    project.run(runs=0).assert_outcomes(failed=2)
     project.mend()
-    project.run(generations=0).assert_outcomes(passed=1, skipped=1)
+    project.run(runs=0).assert_outcomes(passed=1, skipped=1)
 
 
 def test_crash_that_became_an_ordinary_failure_is_labelled(failing):
     failing.leave_crash("test_it.py::test_fails")
-    failing.run(generations=0)
+    failing.run(runs=0)
     failing.mend()
-    result = failing.run(generations=0)
+    result = failing.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*the process died in the file, collision at * now"])
 
@@ -60,7 +60,7 @@ def test_killed_session_causes_no_false_crash_of_replay(failing):
     failing.run_once()
     failing.leave_behind(f"test_it.py::test_fails[saved-{failing.only_id}]")
     for _ in range(2):
-        result = failing.run(generations=0)
+        result = failing.run(runs=0)
         result.assert_outcomes(failed=1, skipped=1)
         result.stdout.fnmatch_lines(["replay: still failing"])
 

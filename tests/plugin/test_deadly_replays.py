@@ -56,7 +56,7 @@ def crash(project):
     """Return a project with a saved crash, whose ADS still ends every process in which it runs."""
     project.write(TESTS)
     project.leave_crash("test_it.py::test_it")
-    project.run(generations=0)
+    project.run(runs=0)
     assert project.only_id.startswith("crash-")
     project.pytester.makeconftest(DIES)
     return project
@@ -64,15 +64,15 @@ def crash(project):
 
 def replayed(project, *args, **options):
     """Run a session that replays, in a separate process, so that the test survives in any case."""
-    return project.run("--junitxml=junit.xml", *args, apart=True, **{"generations": 0} | options)
+    return project.run("--junitxml=junit.xml", *args, apart=True, **{"runs": 0} | options)
 
 
 @pytest.mark.parametrize("more", ["", SPAWNS], ids=["this platform", "where nothing is forked"])
-@pytest.mark.parametrize("generations", [0, 1])
-def test_repeated_crash_fails_only_its_own_item(crash, more, generations):
+@pytest.mark.parametrize("runs", [0, 4])
+def test_repeated_crash_fails_only_its_own_item(crash, more, runs):
     crash.pytester.makeconftest(DIES + more)
     asked = "-k", "saved or ordinary"
-    result = replayed(crash, *asked, generations=generations)
+    result = replayed(crash, *asked, runs=runs)
     result.assert_outcomes(failed=1, passed=1, deselected=1)
     result.stdout.fnmatch_lines(
         ["the process (pid *) that ran this scenario was ended by SIGSEGV*", "*1 saved scenario: 1 still failing*"]
@@ -87,7 +87,7 @@ def test_search_after_a_saved_crash_runs_isolated(crash):
     result.assert_outcomes(failed=1, passed=2)  # the replay fails; the search finds nothing new
     result.stdout.fnmatch_lines(
         [
-            "*ended: all generations done*",
+            "*ended: all runs done*",
             "*like saved-crash-*",
             "*note: ran as with --pafot-isolate, since a process died in this search before*",
             "*1 saved scenario: 1 still failing*",
@@ -161,13 +161,13 @@ def test_crash_against_a_reference_is_introduced_or_common(crash):
     drives, keeps = "def make():\n    return drive\n", "def make():\n    return lambda seen: (0.0, 0.0)\n"
     # The saved scenario has one other vehicle, those of the search have two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
-    for before, generations, label, found in (
+    for before, runs, label, found in (
         (keeps, 0, "introduced", 0),
         (drives, 0, "common", 0),
         (once, 1, "common", 1),
     ):
         crash.pytester.makepyfile(planner_before=f"from conftest import drive\n\n{before}")
-        result = replayed(crash, "--pafot-against=planner_before:make", generations=generations)
+        result = replayed(crash, "--pafot-against=planner_before:make", runs=runs)
         result.stdout.fnmatch_lines([f"*1 saved scenario: 1 {label}*"])
         assert len(crash.files) == 1 + found
 
@@ -188,6 +188,6 @@ def test_hang_replays_in_a_process_that_is_killed(crash, monkeypatch):
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
     crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "sum(range(10**12))"))
-    result = crash.run(generations=0)
+    result = crash.run(runs=0)
     result.assert_outcomes(failed=1, passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*that ran this scenario did not answer for 0.5 s and was killed*"])

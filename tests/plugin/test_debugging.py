@@ -21,7 +21,7 @@ def test_collides(run):
 def found(project):
     """Return a function that replays a finding with the debugger, and what is typed into it."""
     project.write(KEEPS)
-    project.run(generations=10, seed=2)
+    project.run(runs=40, seed=2)
     (file,) = project.contents
 
     def replay(typed, *options):

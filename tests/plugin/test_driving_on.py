@@ -108,11 +108,11 @@ def filed(project, world, failure=HIT, expect=None):
     return project
 
 
-def replay(project, policy, *args, generations=0, before="", **options):
+def replay(project, policy, *args, runs=0, before="", **options):
     project.pytester.makeconftest(
         f"import pytest\nimport policies\n{before}\n@pytest.fixture\ndef ads():\n    return policies.{policy}\n"
     )
-    return project.run(*args, generations=generations, **options)
+    return project.run(*args, runs=runs, **options)
 
 
 def test_slower_ego_with_the_same_mistake_still_fails(saved):

@@ -45,7 +45,7 @@ def fixed(project, policy, **more):
 
 def searched(project, *args, runs="30", **options):
     """Return a session that replays and searches: its result, its replays, and the new findings of their failures."""
-    result = project.run(*SEARCHED, f"--pafot-runs={runs}", *args, generations=None, seed=1, **options)
+    result = project.run(*SEARCHED, f"--pafot-runs={runs}", *args, runs=None, seed=1, **options)
     findings = json.loads((project.path / "out.json").read_text())["findings"]
     replayed = [each for each in findings if each["status"] != "new"]
     kinds = {each["signature"] for each in replayed}
@@ -98,6 +98,6 @@ def test_the_job_summary_names_what_fails_elsewhere(project, monkeypatch):
 def test_a_replay_without_a_search_claims_no_fix(project):
     fixed(project, "braking")
     project.write(TEST.replace("POLICY", "braking"))
-    result = project.run("-v", project.files[0], generations=None)
+    result = project.run("-v", project.files[0], runs=None)
     result.stdout.fnmatch_lines(["*PASSED (passes)*", "replayed 1 saved scenario: 1 passes", "  passes: *"])
     result.stdout.no_fnmatch_line("*fixed*")

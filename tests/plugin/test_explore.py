@@ -3,7 +3,7 @@
 SOURCE = """
 from example_ads import blind_lane_change, constant_speed
 
-ARGUMENTS = dict(population=4, blame="ego", genes=3, npcs=3, shrink_rollouts=10)
+ARGUMENTS = dict(blame="ego", genes=3, npcs=3, shrink_rollouts=10)
 
 def holds(run):
     assert not run.collision, run.explain()
@@ -16,8 +16,8 @@ def test_explore():
     assert pafot.explore(
         blind_lane_change.make,
         holds=holds,
-        generations=3,
-        seed=1,
+        runs=12,
+        seed=2,
         node_id="test_it.py::test_drive",
         corpus="elsewhere",
         **ARGUMENTS,
@@ -31,5 +31,5 @@ def contents(folder):
 
 def test_explore_saves_the_same_files_as_its_test(project):
     project.write(SOURCE)
-    project.run(generations=3)
+    project.run(runs=12, seed=2)
     assert contents(project.path / "elsewhere") == contents(project.path / "pafot_corpus") != {}

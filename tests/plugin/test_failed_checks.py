@@ -55,7 +55,7 @@ def buggy(project, monkeypatch, shrinking):
 
 
 def test_two_checks_make_one_shrunk_finding_each(buggy):
-    result = buggy.run_once(generations=12, seed=1)
+    result = buggy.run_once(runs=48, seed=1)
     result.assert_outcomes(failed=3)
     assert sorted(re.findall(r"(\w+)-[0-9a-f]{6}\.pafot\.yaml", " ".join(buggy.files))) == ["headway", "jerk"]
     text = result.stdout.str()
@@ -67,9 +67,9 @@ def test_two_checks_make_one_shrunk_finding_each(buggy):
 
 
 def test_fixed_planner_retains_saved_scenarios_as_guards(buggy):
-    buggy.run_once(generations=12, seed=1)
-    buggy.run(generations=0).stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 still failing"])
+    buggy.run_once(runs=48, seed=1)
+    buggy.run(runs=0).stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 still failing"])
     buggy.pytester.makeconftest(FIXED)
-    result = buggy.run(generations=1, seed=1)
+    result = buggy.run(runs=4, seed=1)
     result.assert_outcomes(passed=3)
     result.stdout.fnmatch_lines(["replayed 2 saved scenarios: 2 fixed"])

@@ -32,7 +32,7 @@ def block(result, name):
 
 
 def search(project, *args, **kwargs):
-    return project.run_once(*args, **{"generations": 10, "seed": 2, **kwargs})
+    return project.run_once(*args, **{"runs": 40, "seed": 2, **kwargs})
 
 
 @pytest.mark.parametrize(("columns", "at_most"), [(60, 24), (80, 20), (120, 20)])
@@ -71,7 +71,7 @@ def test_finding_with_an_avoidance_keeps_its_recorded_property(explained):
 
 
 def test_record_contains_explanation_and_avoidance_of_the_collision(explained):
-    results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", generations=0)]
+    results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", runs=0)]
     records = [read_record((explained.path / name).read_text(encoding="utf-8")) for name in ("1.json", "2.json")]
     found, replayed = (record.findings[0].sentences for record in records)
     assert found == replayed
@@ -171,7 +171,7 @@ def test_policy_that_prints_much_leaves_the_ends_of_its_output(project, shrinkin
     assert first.ret == 1
     assert len(first.stdout.str()) < 100_000
     first.stdout.fnmatch_lines(["*begun", "*characters of output are left out; pytest -s shows all*"])
-    replayed = search(project, *options, generations=0)
+    replayed = search(project, *options, runs=0)
     assert replayed.ret == 1
     assert len(replayed.stdout.str()) < 100_000
     replayed.stdout.fnmatch_lines(["*characters of output are left out; pytest -s shows all*"])

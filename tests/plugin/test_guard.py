@@ -37,7 +37,7 @@ def passing(saved, ci):
 
 
 def replay(project, *args, **options):
-    return project.run(*args, generations=0, **options)
+    return project.run(*args, runs=0, **options)
 
 
 def told(result):

@@ -3,7 +3,7 @@
 
 def test_search_in_which_most_runs_are_rejected_fails(project):
     project.write("@pafot.search(SHORT)\ndef test_rejects(run):\n    int(run.scenario.id, 16) % 4 and pafot.reject()\n")
-    result = project.run(generations=4)
+    result = project.run(runs=16)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["the search tested too little:", "most of * scenarios tested nothing: * were rej*"])
 
@@ -19,10 +19,10 @@ def test_parked(run):
     pass
 """
     )
-    result = project.run(generations=2)
+    result = project.run(runs=8)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["  warning: *"])
-    result = project.run("--pafot-strict-health", generations=2)
+    result = project.run("--pafot-strict-health", runs=8)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["health warnings (--pafot-strict-health):*"])
 
@@ -43,9 +43,9 @@ def test_keeps_up(run):
 
 def test_search_with_only_known_failures_says_so(project):
     project.write(STOPS)
-    first = project.run(generations=3)
+    first = project.run(runs=12)
     first.stdout.no_fnmatch_line("*nothing else failed")
-    result = project.run(generations=3, seed=2)
+    result = project.run(runs=12, seed=2)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
         ["  note: all * failing runs are known, by saved-pace-*, a failed check; nothing else failed"]

@@ -66,7 +66,7 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(saved.path / "summary.md"))
     options = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json", "-rA", "-v", "-l"]
-    result = saved.run(*options, "--color=no", generations=0)
+    result = saved.run(*options, "--color=no", runs=0)
     assert not result.errlines
     assert obeyed(result.stdout.str()) == []
     assert r"\x1b]0;T\x07" in result.stdout.str()
@@ -86,7 +86,7 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
         next(saved.path.glob(f"pafot_corpus/*/*/{name}.pafot.yaml")).unlink()
     for style in ("native", "line", "long", "--full-trace"):
         options = ["-vv", style] if style.startswith("-") else [f"--tb={style}"]
-        assert obeyed(saved.run(*options, "-l", "--color=no", generations=0).stdout.str()) == []
+        assert obeyed(saved.run(*options, "-l", "--color=no", runs=0).stdout.str()) == []
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text on other systems")
@@ -98,7 +98,7 @@ def test_workers_accept_file_names_that_are_not_text(saved):
     for folder in (test, test.with_name(os.fsdecode(b"\xffgone"))):
         folder.mkdir(exist_ok=True)
         (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 2\n")
-    result = saved.run("-n1", "--pafot-json=session.json", generations=0, apart=True)
+    result = saved.run("-n1", "--pafot-json=session.json", runs=0, apart=True)
     assert "crashed" not in result.stdout.str()
     result.stdout.fnmatch_lines([r"not run: 1 saved scenario: *\udcffgone/\udcff.pafot.yaml"])
     files = [each["file"] for each in json.loads((saved.path / "session.json").read_text())["findings"]]

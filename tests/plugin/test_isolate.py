@@ -72,10 +72,10 @@ def isolated(project, monkeypatch):
     return write
 
 
-def session(project, *args, generations=3):
+def session(project, *args, runs=12):
     """Run a session that begins without saved scenarios; return it and what it saved."""
     project.forget()
-    result = project.run("-p", "no:cacheprovider", *args, generations=generations)
+    result = project.run("-p", "no:cacheprovider", *args, runs=runs)
     return result, project.contents
 
 
@@ -108,23 +108,23 @@ def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
 
 def test_ads_never_runs_in_the_session_process(isolated):
     project = isolated(test=MANY.replace("npcs=2", "npcs=2, isolate=True"))
-    _, contents = session(project, generations=3)
+    _, contents = session(project, runs=12)
     assert len(contents) > 1
     assert len(pids(project)) == 2, "one process for the search, one for what follows it, and no more for each finding"
-    project.run("-p", "no:cacheprovider", generations=1)
+    project.run("-p", "no:cacheprovider", runs=4)
     assert len(pids(project)) > 3
     assert f"pid-{os.getpid()}" not in pids(project)
 
 
 def test_ads_that_ends_its_process_is_a_finding(isolated):
     project = isolated("drive", DIES)
-    result = project.run("--pafot-isolate", *QUICK, generations=3, apart=True)
+    result = project.run("--pafot-isolate", *QUICK, runs=12, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
     assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
-    result.stdout.fnmatch_lines(["*ended: all generations done*"])
-    again = project.run("--pafot-isolate", *QUICK, generations=3, apart=True)
+    result.stdout.fnmatch_lines(["*ended: all runs done*"])
+    again = project.run("--pafot-isolate", *QUICK, runs=12, apart=True)
     again.stdout.re_match_lines([rf"  \d+ runs? fails? like saved-{crash.rpartition('/')[2][:-11]}"])
     assert not project.records
 
@@ -132,7 +132,7 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
 def test_exception_of_another_process_is_not_retried_here(isolated):
     more = "def breaks(observation):\n    note()\n    scenario_pool.run_recorded = None\n    return 0.0, 0.0\n"
     project = isolated("breaks", f"from pytest_pafot.execution import scenario_pool\n\n{more}")
-    result = project.run("--pafot-isolate", "-p", "no:cacheprovider", generations=1)
+    result = project.run("--pafot-isolate", "-p", "no:cacheprovider", runs=4)
     result.stdout.fnmatch_lines(["*TypeError: 'NoneType' object is not callable*", "*not tried again in the session*"])
     assert result.parseoutcomes()["passed"] == 1
     assert f"pid-{os.getpid()}" not in {path.name for path in project.path.glob("pid-*")}
@@ -149,7 +149,7 @@ def drive(observation):
 def test_process_death_while_shrinking_is_a_finding(isolated):
     project = isolated("drive", LONE)
     # Each attempt that leaves one NPC ends a process.
-    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, apart=True)
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", runs=4, apart=True)
     crash, other = sorted(project.files, key=lambda name: "crash-" not in name)
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
@@ -172,7 +172,7 @@ def drive(observation):
 
 def test_finding_whose_rerun_kills_process_is_flaky(isolated):
     project = isolated("drive", ONCE, MANY.replace("assert not run.collision", "assert run.duration < 1"))
-    result = project.run("--pafot-isolate", "--pafot-stop-after=1", generations=1, apart=True)
+    result = project.run("--pafot-isolate", "--pafot-stop-after=1", runs=4, apart=True)
     assert load(project.only_file).flaky == "the process that ran it again ended with exit code 9"
     result.assert_outcomes(failed=2, passed=1)
 
@@ -199,10 +199,10 @@ def test_simulated_scenario_is_isolated_as_well(project):
     """Run a test with a policy that ends only other processes than that of the session, which sees it do so."""
     test = SCENARIO + "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n"
     project.write(EXITS.replace("PID", str(os.getpid())) + test)
-    result = project.run("--pafot-isolate", generations=None)
+    result = project.run("--pafot-isolate", runs=None)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*ended with exit code 0*"])
-    project.run(generations=None).assert_outcomes(passed=1)
+    project.run(runs=None).assert_outcomes(passed=1)
 
 
 def test_what_a_policy_notes_in_a_simulated_scenario_is_seen_by_the_test(project):
@@ -218,4 +218,4 @@ def test_it(pafot_simulate):
     assert len(seen) == len(set(seen)) == len(run.trace.actions)
 """
     )
-    project.run("--pafot-isolate", generations=None).assert_outcomes(passed=1)
+    project.run("--pafot-isolate", runs=None).assert_outcomes(passed=1)

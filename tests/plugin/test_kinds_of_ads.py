@@ -49,17 +49,17 @@ class TestAVehicleClassIsItsOwnFactory:
         result.stdout.fnmatch_lines(["*1 new finding in 1 run*"] * len(VEHICLES))
         assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
         assert "flaky" not in result.stdout.str()
-        project.run(generations=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
+        project.run(runs=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
 
     @pytest.mark.processes
     @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
     def test_for_the_processes_of_a_search_too(self, project):
         project.write(SLOW_VEHICLE)
-        serial = project.run(generations=2)
+        serial = project.run(runs=8)
         contents = project.contents
         for name in project.files:
             (project.path / name).unlink()
-        parallel = project.run("--pafot-workers=2", generations=2)
+        parallel = project.run("--pafot-workers=2", runs=8)
         parallel.stdout.fnmatch_lines(["*--pafot-workers=2: in use after 1 run of this process*"])
         assert (project.contents, parallel.parseoutcomes()) == (contents, serial.parseoutcomes())
         assert contents
@@ -106,7 +106,7 @@ class TestWhatAnAdsRaisesIsAFinding:
             assert f"the ADS failed: {failure}" in section(result, f"test_drive_{number}[saved-{finding.id}]")
             assert finding.expect.failure == failure
         result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
-        project.run(generations=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
+        project.run(runs=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
 
     def test_but_for_an_interrupt(self, project):
         project.write(RAISING.replace("RAISE", "raise KeyboardInterrupt"))

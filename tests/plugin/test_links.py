@@ -64,7 +64,7 @@ def test_overlong_links_and_names_do_not_end_session(failing):
         shutil.copy(file, gone)
     for link in (folder / "a.pafot.yaml", module / "test_gone" / "folder", module / "test_linked", corpus / "linked"):
         link.symlink_to("x" * 300)
-    result = failing.run(generations=0)
+    result = failing.run(runs=0)
     result.assert_outcomes(failed=2, skipped=1)
     result.stdout.fnmatch_lines([f"{folder / 'a.pafot.yaml'}: expected a file of its corpus, received a link *"])
 
@@ -83,7 +83,7 @@ def test_search_changes_nothing_behind_a_linked_folder(failing, elsewhere, level
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines([f"*expected a folder, received the link {folder}, which may lead to*"])
     failing.run("--pafot-save=none", seed=2)
-    failing.run(generations=0)
+    failing.run(runs=0)
     assert all_in(elsewhere) == before
 
 
@@ -93,7 +93,7 @@ def test_link_within_project_is_read_but_not_written(failing):
     corpus.rename(failing.path / "shared")
     corpus.symlink_to("shared")
     before = all_in(failing.path / "shared")
-    result = failing.run(generations=0)
+    result = failing.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"*saved-{id_}*", "replay: still failing"])
     failing.run(seed=2).stdout.fnmatch_lines([f"*received the link {corpus}, which may lead to*"])
@@ -104,7 +104,7 @@ def test_corpus_given_by_absolute_path_may_be_link(failing, elsewhere):
     (failing.path / "link").symlink_to(elsewhere)
     failing.run("--pafot-corpus", failing.path / "link")
     assert len(list(elsewhere.glob("test_it/test_fails/*.pafot.yaml"))) == 1
-    failing.run("--pafot-corpus", failing.path / "link", generations=0).assert_outcomes(failed=1, skipped=1)
+    failing.run("--pafot-corpus", failing.path / "link", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_relative_output_is_not_written_through_linked_folder(failing, elsewhere):
@@ -125,6 +125,6 @@ def test_corpus_link_out_of_project_is_not_listed(project, elsewhere):
     (elsewhere / "secret_name" / "a.pafot.yaml").write_text("")
     corpus = project.path / "pafot_corpus"
     corpus.symlink_to(elsewhere.parent)
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.stdout.fnmatch_lines([f"*problem: expected a folder, received the link {corpus}, which may lead to*"])
     assert "secret_name" not in result.stdout.str()

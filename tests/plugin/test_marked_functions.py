@@ -145,7 +145,7 @@ def test_the_decorator_works_bare_called_and_on_classes(project):
 def test_called(run):
     assert run.duration > 0
 
-@pafot.search(generations=1)
+@pafot.search(runs=4)
 class TestClass:
     def test_method(self, run):
         assert run.duration > 0
@@ -175,7 +175,7 @@ class TestClass:
     )
     project.run().assert_outcomes(failed=2)
     assert "TestClass.test_fails" in project.files[0]
-    result = project.run("-v", generations=0)
+    result = project.run("-v", runs=0)
     result.stdout.fnmatch_lines([f"test_it.py::TestClass::test_fails[[]saved-{project.only_id}[]] FAILED*"])
 
 
@@ -203,7 +203,7 @@ WRONG = [
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
-    ("algorithm='magic'", "*(algorithm=...): expected distinct, pafot, * or random-manoeuvre, received 'magic'*"),
+    ("algorithm='magic'", "*(algorithm=...): expected random, pafot, * or random-manoeuvre, received 'magic'*"),
 ]
 """Arguments that are an error of their item before any fixture, and the error's text."""
 
@@ -345,7 +345,7 @@ def test_rejected_scenarios_are_counted_and_found_nothing(project):
     project.write(
         "@pafot.search(SHORT)\ndef test_rejects(run):\n    if run.scenario.seed % 2:\n        pafot.reject()\n"
     )
-    result = project.run(generations=3)
+    result = project.run(runs=12)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*rejected*"])
 
@@ -377,7 +377,7 @@ def test_NUMBER(run):
 """
     tests = (test.replace("NUMBER", str(n)).replace("RAISED", each) for n, each in enumerate(raised))
     project.write(classes + "".join(tests))
-    project.run(generations=3).stdout.fnmatch_lines(["*new finding*"] * len(raised))
+    project.run(runs=12).stdout.fnmatch_lines(["*new finding*"] * len(raised))
     failures = {(name.split("/")[2], load(project.path / name).expect.failure) for name in project.files}
     assert failures == {(f"test_{n}", each.partition("(")[0]) for n, each in enumerate(raised)}
 
@@ -403,7 +403,7 @@ def test_hangs(run):
     assert run.scenario.id == ""
 """
     )
-    result = project.run(generations=5, plugins=("timeout",))
+    result = project.run(runs=20, plugins=("timeout",))
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
 

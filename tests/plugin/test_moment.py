@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("examined")
 def run(project, *args, **options):
     """Return the result, and the record and the file of the finding."""
     project.forget()
-    result = project.run("--pafot-json=out.json", *args, **{"generations": 10, "seed": 2, **options})
+    result = project.run("--pafot-json=out.json", *args, **{"runs": 40, "seed": 2, **options})
     (record,) = [
         each for each in json.loads((project.path / "out.json").read_text())["findings"] if each["status"] == "new"
     ]
@@ -116,7 +116,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
         "        return 0.0 if gap < 90.0 or self.decisions < 1 else 0.5"
     )
     options = ("--pafot-shrink-rollouts=0",)
-    result, record, _ = run(project, *options, "--pafot-report=out.html", generations=20)
+    result, record, _ = run(project, *options, "--pafot-report=out.html", runs=80)
     ((whom, (row,)),) = record["moment"]["conditions"]
     assert whom == f"NPC {record['moment']['npc']}"
     assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
@@ -125,7 +125,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
         [r"moment +\d+\.\d s: .*", f"  {whom}:", rf"    line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
     )
     assert f"line {line}: gap" in (project.path / "out.html").read_text()
-    apart = run(project, *options, "--pafot-isolate", generations=20)[1]
+    apart = run(project, *options, "--pafot-isolate", runs=80)[1]
     assert apart["moment"] == record["moment"]
 
 
@@ -142,7 +142,7 @@ def test_never_moves_over_at_fault(run):
     assert not (run.collision and run.attribution.fault == "entered-lane")
 """
     )
-    moment = run(project, "--pafot-shrink-rollouts=0", "--pafot-runs=400", generations=50)[1]["moment"]
+    moment = run(project, "--pafot-shrink-rollouts=0", "--pafot-runs=400", runs=200)[1]["moment"]
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
     ((whom, rows),) = moment["conditions"]
     assert whom == NOBODY
@@ -152,7 +152,7 @@ def test_never_moves_over_at_fault(run):
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.refine.moment.Conditions", lambda *_: Otherwise())
     project.write(READS)
-    moment = run(project, "--pafot-shrink-rollouts=0", generations=20)[1]["moment"]
+    moment = run(project, "--pafot-shrink-rollouts=0", runs=80)[1]["moment"]
     assert moment["action"]
     assert moment["conditions"] == []
 

@@ -138,16 +138,16 @@ def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
 
 def test_wrong_command_line_value_is_a_usage_error(project):
     project.write("def test_ordinary():\n    pass\n")
-    result = project.run("--pafot-population=one", generations=None)
+    result = project.run("--pafot-population=one", runs=None)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*--pafot-population: expected a whole number, at least 2, received 'one'*"])
 
 
 def test_largest_population_is_the_same_for_options_and_algorithms():
     most = BY_NAME["population"].most
-    assert resolve_algorithm("random").make(SearchSpace(), population=most).population == most
+    assert resolve_algorithm("random-manoeuvre").make(SearchSpace(), population=most).population == most
     with pytest.raises(ValueError, match=f"population: expected a count from 1 to {most}, received {most + 1}"):
-        resolve_algorithm("random").make(SearchSpace(), population=most + 1)
+        resolve_algorithm("random-manoeuvre").make(SearchSpace(), population=most + 1)
 
 
 def test_wrong_value_elsewhere_fails_only_marked_items(project):
@@ -156,7 +156,7 @@ def test_wrong_value_elsewhere_fails_only_marked_items(project):
     result = project.run()
     result.assert_outcomes(errors=1, passed=1)
     result.stdout.fnmatch_lines(
-        ["ini key pafot_algorithm: expected distinct, pafot, * or random-manoeuvre, received 'magic'*"]
+        ["ini key pafot_algorithm: expected random, pafot, * or random-manoeuvre, received 'magic'*"]
     )
 
 
@@ -176,7 +176,7 @@ def test_search_arguments_match_the_table_of_options():
 
 def test_help_has_a_sentence_on_one_line_for_every_option(project, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    shown = project.run("--help", generations=None, seed=None).stdout.str()
+    shown = project.run("--help", runs=None, seed=None).stdout.str()
     for option in OPTIONS:
         assert re.search(rf"^  {option.flag}\b.*\s+{re.escape(option.help)}$", shown, re.MULTILINE)
         assert re.fullmatch(r"[A-Z][a-z]+ [^.]+(\.html[^.]+)?\.", option.help), "one sentence, which begins with a verb"
@@ -198,7 +198,7 @@ def test_ci_is_told_of_a_policy_that_did_not_drive(project, monkeypatch, is_ci):
     project.write("import pytest\n" + SKIPPED)
     if is_ci:
         monkeypatch.setenv("CI", "true")
-    result = project.run(generations=1)
+    result = project.run(runs=4)
     result.assert_outcomes(skipped=1)
     told = "  warning: test_it.py::test_skipped was skipped, so its policy did not drive: no weights"
     assert (told in result.outlines) == is_ci
@@ -208,5 +208,5 @@ def test_no_search_because_of_a_setting_is_told(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n")
     project.pytester.makeini("[pytest]\npafot_generations = 0\n")
     told = "  note: no search ran: pafot_generations is 0 in the settings"
-    assert told in project.run(generations=None).outlines
-    assert told not in project.run(generations=0).outlines
+    assert told in project.run(runs=None).outlines
+    assert told not in project.run(runs=0).outlines

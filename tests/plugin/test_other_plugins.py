@@ -55,7 +55,7 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
         "-rA",
         plugins=(plugin,),
         apart=plugin in ("pytest_cov", "sugar"),  # both plugins change the process in which they run
-        generations=None,
+        runs=None,
     )
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     name = f"test_one[saved-{project.only_id}]"
@@ -154,10 +154,10 @@ def test_last_failed_repeats_search_once_findings_pass(failing):
 
 def test_stepwise_restarts_after_a_finding_then_continues_there(project):
     project.write(ONE_SIGNATURE)
-    project.run("--stepwise", generations=None)
+    project.run("--stepwise", runs=None)
     # pytest starts over whenever the number of tests has changed, which a finding does.
-    project.run("--stepwise", generations=None).assert_outcomes(passed=1, failed=1)
-    project.run("--stepwise", generations=None).assert_outcomes(failed=1, deselected=1)
+    project.run("--stepwise", runs=None).assert_outcomes(passed=1, failed=1)
+    project.run("--stepwise", runs=None).assert_outcomes(failed=1, deselected=1)
 
 
 def test_xfail_mark_covers_search_and_its_findings(project):
@@ -177,9 +177,9 @@ def test_the_marks_select_and_deselect_under_strict_markers(failing):
 def test_other_plugins_randomness_changes_nothing(project, monkeypatch):
     pytest.importorskip("pytest_randomly")
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.scenario.id\n\ndef test_b():\n    pass\n")
-    project.run(generations=2)
+    project.run(runs=8)
     plain = project.contents
     project.forget()
     monkeypatch.setattr("numpy.random.default_rng", None)  # no generator of this package comes from a replaced function
-    project.run(generations=2, plugins=("randomly",))
+    project.run(runs=8, plugins=("randomly",))
     assert project.contents == plain

@@ -71,7 +71,7 @@ def wrapped(project, wrappers="wrappers=[FlattenObservation]", shape="(25,)", ve
 def saved(project):
     """Return a project with one scenario that was saved in the project's own world."""
     own(project)
-    project.run_once(generations=5)
+    project.run_once(runs=20)
     return project
 
 
@@ -79,37 +79,37 @@ def saved(project):
 def saved_wrapped(project):
     """Return a project with one scenario that was saved in a wrapped environment."""
     wrapped(project)
-    project.run_once(generations=5)
+    project.run_once(runs=20)
     return project
 
 
 def test_finding_in_own_world_replays_in_named_world(saved):
     assert "\nworld: {kind: own, class: Ring, data: {lanes: 3}}\n" in saved.only_file.read_text()
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     own(saved, verdict=PASSES)
-    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
+    saved.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
 
 def test_passing_replay_in_a_changed_world_has_drifted(saved):
     own(saved, lanes="4", verdict=PASSES)
-    result = saved.run("--pafot-strict-drift", generations=0)
+    result = saved.run("--pafot-strict-drift", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["*passes, but drifted: *world.data.lanes 3 in the file, 4 now*"])
     own(saved, lanes="4")
-    saved.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    saved.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
 def test_world_of_another_class_is_refused_with_location(saved):
     own(saved, name="Circle")
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(
         [f"*{saved.only_file.name}:3: world: expected *, a world of the class Ring, *received *of the class Circle; *"]
     )
     saved.write("@pafot.search(genes=2, gene_seconds=5, npcs=1)\ndef test_fails(run):\n    assert run.outcome")
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.stdout.fnmatch_lines(
         ["*a world of the class Ring, *, received a pafot.Highway; *(world=...), the fixture pafot_world or --world*"]
     )
@@ -118,9 +118,9 @@ def test_world_of_another_class_is_refused_with_location(saved):
 @pytest.mark.parametrize("data", ["object()", "{'road': {1: 2}}", "[float('nan')]"])
 def test_world_without_plain_data_is_replayed_too(project, data):
     own(project, data=data)
-    project.run(generations=5)
+    project.run(runs=20)
     assert load(project.only_file).world == {"kind": "own", "class": "Ring"}
-    project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    project.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
 def test_subclass_of_a_builtin_world_is_own_world(project):
@@ -137,10 +137,10 @@ def test_subclass_of_a_builtin_world_is_own_world(project):
             """
         )
     )
-    project.run(generations=5)
+    project.run(runs=20)
     finding = load(project.only_file)
     assert (finding.world["class"], finding.expect.time, finding.flaky) == ("Short", 2.0, None)
-    project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    project.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
 def test_incomplete_world_error_lists_what_is_missing(project):
@@ -159,9 +159,9 @@ def test_incomplete_world_error_lists_what_is_missing(project):
 def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, saved_wrapped):
     assert load(saved_wrapped.only_file).world["wrappers"] == ["FlattenObservation"]
     assert load(saved_wrapped.only_file).flaky is None
-    saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+    saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
     wrapped(saved_wrapped, verdict=PASSES)
-    saved_wrapped.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
+    saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, 
 )
 def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
     wrapped(saved_wrapped, wrappers, shape, PASSES)
-    result = saved_wrapped.run("--pafot-strict-drift", generations=0)
+    result = saved_wrapped.run("--pafot-strict-drift", runs=0)
     result.stdout.fnmatch_lines([f"*drifted: *world.wrappers [[]'FlattenObservation'] in the file, *{now}* now*"])
 
 
@@ -181,7 +181,7 @@ def test_a_test_that_names_another_environment_is_refused(saved_wrapped):
     wrapped(saved_wrapped)
     path = saved_wrapped.path / "test_it.py"
     path.write_text(path.read_text().replace("highway-v0", "highway-fast-v0"))
-    result = saved_wrapped.run(generations=0)
+    result = saved_wrapped.run(runs=0)
     result.stdout.fnmatch_lines(
         ["*pafot.World('highway-v0') with FlattenObservation, *, received pafot.World('highway-fast-v0') with Flatten*"]
     )
@@ -215,7 +215,7 @@ def sleeping(project, stuck="pass"):
 @pytest.mark.parametrize("options", [(), ("--pafot-isolate",)])
 def test_decision_that_hangs_in_own_world_is_a_finding(project, options):
     sleeping(project)
-    result = project.run(*options, generations=1)
+    result = project.run(*options, runs=4)
     result.stdout.fnmatch_lines(["*Hang: one decision took longer than the hang limit of the world and was interr*"])
     finding = load(project.only_file)
     assert (finding.expect.outcome, finding.expect.time) == ("hang", pytest.approx(2.2, abs=0.01))
@@ -225,7 +225,7 @@ def test_decision_that_hangs_in_own_world_is_a_finding(project, options):
 def test_own_world_that_hangs_itself_is_ended_with_isolate(project, monkeypatch):
     monkeypatch.setattr("pytest_pafot.world.guard.hang_guard.LEAST_FOR_WORLD", 0.3)
     sleeping(project, stuck="time.sleep(60)")
-    result = project.run("--pafot-isolate", generations=1)
+    result = project.run("--pafot-isolate", runs=4)
     result.stdout.fnmatch_lines(
         [
             "*the process that ran this scenario was ended, because its world neither asked the ADS nor ended the run*",
@@ -238,7 +238,7 @@ def test_own_world_that_hangs_itself_is_ended_with_isolate(project, monkeypatch)
 @pytest.mark.parametrize("has_styles", [False, True])
 def test_styles_are_only_said_of_worlds_that_have_them(project, has_styles):
     own(project, data="{'lanes': self.lanes}\n\n    has_traffic_styles = " + str(has_styles))
-    result = project.run(generations=1)
+    result = project.run(runs=4)
     told = [line for line in result.outlines if "1 NPC" in line and "ego starts" in line]
     assert ["hostile" in line for line in told] == [has_styles]
     assert ("traffic: hostile" in project.only_file.read_text()) is has_styles
@@ -262,14 +262,14 @@ def test_argument_is_refused_for_a_world_without_its_ability(project, argument, 
     path.write_text(path.read_text().replace("npcs=1", f"npcs=1, {argument}"))
     project.run().stdout.fnmatch_lines([f"*expected a world {begin}*{ability} = True*"])
     path.write_text(path.read_text().replace("class Ring:", f"class Ring:\n    {ability} = True\n"))
-    project.run(generations=1).stdout.no_fnmatch_line(f"*{words}*")
+    project.run(runs=4).stdout.no_fnmatch_line(f"*{words}*")
 
 
 @pytest.mark.parametrize("has_lanes", [False, True])
 def test_lanes_are_only_drawn_for_worlds_that_have_them(project, has_lanes):
     only_cells = "trace.scenario.positions == run.trace.scenario.npcs"
     own(project, data="{'lanes': self.lanes}\n\n    has_lane_instructions = " + str(has_lanes), verdict=only_cells)
-    project.run(generations=2).assert_outcomes(**({"failed": 2} if has_lanes else {"passed": 1, "skipped": 0}))
+    project.run(runs=8).assert_outcomes(**({"failed": 2} if has_lanes else {"passed": 1, "skipped": 0}))
 
 
 DRIVERS = """
@@ -303,7 +303,7 @@ def driven(project, text=DRIVERS, given="", passed=""):
 
 def test_drivers_that_own_world_declares_are_tried(shrinking, project):
     driven(project)
-    result = project.run("--pafot-runs=60", generations=None)
+    result = project.run("--pafot-runs=60", runs=None)
     expect = load(project.only_file).expect
     assert set(expect.reference_drivers) == {"calm", "careful-human"}
     assert expect.avoided_by is None
@@ -324,7 +324,7 @@ LASTING = DRIVERS.replace("HIGHWAY.", "self.highway.").replace(
 
 def test_braking_after_recorded_decisions_avoids_the_collision(project):
     driven(project, LASTING, given=", *, decisions=()", passed=", decisions=decisions")
-    project.run("--pafot-runs=60", generations=None)
+    project.run("--pafot-runs=60", runs=None)
     finding = load(project.only_file)
     highway = Highway(lanes=4, duration=20.0)
     trace = highway.rollout(finding.scenario, lambda: lambda seen: (0.0, 0.0))
@@ -337,7 +337,7 @@ def test_preventable_needs_drivers_that_drive(project):
         'blame="ego"', 'blame="preventable"'
     )
     driven(project, failing)
-    result = project.run("--pafot-runs=20", generations=None)
+    result = project.run("--pafot-runs=20", runs=None)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         ["*blame='preventable': the world Driven could not run rollout_reference with the driver 'calm': KeyError: *"]
@@ -355,7 +355,7 @@ def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project, method
     body = f"def {method}(self, *given):\n        name = given[-1]\n        {error}\n\n    def unused(self, "
     brakes = 'takes_over = ("steady-braking",)\n\n    def take_over(self, '
     driven(project, DRIVERS.replace("def take_over(self, ", brakes).replace(f"def {method}(self, ", body))
-    result = project.run("--pafot-runs=60", generations=None)
+    result = project.run("--pafot-runs=60", runs=None)
     result.stdout.fnmatch_lines([f"*note: the world Driven could not run {method} with the driver '{driver}'*"])
     finding = load(project.only_file)
     assert not getattr(finding.expect, kept)

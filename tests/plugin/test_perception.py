@@ -27,12 +27,12 @@ def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
 
     change = "found with a range of 0 m and 0.1 s of latency, run with"
     project.write(TEST.replace("PERCEPTION", "dropout=0.01"))
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["  drifted: *", f"    *{change} 1 % dropout"])
 
     project.write(TEST.replace("PERCEPTION", "range=0.0"))
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"replay: still failing, {change} a range of 0 m"])
 

@@ -25,26 +25,26 @@ def impatient(monkeypatch):
 
 def test_log_gets_whole_lines_during_the_search(project, impatient):
     project.write(PASSES)
-    result = project.run(generations=2)
-    result.stdout.fnmatch_lines(["pafot: *test_passes[[]search[]] 1/2 generations, 1 run, 0 failing, 0 new, *"])
+    result = project.run(runs=8)
+    result.stdout.fnmatch_lines(["pafot: *test_passes[[]search[]] 1/8 runs, 0 failing, 0 new, *"])
 
 
 def test_a_log_is_not_flooded(project):
     project.write(PASSES)
-    assert "1/2 generations" not in project.run(generations=2).stdout.str()
+    assert "1/8 runs" not in project.run(runs=8).stdout.str()
 
 
 def test_a_quiet_session_shows_no_progress(project, impatient):
     project.write(PASSES)
-    assert "/2 generations" not in project.run("-q", generations=2).stdout.str().partition("pafot =")[0]
+    assert "/8 runs" not in project.run("-q", runs=8).stdout.str().partition("pafot =")[0]
 
 
 def test_terminal_gets_one_line_rewritten_and_erased(project, impatient):
     project.pytester.makeconftest(ON_A_TERMINAL)
     project.write(PASSES)
-    output = project.run(generations=2).stdout.str()
+    output = project.run(runs=8).stdout.str()
     assert "\rpafot: " in output.replace("\n", "\r")
-    assert "1/2 generations, 1 run, " in output
+    assert "1/8 runs, " in output
 
 
 def test_a_session_with_finds_ends_at_100_percent(failing):

@@ -31,7 +31,7 @@ def test_fails(run):
 def saved(shrinking, project):
     """Return a project with one saved scenario, whose search finds only that one."""
     project.write(FAILS)
-    project.run_once(generations=5)
+    project.run_once(runs=20)
     assert len(project.files) == 1
     return project
 
@@ -45,7 +45,7 @@ def edited(project, old, new):
 def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
     before = saved.contents
     saved.write(PASSES)
-    result = saved.run("-v", generations=0)
+    result = saved.run("-v", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*saved-* PASSED (passes*)*", "replayed 1 saved scenario: 1 passes"])
     assert saved.contents == before
@@ -53,7 +53,7 @@ def test_passing_scenario_is_labelled_fixed_but_not_removed(saved):
 
 def test_a_search_counts_a_known_failure_and_passes(saved):
     before = saved.contents
-    result = saved.run(generations=5)
+    result = saved.run(runs=20)
     result.assert_outcomes(failed=1, passed=1)
     result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
     assert saved.contents == before
@@ -61,7 +61,7 @@ def test_a_search_counts_a_known_failure_and_passes(saved):
 
 def test_accepted_failure_lets_the_session_pass(saved):
     edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
-    result = saved.run(generations=5)
+    result = saved.run(runs=20)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
     result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
@@ -70,7 +70,7 @@ def test_accepted_failure_lets_the_session_pass(saved):
 def test_accepted_file_that_passes_fails_until_line_removed(saved):
     edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     saved.write(PASSES)
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(
         ["[[]XPASS(strict)] planner issue 12", f"passes: remove the line `xfail:` from {saved.files[0]}"]
@@ -89,7 +89,7 @@ def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcom
     edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
     text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
     saved.write(f"{text}\n{FIXTURE.replace('RAISE', raises)}")
-    saved.run(generations=0).assert_outcomes(**{outcome: 1}, skipped=1)
+    saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
 UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
@@ -98,9 +98,9 @@ OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), 
 
 def test_xfail_is_valid_through_its_last_day(saved):
     edited(saved, "# xfail: {reason, until}", UNTIL)
-    last = saved.run("--pafot-today=2027-01-31", generations=0)
+    last = saved.run("--pafot-today=2027-01-31", runs=0)
     last.assert_outcomes(xfailed=1, skipped=1)
-    next_day = saved.run("--pafot-today=2027-02-01", generations=0)
+    next_day = saved.run("--pafot-today=2027-02-01", runs=0)
     next_day.assert_outcomes(failed=1, skipped=1)
     next_day.stdout.fnmatch_lines([OVER])
 
@@ -108,21 +108,21 @@ def test_xfail_is_valid_through_its_last_day(saved):
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
     edited(saved, "# xfail: {reason, until}", UNTIL)
     saved.write(PASSES)
-    saved.run("--pafot-today=2027-01-31", generations=0).assert_outcomes(failed=1, skipped=1)
-    result = saved.run("--pafot-today=2027-02-01", generations=0)
+    saved.run("--pafot-today=2027-01-31", runs=0).assert_outcomes(failed=1, skipped=1)
+    result = saved.run("--pafot-today=2027-02-01", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines([OVER])
 
 
 def test_last_xfail_day_is_compared_with_the_calendar(saved):
     edited(saved, "# xfail: {reason, until}", UNTIL.replace("2027-01-31", "9999-12-31"))
-    saved.run(generations=0).assert_outcomes(xfailed=1, skipped=1)
+    saved.run(runs=0).assert_outcomes(xfailed=1, skipped=1)
     edited(saved, "9999-12-31", "2026-01-01")
-    saved.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    saved.run(runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_invalid_today_on_command_line_is_refused(saved):
-    result = saved.run("--pafot-today=31.1.2027", generations=0)
+    result = saved.run("--pafot-today=31.1.2027", runs=0)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(
         ["*--pafot-today: expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"]
@@ -132,30 +132,30 @@ def test_invalid_today_on_command_line_is_refused(saved):
 def test_passing_replay_under_other_versions_has_drifted(saved):
     edited(saved, "highway-env: ", "highway-env: 0.")
     saved.write(PASSES)
-    result = saved.run("-v", generations=0)
+    result = saved.run("-v", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(
         ["*PASSED (drifted)*", "replayed 1 saved scenario: 1 drifted", "    highway-env 0.* then, * now"]
     )
-    saved.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
+    saved.run("--pafot-strict-drift", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_replay_failing_at_another_time_has_drifted(saved):
     text = saved.only_file.read_text()
     head, _, tail = text.partition("time: ")
     saved.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replay: drifted, * at 99.5 s in the file, *"])
 
 
 def test_replay_without_incident_reports_how_long_it_lasted(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert not run.collision\n")
-    project.run_once("--pafot-shrink-rollouts=0", generations=5)
+    project.run_once("--pafot-shrink-rollouts=0", runs=20)
     braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
     project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
     edited(project, "highway-env: ", "highway-env: 0.")
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.stdout.fnmatch_lines(["    *collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
 
 
@@ -163,7 +163,7 @@ CUT_IN = """
 @pafot.search(SHORT)  # stop_after=1
 def test_drive(run):
     if run.responsibility == "ego":
-        pafot.reject()
+        return
     assert not run.collision
 """
 """A test that an NPC makes fail, by an entry close to the ego: an ego that brakes earlier is far from there."""
@@ -172,11 +172,11 @@ def test_drive(run):
 def test_pass_without_its_situation_is_no_fix(project):
     project.write(CUT_IN)
     project.pytester.makepyfile(before="def make():\n    return lambda seen: (0.0, 0.0)\n")
-    project.run_once("--pafot-shrink-rollouts=0", generations=10)
+    project.run_once("--pafot-shrink-rollouts=0", runs=40)
     braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
     project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
     told = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json"]
-    result = project.run(*told, "--pafot-against=before:make", generations=0)
+    result = project.run(*told, "--pafot-against=before:make", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     missed = "the situation did not come up: NPC"
     result.stdout.fnmatch_lines(
@@ -184,7 +184,7 @@ def test_pass_without_its_situation_is_no_fix(project):
     )
     for name in ("junit.xml", "page.html", "session.json"):
         assert missed in (project.path / name).read_text(), name
-    project.run("--pafot-strict-drift", generations=0).assert_outcomes(failed=1, skipped=1)
+    project.run("--pafot-strict-drift", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_uneventful_runs_are_compared_by_most_critical_moment(project):
@@ -192,7 +192,7 @@ def test_uneventful_runs_are_compared_by_most_critical_moment(project):
     project.run_once("--pafot-shrink-rollouts=0")
     head, _, tail = project.only_file.read_text().partition("time: ")
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.stdout.fnmatch_lines(
         ["*drifted, safe and most critical at 99.5 s in the file, safe and most critical at * s now"]
     )
@@ -201,12 +201,12 @@ def test_uneventful_runs_are_compared_by_most_critical_moment(project):
 def test_a_replay_uses_the_world_of_the_file(saved):
     edited(saved, "lanes: 4", "lanes: 3")
     saved.write(PASSES.replace("assert run.outcome", "assert len(run.trace.lanes) == 3"))
-    saved.run(generations=0).assert_outcomes(passed=1, skipped=1)
+    saved.run(runs=0).assert_outcomes(passed=1, skipped=1)
 
 
 def test_replay_whose_passing_run_is_cut_has_drifted(saved):
     saved.write(FAILS.replace("genes=2", "world=pafot.Highway(duration=0.4), genes=2").replace("'x'", "'safe'"))
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration 10.0 in the file, 0.4 now*"])
 
@@ -218,7 +218,7 @@ def copies_that_differ(project, edits):
         assert old in text
         file.with_name(f"copy-{number}.pafot.yaml").write_text(text.replace(old, new))
     file.unlink()
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.assert_outcomes(failed=len(edits), skipped=1)
     return [section(result, f"test_fails[saved-copy-{number}]").splitlines() for number in range(len(edits))]
 
@@ -249,7 +249,7 @@ def test_environment_creation_failure_is_reported_with_line(project):
 
 def test_a_rejected_replay_is_skipped_and_not_green(saved):
     saved.write(PASSES.replace("!= 6", "== 6").replace("        return", "        pafot.reject()"))
-    saved.run(generations=0).assert_outcomes(skipped=2)
+    saved.run(runs=0).assert_outcomes(skipped=2)
 
 
 def test_a_flaky_replay_without_a_rate_is_never_called_fixed(project):
@@ -272,7 +272,7 @@ def test_brakes(run):
     file = project.only_file
     file.write_text(re.sub(r"(?m)^rate: .*\n", "", file.read_text()))
     project.write((project.path / "test_it.py").read_text().replace("if len(calls) % 2", "if len(calls) % 2 == 0"))
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 flaky"])
 
@@ -282,14 +282,14 @@ OTHER_WORLD = "run in the world of the file, which is not the test's: world.lane
 
 def test_replay_says_that_the_test_names_another_world(saved):
     text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
-    saved.run("-v", generations=0).stdout.no_fnmatch_line("*in the world of*")
+    saved.run("-v", runs=0).stdout.no_fnmatch_line("*in the world of*")
     saved.write(text.replace("@pafot.search(", "@pafot.search(lanes=5, "))
-    result = saved.run("-v", "--pafot-json=pafot.json", generations=0)
+    result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     assert f"replay: still failing, {OTHER_WORLD}" in " ".join(result.stdout.str().split())
     assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
     saved.write(PASSES.replace("@pafot.search(", "@pafot.search(lanes=5, "))
-    result = saved.run(generations=0)
+    result = saved.run(runs=0)
     assert OTHER_WORLD in " ".join(result.stdout.str().split())
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
@@ -297,11 +297,11 @@ def test_replay_says_that_the_test_names_another_world(saved):
 def test_replay_says_that_the_test_names_other_traffic(saved):
     text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
     saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='everyday', "))
-    shown = " ".join(saved.run(generations=0).stdout.str().split())
+    shown = " ".join(saved.run(runs=0).stdout.str().split())
     named = "paper there, everyday now"
     assert f"still failing, run in the traffic of the file, which is not the test's: {named}" in shown
     saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
-    assert "in the traffic of the file" not in saved.run(generations=0).stdout.str()
+    assert "in the traffic of the file" not in saved.run(runs=0).stdout.str()
 
 
 CHANCE = """
@@ -335,20 +335,20 @@ def by_chance(project, monkeypatch):
 @pytest.mark.parametrize("passes", [FAILS_ALWAYS, PASSES_ALWAYS, "1"])
 def test_an_accepted_flaky_failure_never_fails_by_chance(project, by_chance, passes):
     by_chance(passes)
-    accepted = project.run("--pafot-today=2027-01-31", "-rx", generations=0)
+    accepted = project.run("--pafot-today=2027-01-31", "-rx", runs=0)
     accepted.assert_outcomes(xfailed=1, skipped=1)
     assert ("planner issue 12; flaky: it passed this time" in accepted.stdout.str()) == (passes == PASSES_ALWAYS)
     assert "remove the line" not in accepted.stdout.str()
-    over = project.run("--pafot-today=2027-02-01", generations=0)
+    over = project.run("--pafot-today=2027-02-01", runs=0)
     over.assert_outcomes(**{"passed" if passes == PASSES_ALWAYS else "failed": 1}, skipped=1)
 
 
 def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
     before = project.contents
     by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
-    result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", generations=2)
+    result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", runs=8)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines([f"  * like saved-{project.only_id}, not looked at"])
     assert project.contents == before
-    over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", generations=2)
+    over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", runs=8)
     assert over.ret == pytest.ExitCode.TESTS_FAILED

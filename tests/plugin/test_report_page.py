@@ -75,7 +75,7 @@ def test_the_page_has_the_find_and_its_search(failing, page):
 def test_page_counts_runs_of_new_and_known_findings(project, page):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.duration < 1\n")
     for label in ("new", "still failing"):
-        project.run("--pafot-report=report.html", generations=2)
+        project.run("--pafot-report=report.html", runs=8)
         _, findings, (search,) = read_page(page)
         assert {finding.label for finding in findings} == {label}
         runs = int(re.search(r"failing (\d+)", search)[1])
@@ -85,7 +85,7 @@ def test_page_counts_runs_of_new_and_known_findings(project, page):
 def test_accepted_failure_is_shown_with_its_reason(saved, page):
     with saved.only_file.open("a") as file:
         file.write('xfail: {reason: "planner issue 12", until: 9999-12-31}\n')
-    saved.run("--pafot-report=report.html", generations=0).assert_outcomes(xfailed=1, skipped=1)
+    saved.run("--pafot-report=report.html", runs=0).assert_outcomes(xfailed=1, skipped=1)
     assert [finding.label for finding in read_page(page)[1]] == [
         "still failing, accepted: planner issue 12, until 9999-12-31"
     ]
@@ -95,13 +95,13 @@ def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
     failing.run("--pafot-report=report.html", "--pafot-save=none")
     _, (finding,), _ = read_page(page)
     assert finding.file == f"{finding.id}.pafot.yaml"
-    assert finding.command == "pytest 'test_it.py::test_fails[search]' --pafot-generations=1 --pafot-seed=1"
+    assert finding.command == "pytest 'test_it.py::test_fails[search]' --pafot-runs=4 --pafot-seed=1"
 
 
 def test_unobserved_crash_is_listed_without_a_picture(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
     project.leave_crash("test_it.py::test_a")
-    project.run("--pafot-report=report.html", generations=0)
+    project.run("--pafot-report=report.html", runs=0)
     _, (finding,), _ = read_page(page)
     assert finding.id.startswith("crash-")
     assert finding.data["times"] == []
@@ -218,7 +218,7 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
 
 def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, shrinking):
     project.write("@pafot.search(SHORT, blame='ego')  # stop_after=1\ndef test_a(run):\n    assert not run.collision\n")
-    project.run("--pafot-report=report.html", generations=6, seed=4)
+    project.run("--pafot-report=report.html", runs=24, seed=4)
     (finding, *_) = [each for each in read_page(page)[1] if each.data["event"]["side"] == "front"]
     saved = load(project.path / finding.file)
     told = [f"{how} in {saved.shrunk.rollouts} runs" for how in shrunk_lines(saved)]
@@ -228,7 +228,7 @@ def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, 
     assert set(saved.expect.reference_drivers) == set(REFERENCES)
     assert finding.data["headline"].endswith(f", {saved.expect.responsibility} at fault")
     assert len(finding.data["vehicles"]) == 2
-    project.run("--pafot-report=report.html", generations=0)
+    project.run("--pafot-report=report.html", runs=0)
     (again,) = [each for each in read_page(page)[1] if each.id == finding.id]
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
     for same in ("vehicles", "times", "event", "headline"):
@@ -237,6 +237,6 @@ def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, 
 
 def test_page_does_not_mention_disabled_shrinking(project, page):
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    assert not run.collision\n")
-    project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", generations=4)
+    project.run("--pafot-report=report.html", "--pafot-shrink-rollouts=0", runs=16)
     assert read_page(page)[1]
     assert "shrunk" not in page.read_text(encoding="utf-8")

@@ -45,7 +45,7 @@ def write(project, act, test=TEST):
 
 def replayed(project):
     """Run a session that searches for nothing new; return its lines, not wrapped."""
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     text = result.stdout.str().replace("\n    ", " ")
     result.stdout.lines[:] = text.splitlines()
     return result
@@ -119,7 +119,7 @@ def test_no_record_of_the_session_stands_while_another_process_drives_in_highway
     in_gym = Isolated.in_gym
     monkeypatch.setattr(Isolated, "in_gym", lambda *given: seen.append(len(standing)) or in_gym(*given))
     write(project, "None", TEST.replace("pass", "assert not run.collision"))
-    project.run("--pafot-isolate", generations=3)
+    project.run("--pafot-isolate", runs=12)
     assert seen
     assert not any(seen)
 
@@ -138,7 +138,7 @@ def test_it(run, tmp_path):  # with a fixture, the session judges all runs
 """
     write(project, "None", builds_up)
     for _ in range(2):
-        assert project.run(apart=True, generations=5).ret == 9
+        assert project.run(apart=True, runs=20).ret == 9
     assert project.files == []
     assert left_in_the_end(project, 2), "of both sessions"
     replayed(project).stdout.fnmatch_lines(["*something that builds up from run to run*"])

@@ -71,7 +71,7 @@ def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
 def test_a_written_test_replays_what_the_search_has_saved(here):
     assert python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2")[0] == 1
     assert command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
-    code, told = python("pytest", "-q", "--pafot-generations=0")
+    code, told = python("pytest", "-q", "--pafot-runs=0")
     assert code == 1
     assert "replayed 1 saved scenario: 1 still failing" in told
 
@@ -280,8 +280,8 @@ def test_an_error_is_no_test_to_keep(here):
     ("arguments", "told"),
     [
         (
-            ["a_planner:Planner", "--runs", "0"],
-            "argument --runs/--pafot-runs: expected a whole number, at least 1, rec",
+            ["a_planner:Planner", "--runs", "-1"],
+            "argument --runs/--pafot-runs: expected a whole number, at least 0, rec",
         ),
         (
             ["a_planner:Planner", "--report", "x.png"],
@@ -367,9 +367,9 @@ def test_impossible_search_is_reported_and_writes_nothing(here, capsys, argument
 
 @pytest.mark.processes
 def test_search_that_is_to_search_nothing_is_refused(here):
-    result = command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--pafot-generations=0")
+    result = command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--pafot-runs=0")
     assert result.code == 2
-    assert "search: expected a search, received --pafot-generations=0, which asks for none; leave it out" in result.err
+    assert "search: expected a search, received a limit of 0 runs or generations; leave it out" in result.err
 
 
 @pytest.mark.processes

@@ -21,7 +21,7 @@ def test_search_fails_reports_its_finding_by_replay_id_and_saves_it_near_its_tes
 
 def test_finding_is_announced_during_search_with_its_file(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
-    result = project.run(generations=10)
+    result = project.run(runs=40)
     result.stdout.fnmatch_lines(
         [
             f"pafot: found test_it.py::test_collides[[]saved-{project.only_id}[]]",
@@ -57,7 +57,7 @@ def test_first_finding_is_told_whole_at_once_and_others_in_a_line(project, monke
         pytest.importorskip("xdist")
     monkeypatch.setenv("COLUMNS", "60")
     project.write(TWO_KINDS)
-    result = project.run_once(*args, "--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2)
+    result = project.run_once(*args, "--pafot-shrink-rollouts=0", "--pafot-json=out.json", runs=40, seed=2)
     first, *others = announced(result)
     assert len(others) == len(project.files) - 1 >= 1
     assert {len(lines) for lines in others} <= {1, 2}
@@ -76,7 +76,7 @@ def test_first_finding_is_told_whole_at_once_and_others_in_a_line(project, monke
 def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project):
     test = "@pafot.search(SHORT)  # stop_after=1\ndef test_{}(run):\n    assert not run.collision\n\n"
     project.write(test.format("a") + test.format("b"))
-    first, second = announced(project.run("--pafot-shrink-rollouts=0", generations=10, seed=2))
+    first, second = announced(project.run("--pafot-shrink-rollouts=0", runs=40, seed=2))
     assert any(line.startswith("  saved; run it with") for line in first)
     assert len(second) == 1
 
@@ -85,12 +85,12 @@ def test_a_finding_begins_its_own_line_also_behind_the_dots_of_workers(project):
     pytest.importorskip("xdist")
     test = "@pafot.search(SHORT)  # stop_after=1\ndef test_{}(run):\n    assert not run.collision\n\n"
     project.write(test.format("a") + test.format("b"))
-    assert len(announced(project.run("-n1", "-q", "--pafot-shrink-rollouts=0", generations=10, seed=2))) == 2
+    assert len(announced(project.run("-n1", "-q", "--pafot-shrink-rollouts=0", runs=40, seed=2))) == 2
 
 
 def test_first_collision_has_the_sentences_of_its_verdict(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
-    (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", generations=10, seed=2))
+    (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", runs=40, seed=2))
     (its,) = json.loads((project.path / "out.json").read_text())["findings"]
     told = " ".join(" ".join(lines[1:]).split())
     assert lines[0].startswith("  collision after")
@@ -101,25 +101,25 @@ def test_first_collision_has_the_sentences_of_its_verdict(project):
 
 def test_quiet_session_tells_only_the_first_finding_in_short(project):
     project.write(TWO_KINDS)
-    result = project.run_once("-q", "--pafot-shrink-rollouts=0", generations=10, seed=2)
+    result = project.run_once("-q", "--pafot-shrink-rollouts=0", runs=40, seed=2)
     ((line,),) = announced(result)
     assert line == "  gap 2.0 < 12"
     project.forget()
-    assert announced(project.run_once("-qq", "--pafot-shrink-rollouts=0", generations=10, seed=2)) == []
+    assert announced(project.run_once("-qq", "--pafot-shrink-rollouts=0", runs=40, seed=2)) == []
 
 
 def test_next_session_replays_finding_under_the_same_id(failing):
     failing.run_once()
-    result = failing.run_once(generations=0)
+    result = failing.run_once(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
 
 
 def test_search_without_findings_passes_with_a_summary(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    assert run.duration > 0\n")
-    result = project.run(generations=2)
+    result = project.run(runs=8)
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["*runs in * s*0 failing*", "*from --pafot-seed=1, ended: all generations done"])
+    result.stdout.fnmatch_lines(["*runs in * s*0 failing*", "*from --pafot-seed=1, ended: all runs done"])
     (begin,) = [number for number, line in enumerate(result.outlines) if line.strip("= ") == "pafot"]
     assert len(result.outlines[begin:]) <= 11  # a dozen lines with the one that names the seed before the search
     assert project.files == []
@@ -147,13 +147,13 @@ def test_counts(run, once, tmp_path):
     assert len(once) == len(made)
 """
     )
-    project.run(generations=2).assert_outcomes(passed=1)
+    project.run(runs=8).assert_outcomes(passed=1)
 
 
 def test_stop_after_limits_the_number_of_distinct_findings(project):
     check = 'pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)'
     project.write(f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_fails(run):\n    {check}\n")
-    project.run("--pafot-stop-after=2", generations=20).assert_outcomes(failed=3)
+    project.run("--pafot-stop-after=2", runs=80).assert_outcomes(failed=3)
     assert len(project.files) == 2
 
 
@@ -169,7 +169,7 @@ def test_central_corpus_mirrors_the_folders_of_tests(failing):
     (failing.path / "test_it.py").rename(failing.path / "sub" / "test_it.py")
     failing.run(f"--pafot-corpus={failing.path / 'all'}")
     assert failing.files[0].startswith("all/sub/test_it/test_fails/")
-    failing.run(f"--pafot-corpus={failing.path / 'all'}", generations=0).assert_outcomes(failed=1, skipped=1)
+    failing.run(f"--pafot-corpus={failing.path / 'all'}", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_each_parametrisation_has_its_own_files(project):
@@ -183,7 +183,7 @@ def test_short(run, limit):
     )
     project.run().assert_outcomes(failed=2, passed=1)
     assert project.only_file.parent.name == "test_short@0"
-    result = project.run("-v", generations=0)
+    result = project.run("-v", runs=0)
     result.assert_outcomes(failed=1, skipped=2)
     result.stdout.fnmatch_lines([f"test_it.py::test_short[[]0-saved-{project.only_id}[]] FAILED*"])
 
@@ -217,7 +217,7 @@ def test_fault(run):
     assert run.responsibility != "npc"
 """
     )
-    result = project.run(generations=4)
+    result = project.run(runs=16)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["* npc at fault*"])
 
@@ -238,7 +238,7 @@ def test_runs(run):
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
     assert project.only_id.startswith("ads-error")
-    project.run(generations=0).assert_outcomes(failed=1, skipped=1)
+    project.run(runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_hang_is_a_finding_that_depends_on_time(project):
@@ -261,7 +261,7 @@ def test_decides(run):
 
 def test_max_time_zero_still_makes_one_run(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
-    result = project.run("--pafot-max-time=0", generations=50)
+    result = project.run("--pafot-max-time=0", runs=200)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["  1 run in *", "*--pafot-max-time", "*note: cut by --pafot-max-time*"])
 
@@ -291,7 +291,7 @@ def test_fitness_may_be_name_or_function(project):
     each = ["'paper'", "lambda trace: -trace.duration"]
     tests = (f"@pafot.search(SHORT, fitness={given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(each))
     project.write("\n".join(tests))
-    project.run(generations=2).assert_outcomes(passed=len(each))
+    project.run(runs=8).assert_outcomes(passed=len(each))
 
 
 SHORT_SEARCH = "*note: 100 runs are a short search; use --pafot-runs=1000 for a longer one"
@@ -300,7 +300,7 @@ KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOU
 
 def test_short_default_search_without_findings_says_so(project):
     project.write(KEEPS.replace("BOUND", "> 0"))
-    project.run(generations=None).stdout.fnmatch_lines([SHORT_SEARCH])
+    project.run(runs=None).stdout.fnmatch_lines([SHORT_SEARCH])
 
 
 @pytest.mark.parametrize(
@@ -313,13 +313,13 @@ def test_short_default_search_without_findings_says_so(project):
 )
 def test_no_other_search_is_called_short(project, bound, options):
     project.write(KEEPS.replace("BOUND", bound))
-    project.run(*options, generations=None).stdout.no_fnmatch_line("*short search*")
+    project.run(*options, runs=None).stdout.no_fnmatch_line("*short search*")
 
 
 def test_output_is_ascii_within_80_columns(project, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
-    lines = project.run("-v", generations=2).outlines
+    lines = project.run("-v", runs=8).outlines
     section = lines[next(index for index, line in enumerate(lines) if " pafot " in line) :]
     assert all(line.isascii() for line in section)
     assert max(map(len, section)) <= 80

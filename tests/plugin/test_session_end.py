@@ -223,7 +223,7 @@ def test_no_session_passes_whose_failures_a_hook_calls_passed(project):
     (project.path / "conftest.py").write_text(SWALLOWS)
     project.write(ALWAYS)
     project.run("--pafot-shrink-rollouts=0").assert_outcomes(failed=2)
-    result = project.run("--pafot-generations=0")
+    result = project.run("--pafot-runs=0")
     result.assert_outcomes(failed=1, skipped=1)
     assert "a hook pytest_runtest_makereport called this failure passed; use the mark xfail" in text_of(result)
 

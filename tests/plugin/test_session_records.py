@@ -104,7 +104,7 @@ def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
 
 
 def test_replay_is_recorded_with_label_and_result(saved):
-    (find,) = recorded(saved, generations=0).findings
+    (find,) = recorded(saved, runs=0).findings
     assert (find.status, find.result, find.file) == ("still failing", "failed", saved.files[0])
     assert find.headline
 
@@ -114,7 +114,7 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
         "# xfail: {reason, until}", "xfail: {reason: issue 12, until: 2027-01-31}"
     )
     saved.only_file.write_text(text)
-    records = [recorded(saved, f"--pafot-today={day}", generations=0) for day in ("2027-01-31", "2027-02-01")]
+    records = [recorded(saved, f"--pafot-today={day}", runs=0) for day in ("2027-01-31", "2027-02-01")]
     assert [record.findings[0].result for record in records] == ["xfailed", "failed"]
     assert [record.findings[0].xfail for record in records] == [{"reason": "issue 12", "until": "2027-01-31"}] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
@@ -125,7 +125,7 @@ def test_expired_xfail_is_recorded_with_a_warning(saved):
 def test_unreadable_file_is_recorded_with_the_reason(saved):
     name = saved.files[0]
     saved.only_file.write_text("pafot: 99\n")
-    (find,) = recorded(saved, generations=0).findings
+    (find,) = recorded(saved, runs=0).findings
     assert (find.id, find.file, find.status, find.result) == (saved.only_id, name, "error", "failed")
     assert "expected the format version" in find.detail
 
@@ -196,9 +196,7 @@ def test_lost_process_is_recorded_alike(project):
     project.write(SLOW_ADS.format(seconds=0.02).replace("0.02 and time.sleep(0.02)", "import os; os.abort()"))
     texts = []
     for _ in range(2):
-        project.run(
-            "--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", generations=None
-        )
+        project.run("--pafot-json=pafot.json", "--pafot-isolate", "--pafot-save=none", "--pafot-runs=2", runs=None)
         texts.append((project.path / "pafot.json").read_text())
     assert texts[0] == texts[1]
     assert json.loads(texts[0])["findings"]
@@ -210,9 +208,9 @@ def test_workers_record_the_same_text_as_one_process(project):
     project.write(TWO)
     texts = []
     for args in ([], ["-n2"]):
-        project.run("--pafot-json=out/pafot.json", *args, generations=2)
+        project.run("--pafot-json=out/pafot.json", *args, runs=8)
         texts.append((project.path / "out" / "pafot.json").read_text())
-        project.run("--pafot-json=again.json", *args, generations=0)
+        project.run("--pafot-json=again.json", *args, runs=0)
         texts.append((project.path / "again.json").read_text())
         project.forget()
     assert texts[:2] == texts[2:]
@@ -226,19 +224,19 @@ def test_junit_properties_identify_search_finding_and_replay(failing):
     told = {"pafot_id": find.id, "pafot_signature": find.signature.text, "pafot_file": failing.files[0]}
     told["pafot_severity"] = "none"  # an assertion about the run's length has no severity
     assert search == found == {"pafot_seed": str(find.found.seed), "pafot_base_seed": "1", **told}
-    failing.run("--junitxml=junit.xml", generations=0)
+    failing.run("--junitxml=junit.xml", runs=0)
     replay = properties(failing)[f"test_fails[saved-{find.id}]"]
     assert replay == {"pafot_seed": str(find.found.seed), **told, "pafot": "still failing"}
 
 
 def test_junit_names_all_findings_and_unreadable_files(project):
     project.write(SEVERAL_KINDS)
-    project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0", generations=20)
+    project.run("--junitxml=junit.xml", "--pafot-shrink-rollouts=0", runs=80)
     search = properties(project)["test_fails[search]"]
     assert sorted(search["pafot_file"].split(", ")) == project.files
     assert len(project.files) == len(search["pafot_id"].split(", ")) == 3
     (project.path / project.files[0]).write_text("pafot: 99\n")
-    project.run("--junitxml=junit.xml", generations=0)
+    project.run("--junitxml=junit.xml", runs=0)
     named = [each for each in properties(project).values() if each.get("pafot_file") == project.files[0]]
     assert [set(each) for each in named] == [{"pafot_id", "pafot_file"}]
 
@@ -292,7 +290,7 @@ def test_properties_of_a_marked_test_are_those_of_one_run(project):
     one = [("requirement", "REQ-001"), ("requirement", "REQ-001"), ("speed", "22.0"), ("speed", "22.0")]
     names = ["test_it[search]", f"test_it[saved-{saved.id}]"]
     assert recorded() == dict.fromkeys(names, one)
-    project.run(*arguments, generations=0)
+    project.run(*arguments, runs=0)
     assert recorded()[names[1]] == one  # and not those of the run of the reference, which came last
 
 

@@ -34,7 +34,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
     def test_misspelt_run_attribute_is_one_error_with_suggestion(self, project):
         each = ["", "blame='ego'", "algorithm='random'", "population=2"]
         project.write("".join(misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))))
-        result = project.run(generations=3)
+        result = project.run(runs=12)
         result.assert_outcomes(failed=len(each))
         for n in range(len(each)):
             shown = pytest.LineMatcher(section(result, f"test_drive_{n}").splitlines())
@@ -66,7 +66,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         }
         for n, broken in enumerate(told):
             project.write(BROKEN.replace("BROKEN", broken).replace("test_drive", f"test_{n}"), name=f"test_it{n}")
-        result = project.run(generations=3)
+        result = project.run(runs=12)
         result.assert_outcomes(failed=len(told))
         for n, line in enumerate(told.values()):
             shown = pytest.LineMatcher(section(result, f"test_{n}").splitlines())
@@ -368,7 +368,7 @@ class TestAReplayWithAFaultOfTheSetUp:
     @pytest.mark.parametrize("call", SIGNATURES)
     def test_changed_signature_is_explained_once_per_test(self, two, call):
         two.write(drives(call))
-        result = two.run("--pafot-json=pafot.json", generations=0)
+        result = two.run("--pafot-json=pafot.json", runs=0)
         result.assert_outcomes(failed=2, skipped=1)
         text = result.stdout.str()
         assert text.count("This happened in this replay and 10 random scenarios") == 1
@@ -378,11 +378,11 @@ class TestAReplayWithAFaultOfTheSetUp:
         assert "drifted" not in text
         assert '"status": "error"' in (two.path / "pafot.json").read_text()
         two.write(drives())
-        assert "2 still failing" in two.run(generations=0).stdout.str()
+        assert "2 still failing" in two.run(runs=0).stdout.str()
 
     def test_error_in_the_test_function_is_no_drift_either(self, two):
         two.write(drives(condition="not run.collided"))
-        result = two.run(generations=0)
+        result = two.run(runs=0)
         result.assert_outcomes(failed=2, skipped=1)
         result.stdout.fnmatch_lines(
             ["*This happened in this replay and 10 random scenarios*error of the test function*"]
@@ -391,9 +391,9 @@ class TestAReplayWithAFaultOfTheSetUp:
 
     def test_ads_that_raises_in_some_scenarios_is_a_failure(self, project):
         project.write(drives().replace("SHORT", "npcs=1"))
-        project.run("--pafot-runs=1", generations=None)
+        project.run("--pafot-runs=1", runs=None)
         project.write(drives(ALONE).replace("SHORT", "genes=2"))
-        result = project.run(generations=0)
+        result = project.run(runs=0)
         result.assert_outcomes(failed=1, skipped=1)
         result.stdout.fnmatch_lines(["the ADS failed: ValueError: alone*", "replayed 1 saved scenario: 1 drifted"])
 
@@ -404,14 +404,14 @@ class TestAReplayWithAFaultOfTheSetUp:
                     "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}'
                 )
             )
-        two.run(generations=0).assert_outcomes(xfailed=2, skipped=1)
+        two.run(runs=0).assert_outcomes(xfailed=2, skipped=1)
         two.write(drives(next(iter(SIGNATURES))))
-        two.run(generations=0).assert_outcomes(failed=2, skipped=1)
+        two.run(runs=0).assert_outcomes(failed=2, skipped=1)
         two.write(drives().replace("def ads():", "def ads(argument):"))
-        two.run(generations=0).assert_outcomes(failed=2, skipped=1)
+        two.run(runs=0).assert_outcomes(failed=2, skipped=1)
 
     def test_a_finding_of_the_first_decision_still_fails(self, project):
         call = ALONE.replace("== 1", "== 3")  # as in some of the random scenarios
         project.write(drives(call, condition="True").replace("SHORT", "genes=2"))
-        project.run("--pafot-runs=40", generations=None)
-        project.run(generations=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
+        project.run("--pafot-runs=40", runs=None)
+        project.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])

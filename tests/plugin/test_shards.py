@@ -23,7 +23,7 @@ def suite(project, monkeypatch):
     """Return a project of two test files whose saved scenarios pass, as it is in CI, which is strict about orphans."""
     for name in FILES:
         project.write(SEARCHES, name=name)
-    project.run_once(generations=20)
+    project.run_once(runs=80)
     for name in FILES:
         project.write(MENDED, name=name)
     monkeypatch.setenv("CI", "1")
@@ -35,7 +35,7 @@ def replayed(project, *sessions, plugins=("pytest-split",)):
     """Return the files that the sessions have replayed, each with its number of replays. All sessions must pass."""
     counts = {}
     for args in sessions:
-        result = project.run("--pafot-json=pafot.json", *args, generations=0, plugins=plugins)
+        result = project.run("--pafot-json=pafot.json", *args, runs=0, plugins=plugins)
         record = json.loads((project.path / "pafot.json").read_text())
         files = [finding["file"] for finding in record["findings"]]
         assert (result.ret, record["problems"]) == (0, [])
@@ -76,5 +76,5 @@ def test_sessions_of_some_tests_replay_each_file_once(suite, sessions):
 
 def test_empty_group_ends_with_the_code_of_no_tests(suite):
     pytest.importorskip("pytest_split")
-    result = suite.run("--splits=30", "--group=30", generations=0, plugins=("pytest-split",))
+    result = suite.run("--splits=30", "--group=30", runs=0, plugins=("pytest-split",))
     assert result.ret == pytest.ExitCode.NO_TESTS_COLLECTED

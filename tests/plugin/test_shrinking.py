@@ -54,7 +54,7 @@ def test_run_off_the_road_has_no_later_start():
 
 def run(project, *args, **kwargs):
     """Run a session with a seed whose finding takes few runs to shrink."""
-    return project.run_once(*args, **{"generations": 10, "seed": 2, **kwargs})
+    return project.run_once(*args, **{"runs": 40, "seed": 2, **kwargs})
 
 
 def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides):
@@ -266,7 +266,7 @@ def test_a_flaky_file_that_passes_is_called_flaky(collides):
     file = collides.only_file
     file.write_text(file.read_text().replace("# xfail", 'flaky: "in highway-env: safe"\n# xfail'))
     collides.write(COLLIDES.replace("assert not run.collision", "pass"))
-    result = run(collides, "-v", generations=0)
+    result = run(collides, "-v", runs=0)
     result.stdout.fnmatch_lines(["*PASSED (flaky)*", "replayed 1 saved scenario: 1 flaky"])
 
 

@@ -63,7 +63,7 @@ def session(project, *options, made=99, close="pass"):
     """Return the result of a session, and which simulators were made and closed in it: of what process."""
     project.pytester.makeconftest(CONFTEST.replace("MADE", str(made)).replace("CLOSE", close))
     project.write(SEARCH)
-    result = project.run(*options, generations=None, apart=True)
+    result = project.run(*options, runs=None, apart=True)
     made, closed = (
         sorted(each.name.partition("-")[2] for each in project.path.glob(f"{what}-*")) for what in ("made", "closed")
     )

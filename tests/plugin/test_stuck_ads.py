@@ -84,14 +84,14 @@ def one_line(result):
 
 def named_by_the_next(project):
     """Return the finding that the next session makes from the record, without hanging."""
-    assert project.run(generations=0, apart=True).ret == pytest.ExitCode.TESTS_FAILED
+    assert project.run(runs=0, apart=True).ret == pytest.ExitCode.TESTS_FAILED
     (path,) = [project.path / name for name in project.files if "hang-" in name]
     return load(path)
 
 
 def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
     project = hanging("swallow")
-    result = project.run("--junitxml=junit.xml", generations=9, seed=6, apart=True)
+    result = project.run("--junitxml=junit.xml", runs=36, seed=6, apart=True)
     assert result.ret == item_checks.STATUS
     found = project.files
     assert found
@@ -113,7 +113,7 @@ def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
 
 def test_native_code_hang_ends_session_with_traceback(hanging):
     project = hanging("hold")
-    result = project.run(generations=9, seed=6, apart=True)
+    result = project.run(runs=36, seed=6, apart=True)
     assert result.ret == 1
     result.stderr.fnmatch_lines(["Timeout (*", "*in hold"])
     assert project.files
@@ -125,7 +125,7 @@ def test_native_code_hang_ends_session_with_traceback(hanging):
 def test_under_xdist_only_the_worker_ends(hanging):
     pytest.importorskip("xdist")
     project = hanging("swallow")
-    result = project.run("-n1", generations=9, seed=6, apart=True)
+    result = project.run("-n1", runs=36, seed=6, apart=True)
     assert result.parseoutcomes()["passed"] == 1
     result.stdout.fnmatch_lines(["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"])
     assert "a process (pid" in one_line(result)
@@ -137,11 +137,11 @@ def test_worker_that_ignores_interrupt_ends_but_search_continues(dear, monkeypat
     monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.3)
     swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
     project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
-    result, contents = session(project, 2, generations=4)
+    result, contents = session(project, 2, runs=16)
     finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
     assert "ignored the interrupt of a decision for 0.3 s" in finding.expect.message
-    result.stdout.fnmatch_lines(["*ended: all generations done*"])
+    result.stdout.fnmatch_lines(["*ended: all runs done*"])
 
 
 @pytest.mark.parametrize(("value", "is_ours"), [("0", True), ("30", False)])

@@ -22,7 +22,7 @@ def test_slow(run):
 def test_limit_ends_a_run_of_slow_decisions_between_two(project):
     project.write(SLOW)  # a run takes up to a minute
     begun = time.monotonic()
-    result = project.run("--pafot-max-time=1", generations=3)
+    result = project.run("--pafot-max-time=1", runs=12)
     assert time.monotonic() - begun < 15
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["  0 runs in *", "*ended: --pafot-max-time", "*no scenario was simulated*"])
@@ -32,7 +32,7 @@ def test_limit_ends_a_run_of_slow_decisions_between_two(project):
 def test_limit_ends_a_run_in_an_isolated_process(project):
     project.write(SLOW)
     begun = time.monotonic()
-    result = project.run("--pafot-max-time=1", "--pafot-isolate", generations=3)
+    result = project.run("--pafot-max-time=1", "--pafot-isolate", runs=12)
     assert time.monotonic() - begun < 20
     result.stdout.fnmatch_lines(["  0 runs in *", "*ended: --pafot-max-time"])
     assert not project.files

@@ -81,11 +81,11 @@ def session(project, workers, *args, **options):
 
 def test_number_of_workers_does_not_change_the_results(dear):
     project = dear()
-    alone, contents = session(project, 1, "--pafot-json=out.json", generations=3)
+    alone, contents = session(project, 1, "--pafot-json=out.json", runs=12)
     record = (project.path / "out.json").read_text()
     assert len(contents) > 1
     for workers in (2, 3):
-        several, same = session(project, workers, "--pafot-json=out.json", generations=3)
+        several, same = session(project, workers, "--pafot-json=out.json", runs=12)
         assert (project.path / "out.json").read_text() == record
         several.stdout.fnmatch_lines([IN_USE.replace("2", str(workers))])
         assert same == contents
@@ -97,12 +97,10 @@ def test_number_of_workers_does_not_change_which_known_runs_are_looked_at(dear):
         "    assert run.min_distance > 1.9\n", ""
     )
     project = dear(test=ego_only)
-    project.run("--pafot-workers=1", "-p", "no:cacheprovider", generations=3)
+    project.run("--pafot-workers=1", "-p", "no:cacheprovider", runs=12)
     told = []
     for workers in (1, 2):
-        result = project.run(
-            f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", generations=9
-        )
+        result = project.run(f"--pafot-workers={workers}", "-p", "no:cacheprovider", "--pafot-json=out.json", runs=36)
         (search,) = json.loads((project.path / "out.json").read_text())["searches"]
         told.append((search["known"], search["unlike"]))
         result.stdout.re_match_lines(
@@ -116,7 +114,7 @@ def test_number_of_workers_does_not_change_which_known_runs_are_looked_at(dear):
 def test_cheap_runs_stay_in_process_with_a_note(project, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
     project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
-    result = project.run("--pafot-workers=2", "--pafot-algorithm=pafot", generations=3)
+    result = project.run("--pafot-workers=2", "--pafot-algorithm=pafot", runs=12)
     result.stdout.fnmatch_lines(["*note: --pafot-workers=2: not in use, since a run took * ms, and it pays*"])
 
 
@@ -125,7 +123,7 @@ def test_what_the_ads_prints_is_captured_as_ever(dear, capture):
     project = dear("chatty", "def chatty(observation):\n    print('at', observation.time)\n    return 0.0, 0.0\n")
     printed = []
     for workers in (1, 2):
-        result, _ = session(project, workers, f"--capture={capture}", generations=2)
+        result, _ = session(project, workers, f"--capture={capture}", runs=8)
         printed.append([line for line in result.stdout.lines if line.startswith("at ")])
     assert len(printed[0]) > 100
     assert printed[0] == printed[1]
@@ -136,8 +134,8 @@ def test_an_ads_that_raises_is_the_same_finding(dear):
         "def fails(observation):\n    if observation.time > 3:\n        raise KeyError('lane')\n    return 0.0, 0.0\n"
     )
     project = dear("fails", more)
-    _, contents = session(project, 1, generations=2)
-    several, same = session(project, 2, generations=2)
+    _, contents = session(project, 1, runs=8)
+    several, same = session(project, 2, runs=8)
     several.stdout.fnmatch_lines([IN_USE])
     assert same == contents
     assert any("ads-error-" in name for name in contents)
@@ -157,8 +155,8 @@ def test_an_ads_that_raises_is_the_same_finding(dear):
 )
 def test_errors_outside_the_ads_are_as_without_workers(dear, drive, test, message):
     project = dear(drive, test=test)
-    alone, contents = session(project, 1, generations=2)
-    several, same = session(project, 2, generations=2)
+    alone, contents = session(project, 1, runs=8)
+    several, same = session(project, 2, runs=8)
     assert same == contents
     assert summary(several) == summary(alone)
     if message:
@@ -185,7 +183,7 @@ def pafot_world():
 
 def test_worker_death_is_a_finding_and_search_continues(dear):
     project = dear("dies", DIES)
-    result, contents = session(project, 2, generations=4)
+    result, contents = session(project, 2, runs=16)
     (crash,) = [name for name in contents if "crash-" in name]
     finding = load(project.path / crash)
     assert finding.expect.message == "the process that ran this scenario ended with exit code 9"
@@ -195,7 +193,7 @@ def test_worker_death_is_a_finding_and_search_continues(dear):
     result.stdout.fnmatch_lines(
         [
             "the process (pid *) that ran this scenario ended with exit code 9, also when it was tried again:*",
-            "*ended: all generations done*",
+            "*ended: all runs done*",
         ]
     )
     assert "During handling" not in result.stdout.str()
@@ -205,7 +203,7 @@ def test_worker_death_is_a_finding_and_search_continues(dear):
 def test_a_worker_whose_decision_hangs_interrupts_it(dear):
     hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "time.sleep(60)")
     project = dear("hangs", hangs + IMPATIENT)
-    result, contents = session(project, 2, generations=4)
+    result, contents = session(project, 2, runs=16)
     finding = next(load(project.path / name) for name in contents if "hang-" in name)
     assert finding.expect.outcome is Outcome.HANG
     result.stdout.fnmatch_lines(["*one decision took longer than the hang limit*"])
@@ -240,8 +238,8 @@ def noting(observation):
 def test_xdist_allows_one_process_for_each_search(dear):
     pytest.importorskip("xdist")
     project = dear(test=MANY + MANY.replace("test_many", "test_more"))
-    _, contents = session(project, 1, generations=2)
-    result, same = session(project, 2, "-n1", generations=2)
+    _, contents = session(project, 1, runs=8)
+    result, same = session(project, 2, "-n1", runs=8)
     assert same == contents
     text = result.stdout.str()
     assert text.count("--pafot-workers is 1 under pytest-xdist") == 1

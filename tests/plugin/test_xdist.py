@@ -35,11 +35,11 @@ def short_shrinking(project, monkeypatch):
 def test_xdist_workers_give_same_results_as_one_process(project):
     project.write(TWO)
     page = project.path / "report.html"
-    project.run("--pafot-report=report.html", generations=2)
+    project.run("--pafot-report=report.html", runs=8)
     serial, shown = project.contents, read_page(page)[1:]
     assert any("shrunk: {" in text for text in serial.values())
     project.forget()
-    result = project.run("-n2", "-v", "--junitxml=junit.xml", "--pafot-report=report.html", generations=2)
+    result = project.run("-n2", "-v", "--junitxml=junit.xml", "--pafot-report=report.html", runs=8)
     assert project.contents == serial
     result.assert_outcomes(failed=2 + len(serial))
     assert read_page(page)[1:] == shown
@@ -56,7 +56,7 @@ def test_xdist_workers_give_same_results_as_one_process(project):
 def test_a_worker_can_send_what_no_text_encoding_has(project):
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    assert run.duration < 1, '\\ud800'\n")
     for label, passed in (("new", 0), ("still failing", 1)):
-        result = project.run("-n1", "--pafot-report=report.html", generations=1)
+        result = project.run("-n1", "--pafot-report=report.html", runs=4)
         result.assert_outcomes(failed=2 - passed, passed=passed)
         assert [finding.label for finding in read_page(project.path / "report.html")[1]] == [label]
 
@@ -136,7 +136,7 @@ def test_kill_loses_no_announced_finding_or_file(project):
         process.kill()
     assert set(announced) <= {name.rpartition("/")[2].removesuffix(".pafot.yaml") for name in project.files}
     assert [load(project.path / name).test for name in project.files]
-    result = project.run(generations=0)
+    result = project.run(runs=0)
     assert result.parseoutcomes()["failed"] >= 2
 
 
@@ -200,7 +200,7 @@ def test_a_finding_that_the_controller_has_read_and_not_yet_taken_is_not_lost(pr
     project.write(TWO)
     with (project.path / "conftest.py").open("a") as conftest:
         conftest.write(IN_BETWEEN)
-    result = project.run("-n1", "--pafot-json=x.json", "--pafot-stop-after=1", generations=None, apart=True)
+    result = project.run("-n1", "--pafot-json=x.json", "--pafot-stop-after=1", runs=None, apart=True)
     record = json.loads((project.path / "x.json").read_text())
     assert (result.ret, record["exit"]) == (2, 2)
     files = [each["file"] for each in record["findings"]]

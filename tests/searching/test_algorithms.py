@@ -20,7 +20,7 @@ from pytest_pafot.searching import (
 from pytest_pafot.searching.algorithms.catalogue import CLASSES
 from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.searching.fitness import FitnessError, resolve
-from tests.helpers.campaigns import run_campaign
+from tests.helpers.campaigns import Fresh, run_campaign
 from tests.helpers.tables import table
 
 SPACE = SearchSpace(npcs=3)
@@ -48,7 +48,7 @@ class Structural:
     instructions = ("lanes",)
 
     def __init__(self, space, population=4):
-        self.inner = RandomSearch(space, population=population)
+        self.inner = Fresh(space, population=population)
 
     def start(self, rng):
         return self.inner.start(rng)
@@ -116,7 +116,7 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
 @table(
     ("given", "message"),
     [
-        ("genetic", r"expected one of distinct, pafot, .*, received 'genetic'; or give module:Class"),
+        ("genetic", r"expected one of random, pafot, .*, received 'genetic'; or give module:Class"),
         ("rand", r"received 'rand'; did you mean 'random'\?"),
         ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
         (
@@ -130,7 +130,7 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
         ),
         (
             RandomSearch(),
-            r"expected one of distinct, .*, a class, or module:Class, received RandomSearch\(.* the class",
+            r"expected one of random, .*, a class, or module:Class, received RandomSearch\(.* the class",
         ),
         (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
         (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching.evaluation import Evaluation, has_interaction, nearest_crossing
+from pytest_pafot.searching.evaluation import Evaluation, has_interaction
 from pytest_pafot.searching.fitness import FITNESSES, Steered, before_impact, resolve, weighted
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table
@@ -42,7 +42,6 @@ def test_npc_that_enters_first_counts_as_much():
 def test_npc_on_grid_is_measured_alongside_distant_crossing():
     alone = driven(EGO, plan("grid", 6.0, 9.0), others=(plan("north straight", 60.0, 9.0),))
     assert weighted(alone) > weighted(run_of(60.0))
-    assert nearest_crossing(alone) == 1
 
 
 @table("name", [name for name in FITNESSES if name not in ("paper", "default")])
@@ -66,24 +65,11 @@ def test_npc_caused_collision_is_rated_by_earlier_run():
     assert -1 <= Steered(fitness)(blamed_on("npc", trace)) <= 1
 
 
-@table(
-    ("enters", "nearest"),
-    [((8.3,), 0), ((12.0, 8.3), 1), ((8.3, 12.0), 0), ((4.0, 20.0, 10.5), 2), ((60.0, 50.0), 1)],
-)
-def test_nearest_npc_shares_zone_or_comes_closest(enters, nearest):
-    assert nearest_crossing(run_of(*enters)) == nearest
-
-
-def test_whoever_was_hit_came_nearest():
-    others = (plan("south straight", 8.6, 9.0),)
-    assert nearest_crossing(hit(EGO, plan("north straight", 8.0, 9.0), others=others)) == 0
-
-
 @pytest.mark.parametrize(("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)])
 def test_who_is_about_to_share_a_zone_interacts(enters, expected):
     assert has_interaction(run_of(enters)) is expected
 
 
-def test_an_evaluation_tells_who_crosses():
+def test_an_evaluation_tells_of_an_npc_that_crosses():
     evaluation = Evaluation.of(run_of(12.0, 8.5), fitness=0.5, failing=False)
-    assert (evaluation.crossing, evaluation.interaction) == (1, True)
+    assert evaluation.interaction

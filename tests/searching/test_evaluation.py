@@ -2,7 +2,6 @@
 
 import math
 import pickle
-from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
-from pytest_pafot.searching.evaluation import Evaluation, demand_of, has_interaction
+from pytest_pafot.searching.evaluation import Evaluation, has_interaction
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, trace_of, vehicle
 
@@ -163,25 +162,3 @@ def test_an_npc_that_is_nowhere_does_not_interact():
 @table(("speed", "expected"), [(0.0, True), (1.9, True), (2.1, False)])
 def test_ego_below_two_metres_per_second_barely_moves(speed, expected):
     assert Evaluation.of(trace(speed), fitness=0.5, failing=False).barely_moved is expected
-
-
-SECONDS = np.arange(151) / 15
-
-
-@table(
-    ("speed", "lane", "expected"),
-    [
-        (20.0, 1, (0, 0, False)),
-        (20 + SECONDS, 1, (0, 0, False)),
-        (np.maximum(20 - 5 * SECONDS, 10), 1, (2, 0, False)),
-        (np.maximum(20 - 5.9 * SECONDS, 5), 1, (2, 0, False)),
-        (np.maximum(20 - 50 * SECONDS, 0), 1 + (SECONDS > 3), (4, 1, True)),
-        (20.0, 1 + SECONDS.astype(int) % 2, (0, 2, False)),
-        (np.where(SECONDS == 2, np.nan, np.maximum(20 - 5 * SECONDS, 10)), 1, (2, 0, False)),
-    ],
-)
-def test_demand_is_hardest_braking_lane_changes_and_standing(speed, lane, expected):
-    run = trace(speed)
-    states = run.states.copy()
-    states[:, 0, 6] = lane
-    assert demand_of(replace(run, states=states)) == expected

@@ -18,7 +18,6 @@ from pytest_pafot.searching.operators import (
     best_of,
     crossover,
     elites,
-    first_crossed,
     improves,
     mutate,
     parents,
@@ -92,15 +91,6 @@ def test_crossover_retains_cells_of_chains_that_fit(seed):
     rng = np.random.default_rng(seed)
     a, b = sample(SearchSpace(npcs=1), rng), sample(SearchSpace(npcs=1), rng)
     assert [child.npcs for child in crossover(a, b, rng)] == [b.npcs, a.npcs]
-
-
-@given(spaces, spaces, seeds)
-def test_first_child_alone_equals_first_of_both_children(space_a, space_b, seed):
-    rng = np.random.default_rng(seed)
-    a, b = sample(space_a, rng), sample(space_b, rng)
-    one, other = np.random.default_rng(seed), np.random.default_rng(seed)
-    assert first_crossed(a, b, one) == crossover(a, b, other)[0]
-    assert one.bit_generator.state == other.bit_generator.state
 
 
 def test_crossover_takes_each_npc_with_equal_chances(assert_rate):

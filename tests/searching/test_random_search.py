@@ -1,37 +1,25 @@
-"""The random baseline learns nothing."""
+"""Random search, and a base class for algorithms that draw whole generations."""
 
 import numpy as np
 import pytest
 
 from pytest_pafot.searching.algorithms.random_search import RandomSearch
 from pytest_pafot.searching.events import GenerationFinished, NewBest
+from pytest_pafot.searching.space import SearchSpace
+from tests.helpers.campaigns import Fresh
 
 
-def test_every_generation_is_drawn_anew(make_evaluation):
-    search = RandomSearch()
-    rng = np.random.default_rng(0)
-    state = search.start(rng)
-    seen = set()
-    for generation in range(20):
-        state, asked = search.ask(state, rng)
-        state, (finished, *_) = search.tell(state, [make_evaluation(scenario) for scenario in asked], rng)
-        assert (finished.generation, finished.elites, len(asked)) == (generation, 0, 4)
-        seen |= set(asked)
-    assert len(seen) == 80
-
-
-def test_results_do_not_change_what_random_search_asks(make_evaluation):
-    def asked(fitness):
-        search, rng = RandomSearch(), np.random.default_rng(1)
-        state, first = search.ask(search.start(rng), rng)
-        state, _ = search.tell(state, [make_evaluation(scenario, fitness=fitness) for scenario in first], rng)
-        return first, search.ask(state, rng)[1]
-
-    assert asked(0.0) == asked(9.0)
+def test_a_scenario_depends_on_seed_and_number_alone():
+    search = RandomSearch(SearchSpace(most_npcs=(5,)))
+    drawn = [search.drawn(7, number) for number in range(1000)]
+    assert len(set(drawn)) == 1000
+    order = np.random.default_rng(0).permutation(1000)
+    assert [search.drawn(7, int(number)) for number in order] == [drawn[number] for number in order]
+    assert search.drawn(8, 3) not in drawn
 
 
 def test_a_new_best_is_reported_once(make_evaluation):
-    search, rng = RandomSearch(population=2), np.random.default_rng(1)
+    search, rng = Fresh(population=2), np.random.default_rng(1)
     state, kinds = search.start(rng), []
     for fitness in (1.0, 1.0, 2.0, float("nan")):
         state, asked = search.ask(state, rng)
@@ -43,4 +31,4 @@ def test_a_new_best_is_reported_once(make_evaluation):
 
 def test_an_empty_population_is_refused():
     with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, received 0"):
-        RandomSearch(population=0)
+        Fresh(population=0)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching import DistinctSearch, PafotSearch, RandomSearch
+from pytest_pafot.searching import PafotSearch
 from pytest_pafot.searching.events import (
     CampaignStarted,
     Evaluated,
@@ -16,12 +16,12 @@ from pytest_pafot.searching.events import (
     LocalSearchStarted,
     Restarted,
 )
-from pytest_pafot.searching.plan import generation_rng, plan_of
+from pytest_pafot.searching.plan import Plan, generation_rng
 from pytest_pafot.searching.space import SearchSpace
-from tests.helpers.campaigns import run_campaign
+from tests.helpers.campaigns import Fresh, run_campaign
 from tests.helpers.tables import table
 
-ALGORITHMS = [PafotSearch(), RandomSearch(), PafotSearch(SearchSpace(npcs=3, genes=2), population=7)]
+ALGORITHMS = [PafotSearch(), Fresh(), PafotSearch(SearchSpace(npcs=3, genes=2), population=7)]
 
 
 def of(kind, events):
@@ -76,33 +76,6 @@ def test_scenarios_are_announced_in_the_order_of_their_evaluation(cheap_world, a
     assert events == list(run_campaign(algorithm, cheap_world(), generations=8, seed=1))
 
 
-def test_first_scenario_is_foreseen_before_next_is_drawn(cheap_world):
-    told = []
-
-    class Telling(DistinctSearch):
-        def child(self, parents, rng):
-            told.append("drawn")
-            return DistinctSearch.child(self, parents, rng)
-
-    def foresee(scenarios):
-        told.extend("foreseen" for _ in scenarios)
-
-    list(run_campaign(Telling(population=4, random_runs=4), cheap_world(), generations=3, seed=1, foresee=foresee))
-    assert told == ["foreseen"] * 4 + ["drawn", "foreseen"] * 8
-
-
-def test_algorithm_with_its_own_ask_is_used(cheap_world):
-    asked = []
-
-    class Asked(RandomSearch):
-        def ask(self, state, rng):
-            asked.append(state.generation)
-            return RandomSearch.ask(self, state, rng)
-
-    list(run_campaign(Asked(), cheap_world(), generations=2, seed=1))
-    assert asked == [0, 1]
-
-
 def test_another_seed_is_another_search(cheap_world):
     first, second = (list(run_campaign(PafotSearch(), cheap_world(), generations=2, seed=s)) for s in (1, 2))
     assert of(Evaluated, first) != of(Evaluated, second)
@@ -139,9 +112,7 @@ def test_search_ends_after_run_limit_within_a_generation(cheap_world, longer, ru
 
 
 def test_first_reached_limit_of_runs_or_generations_ends(cheap_world):
-    ends = [
-        list(run_campaign(RandomSearch(), cheap_world(), generations=2, runs=runs, seed=1))[-1] for runs in (7, 8, 9)
-    ]
+    ends = [list(run_campaign(Fresh(), cheap_world(), generations=2, runs=runs, seed=1))[-1] for runs in (7, 8, 9)]
     assert [(end.reason, end.simulated) for end in ends] == [("runs", 7), ("generations", 8), ("generations", 8)]
 
 
@@ -173,8 +144,8 @@ def test_what_the_evaluation_raises_reaches_the_consumer(cheap_world):
 
 
 def test_an_evaluation_of_another_scenario_is_refused(make_evaluation):
-    campaign = run_campaign(RandomSearch(), lambda scenario: make_evaluation(), generations=1, seed=1)
-    with pytest.raises(ValueError, match="evaluate: expected the evaluation of"):
+    campaign = run_campaign(Fresh(), lambda scenario: make_evaluation(), generations=1, seed=1)
+    with pytest.raises(ValueError, match="expected the evaluation of"):
         list(campaign)
 
 
@@ -220,7 +191,7 @@ def test_local_generations_are_added_after_the_last_generation(make_evaluation):
 )
 def test_arguments_out_of_range_are_refused_early(arguments, message):
     with pytest.raises(ValueError, match=message):
-        plan_of(PafotSearch(), **({"generations": 1, "seed": 1} | arguments))
+        Plan(PafotSearch(), **({"generations": 1, "seed": 1} | arguments))
 
 
 def best_after(algorithm, evaluate, *, simulations, seed):
@@ -239,7 +210,7 @@ def test_genetic_algorithm_beats_random_search_on_smooth_landscape(make_evaluati
     def bests(algorithm):
         return [best_after(algorithm, evaluate, simulations=120, seed=seed) for seed in range(3)]
 
-    by_chance = bests(RandomSearch())
+    by_chance = bests(Fresh())
     for algorithm in (PafotSearch(), PafotSearch(restart_after=50)):
         scores = list(zip(bests(algorithm), by_chance, strict=True))
         assert all(ours > theirs for ours, theirs in scores), scores

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
-from pytest_pafot.searching.algorithms.distinct import DistinctSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
 from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
 from pytest_pafot.searching.ask_tell import Algorithm
@@ -18,8 +17,8 @@ from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.text import meant
 
-CLASSES: Mapping[str, type[Algorithm[Any]]] = MappingProxyType({
-    each.name: each for each in (DistinctSearch, PafotSearch, RandomSearch, RandomManoeuvreSearch, AvFuzzerSearch)
+CLASSES: Mapping[str, type[Any]] = MappingProxyType({
+    each.name: each for each in (RandomSearch, PafotSearch, RandomManoeuvreSearch, AvFuzzerSearch)
 })  # fmt: skip
 """The algorithms by name."""
 
@@ -34,7 +33,7 @@ class AlgorithmClass:
     A class must have the attribute ``name``. Other attributes that it lacks have the defaults below.
     """
 
-    made_by: Callable[..., Algorithm[Any]]  # the class
+    made_by: Callable[..., Any]  # the class
     name: str  # the name in files and reports
     # the fitness that it maximises unless a different one is requested: a name or a function
     fitness: str | Fitness = "default"
@@ -42,7 +41,12 @@ class AlgorithmClass:
     is_papers: bool = False  # whether its scenarios are the paper's: two NPCs, one start, no patterns
     draws_vehicles: bool = False  # whether NPCs are all vehicles that fit the world, if the mark does not name some
 
-    def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any]:
+    @property
+    def draws_by_number(self) -> bool:
+        """True if it draws each scenario by its number, and has no generations."""
+        return self.made_by is RandomSearch
+
+    def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any] | RandomSearch:
         """Make the algorithm for a space, with its own parameters, such as ``population=4``.
 
         Raises:
@@ -54,7 +58,8 @@ class AlgorithmClass:
                 raise ValueError(
                     f"{parameter}: expected a parameter of the algorithm {self.name!r}, which takes {', '.join(known)}"
                 )
-        return self.made_by(space, **parameters)
+        made: Algorithm[Any] | RandomSearch = self.made_by(space, **parameters)
+        return made
 
 
 def resolve_algorithm(given: str | type[Algorithm[Any]]) -> AlgorithmClass:
@@ -88,6 +93,8 @@ def _check_class(given: Any) -> None:
             "the class itself, which is called with the space and population="
         )
     name = getattr(given, "name", None)
+    if given is RandomSearch:
+        return
     missing = [method for method in ("start", "ask", "tell") if not callable(getattr(given, method, None))]
     missing += sorted(getattr(given, "__abstractmethods__", ()))
     missing += [] if isinstance(name, str) else ["name"]

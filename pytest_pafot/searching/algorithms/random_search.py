@@ -1,4 +1,4 @@
-"""Random search, the baseline: every scenario is sampled independently and nothing is learnt.
+"""Random search: every scenario is sampled independently and nothing is learnt.
 
 The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can mean
 random Position-Instructions or random manoeuvres. This module has a search for each.
@@ -6,44 +6,40 @@ random Position-Instructions or random manoeuvres. This module has a search for 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from numpy.random import Generator
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.ask_tell import GenerationalSearch, GenerationState
-from pytest_pafot.searching.space import sample, sample_manoeuvres
+from pytest_pafot.searching.plan import generation_rng
+from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 
 @dataclass(frozen=True, slots=True)
-class RandomSearch(GenerationalSearch[GenerationState]):
-    """A search that samples valid scenarios at random, in generations as large as the paper's search (section 4.2)."""
+class RandomSearch:
+    """The default search, which samples valid scenarios at random, each by its number.
+
+    Scenario number n follows from the seed and from n alone. So whoever needs it draws it, in any process and order.
+    """
 
     name: ClassVar[str] = "random"
-    counted_at_first: ClassVar[float] = math.inf  # all scenarios are random
-    block_runs: ClassVar[int] = 64  # nothing is learnt, so this only lets processes work by themselves
+    draws_vehicles: ClassVar[bool] = True
 
-    def start(self, rng: Generator) -> GenerationState:
-        """Return the state before the first generation, without using a random number."""
-        return GenerationState()
+    space: SearchSpace = field(default_factory=SearchSpace)
 
-    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
-        """Propose a generation of random scenarios."""
-        return state, (self.drawn(rng) for _ in range(self.population))
-
-    def drawn(self, rng: Generator) -> Scenario:
-        """Sample one scenario."""
-        return sample(self.space, rng)
+    def drawn(self, seed: int, number: int) -> Scenario:
+        """Return the scenario of a number, which is counted from 0."""
+        return sample(self.space, generation_rng(seed, number, 0))
 
 
 @dataclass(frozen=True, slots=True)
-class RandomManoeuvreSearch(RandomSearch):
+class RandomManoeuvreSearch(GenerationalSearch[GenerationState]):
     """A search that samples random manoeuvres, one for each time slice, as AV-Fuzzer has them.
 
-    See the algorithm ``av-fuzzer``.
+    See the algorithm ``av-fuzzer``. Its generations are as large as those of the paper's search (section 4.2).
 
     Attributes:
         slices: number of manoeuvres of each NPC; together they last as long as the genes of the space.
@@ -55,6 +51,11 @@ class RandomManoeuvreSearch(RandomSearch):
 
     slices: int = field(default=5, kw_only=True)
 
-    def drawn(self, rng: Generator) -> Scenario:
-        """Sample one scenario of Lane-Instructions."""
-        return sample_manoeuvres(self.space.sliced(self.slices), rng)
+    def start(self, rng: Generator) -> GenerationState:
+        """Return the state before the first generation, without using a random number."""
+        return GenerationState()
+
+    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
+        """Propose a generation of random scenarios of Lane-Instructions."""
+        space: Any = self.space.sliced(self.slices)
+        return state, (sample_manoeuvres(space, rng) for _ in range(self.population))

@@ -191,10 +191,10 @@ def test_runs_of_equal_seconds_are_compared_separately(tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsys):
-    arguments = ["--algorithms", "distinct,distinct@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "4"]
+    arguments = ["--algorithms", "random,random@paper,pafot", "--runs", "1", "--generations", "1", "--seed", "4"]
     assert compare(tmp_path, *arguments) == 0
     drawn = {}
-    for name in ("distinct", "distinct@paper", "pafot"):
+    for name in ("random", "random@paper", "pafot"):
         with (tmp_path / "runs" / f"{name}-000.csv").open() as file:
             scenarios = [json.loads(row["executed"]) for row in csv.DictReader(file)]
         drawn[name] = (
@@ -202,12 +202,12 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
             {len(npcs) for npcs, *_ in scenarios},
             len({speed for _, _, _, speed, *_ in scenarios}),
         )
-    runs, npcs, speeds = drawn.pop("distinct")
-    assert drawn == {"distinct@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
+    runs, npcs, speeds = drawn.pop("random")
+    assert drawn == {"random@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
     assert (runs, npcs) == (16, {3, 4, 5, 6})
     assert speeds > 8, "of the ego at first"
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
-    assert "; of distinct with `{" in report
+    assert "; of random with `{" in report
     of_test, papers = (
         "3 to 6 NPCs with Position- or Lane-Instructions in hostile traffic (NPCs may stop, brake hard and "
         "cut in close); the ego starts at 12 to 26.8 m/s in lanes "
@@ -216,11 +216,11 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
     )
     warning, _, tables = report.partition("## How many collisions")
     assert "**Warning:** the algorithms have different scenarios, so differences" in warning
-    assert f"- distinct: {of_test}; genes of 2 to 4 s, together 20 s; half of them have" in warning
-    assert f"- distinct@paper, pafot: {papers}; 2 genes of 10 s\n" in warning
+    assert f"- random: {of_test}; genes of 2 to 4 s, together 20 s; half of them have" in warning
+    assert f"- random@paper, pafot: {papers}; 2 genes of 10 s\n" in warning
     assert "| pafot |" in tables
     assert "compare: warning: the algorithms have different scenarios" in told
-    assert f"  distinct@paper, pafot: {papers}; 2 genes of 10 s\n" in told
+    assert f"  random@paper, pafot: {papers}; 2 genes of 10 s\n" in told
 
 
 def test_algorithms_that_find_nothing_have_a_report_too(tmp_path):
@@ -246,8 +246,8 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--algorithms", "pafot,genetic"], "algorithm: expected one of distinct, pafot, .*, received 'genetic'"),
-        (["--algorithms", ","], "--algorithms: expected one or more of distinct, .*, received none"),
+        (["--algorithms", "pafot,genetic"], "algorithm: expected one of random, pafot, .*, received 'genetic'"),
+        (["--algorithms", ","], "--algorithms: expected one or more of random, .*, received none"),
         (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
         (
             ["--algorithms", "av-fuzzer@soon"],

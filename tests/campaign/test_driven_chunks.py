@@ -1,4 +1,4 @@
-"""A search is the same whether the session drives its blocks, scenario by scenario, or other processes drive them."""
+"""A search is the same whether the session drives its scenario by scenario, or other processes drive them."""
 
 import math
 import multiprocessing
@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign import bench, blocks, explore, search, store, tallies
+from pytest_pafot.campaign import bench, explore, scenarios, search, store, tallies
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
-from pytest_pafot.searching import DistinctSearch, RandomSearch
 from tests.helpers.sessions import remember_reference_runs
 
 pytestmark = [
@@ -25,8 +24,8 @@ pytestmark = [
 
 SESSION = os.getpid()
 SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22, "vehicles": "car"}
-STOP = 3  # findings, of which the last is in a block of another process
-RUNS = 98  # six blocks and a part of one
+STOP = 3  # findings, of which the last is in a chunk of another process
+RUNS = 98  # six chunks and a part of one
 
 
 def keep(observation):
@@ -47,20 +46,16 @@ def holds(run):
 
 @pytest.fixture
 def searched(tmp_path, monkeypatch):
-    """Return a function that searches in blocks of 16 runs, and tells all about it and which blocks were given away."""
+    """Return a function that searches in chunks of 16 runs, and tells all about it and where given chunks begin."""
     remember_reference_runs(monkeypatch)
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")  # the session itself makes that run
-    for each in (DistinctSearch, RandomSearch):
-        monkeypatch.setattr(each, "block_runs", 16)
-    given, task = [], blocks.BlockTask
-    monkeypatch.setattr(
-        blocks, "BlockTask", lambda number, *more, **named: given.append(number) or task(number, *more, **named)
-    )
+    monkeypatch.setattr(scenarios, "chunk_size", lambda run_seconds, left, workers: min(16, left))
+    given, task = [], scenarios.Chunk
+    monkeypatch.setattr(scenarios, "Chunk", lambda first, *more: given.append(first) or task(first, *more))
 
     def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, **settings):
-        monkeypatch.setattr(blocks, "DRIVEN_SECONDS", 60.0 if drives else -1.0)
-        monkeypatch.setattr(blocks, "FED_SECONDS", 0.0)
-        settings = SPACE | {"population": 4, "shrink_rollouts": 0} | settings
+        monkeypatch.setattr(scenarios, "WORTH_SECONDS", 0.0 if drives else math.inf)
+        settings = SPACE | {"shrink_rollouts": 0} | settings
         given.clear()
         corpus, own = tmp_path / name, {"node_id": "test_it.py::test_it", "runs": runs}
         found = explore.explore(lambda: ads, holds=test, corpus=str(corpus) if saves else None, **own, **settings)
@@ -91,58 +86,34 @@ def alone(searched):
     return {**ALONE[0]}
 
 
-def test_processes_drive_blocks_while_the_session_makes_the_runs_of_the_first(searched, alone, monkeypatch):
-    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
-    began, give = [], blocks.Blocks.give
-
-    def note(self, *given):
-        give(self, *given)
-        began.extend([self.plan.generation] if self._driven else [])
-
-    monkeypatch.setattr(blocks.Blocks, "give", note)
-    assert searched("driven", drives=True, workers=2) == (alone, [1, 2, 3, 4])
-    assert began[0] == 1
-
-
-@pytest.mark.parametrize("algorithm", ["distinct", "random"])
-def test_whoever_drives_the_blocks_the_search_is_the_same(searched, algorithm):
-    alone, numbers = searched("alone", drives=True, algorithm=algorithm)
+def test_whoever_drives_the_chunks_the_search_is_the_same(searched):
+    alone, numbers = searched("alone", drives=True)
     assert not numbers
     assert len(alone["files"]) >= 2
-    assert searched("2", workers=2, algorithm=algorithm) == (alone, [])
-    for count, driven in ((2, [1, 2, 3, 4]), (3, [])):  # fewer than two blocks for each process are not given away
-        assert searched(f"{count} driven", drives=True, workers=count, algorithm=algorithm) == (alone, driven)
+    for count in (2, 3, 8):
+        found, numbers = searched(f"{count} driven", drives=True, workers=count)
+        assert found == alone
+        assert numbers[0] < 8
+        assert numbers == [*range(numbers[0], RUNS, 16)]
 
 
-def test_a_dead_process_costs_its_run_and_not_its_block(searched, monkeypatch):
-    """At the first death the session goes on with the block; later ones are in processes of those that drive."""
+def test_a_dead_process_costs_its_run_and_not_its_chunk(searched, monkeypatch):
+    """At a death the session goes on with the chunk, whose scenarios run one by one in other processes."""
     given = {"ads": mortal, "isolate": True, "workers": 2}
     one_by_one, _ = searched("one by one", **given)
     assert any(name.startswith("crash") for name in one_by_one["files"])
     lost, lose = [], search.lose
     monkeypatch.setattr(search, "lose", lambda died, *more: lost.append(died.task) or lose(died, *more))
-    broken_off, message = set(), blocks.Blocks._message
-
-    def hear(self, *given, **named):
-        what = message(self, *given, **named)
-        broken_off.update([self._suspect.task.number] if self._suspect else [])
-        return what
-
-    monkeypatch.setattr(blocks.Blocks, "_message", hear)
     driven, numbers = searched("driven", drives=True, **given)
-    assert numbers == [1, 2, 3, 4]
+    assert numbers
     assert driven == one_by_one
-    assert len(broken_off) <= 2 < len(lost)  # one for each process
+    assert len(lost) > 2
 
 
-@pytest.mark.parametrize("is_apart", [False, True])
 def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_note(
-    searched, alone, tmp_path, monkeypatch, is_apart
+    searched, alone, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive blocks
-    task = blocks.BlockTask
-    if is_apart:
-        monkeypatch.setattr(blocks, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
+    monkeypatch.setattr(runner, "DEAR", math.inf)  # so that processes only drive chunks
     flag = tmp_path / "flag"
 
     def killed(observation):
@@ -156,8 +127,9 @@ def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_not
     assert flag.exists()
     assert numbers
     (note,) = found.pop("notes")
-    what = "<Scenario .*>" if is_apart else r"block \d of the search"
-    assert re.search(rf"ended with exit code 3 while it ran {what}, which ran to its end", note)
+    assert re.search(
+        r"ended with exit code 3 while it ran scenarios \d+ to \d+ of the search, which ran to its end", note
+    )
     assert alone.pop("notes") == []
     assert found == alone
 
@@ -166,17 +138,14 @@ def speed(trace):
     return float(trace.states[1:, :, 3].max())
 
 
-def test_runs_of_later_blocks_that_only_the_session_may_judge_are_judged_when_they_come(searched, monkeypatch):
+def test_runs_that_only_the_session_may_judge_are_made_in_advance(searched, monkeypatch):
     monkeypatch.setattr(runner, "DEAR", 0.0)
     alone, _ = searched("alone", fitness=speed)
-    early, evaluated = [], bench.Bench.evaluate_ahead
-    monkeypatch.setattr(bench.Bench, "evaluate_ahead", lambda *given: early.append(given) or evaluated(*given))
     assert searched("ahead", workers=3, fitness=speed) == (alone, [])
-    assert early
 
 
 class Early(list):
-    """Files that are saved before their block is counted, and an event for other processes: that one is awaited."""
+    """Files that are saved before their chunk is counted, and an event for other processes: that one is awaited."""
 
     def __init__(self):
         super().__init__()
@@ -190,8 +159,8 @@ class Early(list):
 
 @pytest.fixture
 def saved_early(monkeypatch):
-    """Return the files that are saved before their block is counted. Block 1 waits for the first that is awaited."""
-    saved, add_pending, drive = Early(), Store.add_pending, tallies.BlockDriver.__call__
+    """Return the files that are saved before their chunk is counted. The first chunk waits for one that is awaited."""
+    saved, add_pending, drive = Early(), Store.add_pending, tallies.Driver.__call__
 
     def add(self, *given):
         before = {*self.pending}
@@ -201,54 +170,28 @@ def saved_early(monkeypatch):
             saved.is_any.set()
 
     def late(self, task, *given):
-        if task.number == 1:
+        if task.first < 8:
             saved.is_any.wait(30)  # however slow the machine is
         drive(self, task, *given)
 
     monkeypatch.setattr(Store, "add_pending", add)
-    monkeypatch.setattr(tallies.BlockDriver, "__call__", late)
+    monkeypatch.setattr(tallies.Driver, "__call__", late)
     return saved
 
 
-@pytest.mark.parametrize("drives", [True, False])
-def test_a_failure_of_a_later_block_is_saved_before_its_turn(searched, alone, saved_early, monkeypatch, drives):
-    monkeypatch.setattr(runner, "DEAR", 0.0)
-    assert searched("early", drives=drives, workers=2)[0] == alone
-    names = [each.name for each in saved_early]
-    assert names
-    if drives:  # Block 1 has failures of the same kinds.
-        assert not {*names} <= {*alone["files"]}
+def test_a_failure_of_a_later_chunk_is_saved_before_its_turn(searched, alone, saved_early):
+    assert searched("early", drives=True, workers=2)[0] == alone
+    assert not {each.name for each in saved_early} <= {*alone["files"]}  # the first chunk has failures of their kinds
 
 
-def test_a_death_in_a_later_block_is_saved_before_its_turn(searched, saved_early, monkeypatch):
-    driven, drive = [], tallies.BlockDriver.__call__
-
-    def dies(observation):
-        """End the process of the process that drives one of the last blocks."""
-        return mortal(observation) if driven and driven[-1] > 2 else keep(observation)
-
-    monkeypatch.setattr(
-        tallies.BlockDriver,
-        "__call__",
-        lambda self, task, *more: driven.append(task.number) or drive(self, task, *more),
-    )
-    task = blocks.BlockTask
-    monkeypatch.setattr(blocks, "BlockTask", lambda *given, is_apart: task(*given, is_apart=True))
-    saved_early.is_awaited = lambda path: path.name.startswith("crash")
-    found, _ = searched("early", ads=dies, drives=True, workers=2)
-    crashes = {each.name for each in saved_early if each.name.startswith("crash")}
-    assert crashes
-    assert crashes <= {*found["files"]}
-
-
-def test_a_search_that_stops_at_its_findings_forgets_those_of_later_blocks(searched, saved_early):
+def test_a_search_that_stops_at_its_findings_forgets_those_of_later_chunks(searched, saved_early):
     alone, _ = searched("alone", stop_after=STOP)
     assert not saved_early
     assert searched("early", drives=True, workers=2, stop_after=STOP)[0] == alone
     assert saved_early
 
 
-def test_a_failure_of_a_later_block_whose_file_cannot_be_removed_stays(searched, saved_early, monkeypatch):
+def test_a_failure_of_a_later_chunk_whose_file_cannot_be_removed_stays(searched, saved_early, monkeypatch):
     unlink = Path.unlink
 
     def refuse(self, *given, **named):
@@ -264,7 +207,7 @@ def test_a_failure_of_a_later_block_whose_file_cannot_be_removed_stays(searched,
 
 @pytest.fixture
 def is_over_when_saved_early(saved_early, monkeypatch):
-    """Let the time of a search be over as soon as a failure of a later block is saved, for which it waits."""
+    """Let the time of a search be over as soon as a failure of a later chunk is saved, for which it waits."""
     reached = TimedWatch.reached
 
     def is_over(self, plan):
@@ -276,7 +219,7 @@ def is_over_when_saved_early(saved_early, monkeypatch):
 
 
 @pytest.mark.usefixtures("is_over_when_saved_early")
-def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searched, saved_early):
+def test_a_search_whose_time_is_over_counts_the_failures_of_later_chunks(searched, saved_early):
     found, _ = searched("early", drives=True, workers=2)
     assert {each.name for each in saved_early} <= {*found["files"]}
     assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
@@ -284,7 +227,7 @@ def test_a_search_whose_time_is_over_counts_the_failures_of_later_blocks(searche
 
 
 @pytest.mark.usefixtures("is_over_when_saved_early")
-def test_a_search_that_saves_nothing_counts_the_failures_of_later_blocks_when_its_time_is_over(
+def test_a_search_that_saves_nothing_counts_the_failures_of_later_chunks_when_its_time_is_over(
     searched, saved_early, monkeypatch
 ):
     searched("early", drives=True, workers=2)
@@ -295,7 +238,7 @@ def test_a_search_that_saves_nothing_counts_the_failures_of_later_blocks_when_it
 
 
 @pytest.mark.usefixtures("is_over_when_saved_early")
-def test_a_failure_of_a_later_block_that_is_not_repeated_is_flaky(searched, saved_early):
+def test_a_failure_of_a_later_chunk_that_is_not_repeated_is_flaky(searched, saved_early):
     """The verdict before its turn is on the run of the other process. At this seed, its scenario is driven as drawn."""
 
     def elsewhere(observation):
