@@ -32,6 +32,10 @@ CHUNK_SECONDS = 0.05
 WORTH_SECONDS = 0.3
 """The least time of the runs to come for which other processes are started [s], which takes some tenths of a second."""
 
+CHUNKS_AHEAD = 8
+"""The number of chunks for each process that are given before the first of them is counted: runs differ in length, and
+nobody should wait for a long one."""
+
 AHEAD, AHEAD_ELSEWHERE = 4, 128
 """The number of scenarios that each process gets in advance, and that all workers of a cluster get, where the session
 has to draw them."""
@@ -267,7 +271,7 @@ class Numbers:
         if not self._driven and left * run_seconds < WORTH_SECONDS and not bench.runner.in_use:
             return
         failures = frozenset[Signature]().union(*known)
-        while left > 0 and len(self._driven) < 2 * workers:
+        while left > 0 and len(self._driven) < CHUNKS_AHEAD * workers:
             size = chunk_size(run_seconds, left, workers)
             chunk = Chunk(self._given, self._given + size, failures, frozenset(fatal))
             if not bench.runner.drive(chunk):
