@@ -48,7 +48,7 @@ REPORTS = {
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
 BENCHMARKS: Mapping[str, str] = {
-    "planted-defects": "planted_defects --arms default cells lanes --seeds {10|1} --first-seed 1000 --runs {1000|20} "
+    "planted-defects": "planted_defects --arms default cells pafot --seeds {10|1} --first-seed 1000 --runs {1000|20} "
     "--workers WORKERS --save OUT.jsonl --picture OUT.png",
     "speed": "speed --rounds {9|1} --parts {engines ads search|search}",
 }

@@ -17,8 +17,6 @@ from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING, Any, cast
 
-from numpy.random import Generator, SeedSequence, default_rng
-
 from pytest_pafot.model.driving_style import PAPERS, STYLES, Style
 from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.model.instructions import (
@@ -47,6 +45,9 @@ MAX_SEED = 2**63 - 1
 
 REPAIR = "Scenario.repaired(...) makes such chains valid"
 """The way out that messages give for a chain with a cell that is no ring neighbour of the previous cell."""
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 Chromosome = tuple[Instruction, ...]
@@ -215,9 +216,8 @@ class Scenario(_Hashed):
         """
         npcs, seed, ego_lane, ego_speed, gene_seconds, *others = fields
         vehicles = others.pop() if others and isinstance(others[-1], list) else ()
-        chains = tuple(tuple(map(instruction_of, chain)) for chain in npcs)
         return cls(
-            npcs=chains,
+            npcs=tuple(tuple(map(instruction_of, chain)) for chain in npcs),
             seed=seed,
             ego_lane=ego_lane,
             ego_speed=ego_speed,
@@ -275,9 +275,11 @@ class Scenario(_Hashed):
 def rng_of(seed: int | Sequence[int], *part: int) -> Generator:
     """Return a random generator of this package, which depends only on a seed and the part of the work that draws.
 
-    It is made by numpy's own functions, also where a test has replaced them.
+    It is made of numpy's own classes, since a test may have replaced the function ``default_rng``.
     """
-    return default_rng(SeedSequence(seed, spawn_key=part))
+    from numpy.random import PCG64, Generator, SeedSequence  # noqa: PLC0415  (slow to import)
+
+    return Generator(PCG64(SeedSequence(seed, spawn_key=part)))
 
 
 @lru_cache(maxsize=64)
@@ -353,8 +355,7 @@ def _repaired(npcs: Sequence[Sequence[Instruction]], seed: int) -> tuple[Chromos
 
 def positions_of(npcs: Sequence[Sequence[Instruction]]) -> tuple[tuple[PositionInstruction, ...], ...]:
     """Return the chains that consist of Position-Instructions."""
-    positions = tuple(tuple(chain) for chain in npcs if chain[0].on_grid)
-    return cast("tuple[tuple[PositionInstruction, ...], ...]", positions)
+    return cast("tuple[tuple[PositionInstruction, ...], ...]", tuple(tuple(each) for each in npcs if each[0].on_grid))
 
 
 def on_grid(npcs: Sequence[Sequence[Instruction]], rows: Sequence[Sequence[Cell]]) -> list[Sequence[Cell]]:
