@@ -24,7 +24,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pytest_pafot.support.receipts import ended_with, leave_receipt, taken_receipt, unfinished
+from pytest_pafot.support.process import ended_with, leave_receipt, taken_receipt, unfinished
 
 
 class Command(NamedTuple):
@@ -88,7 +88,7 @@ def main_in_child(arguments: list[str]) -> int:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115  (a device, for ever)
     if told := os.environ.pop(DRIVES, ""):
         parent, _, folder = told.partition(":")
-        from pytest_pafot.support.interrupts import bound_to  # noqa: PLC0415
+        from pytest_pafot.support.process import bound_to  # noqa: PLC0415
 
         bound_to(int(parent), signal.SIGTERM)  # where that is not possible, it drives on when its parent is killed
         try:
@@ -166,7 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     The arguments do not include the program's name; by default they are those of this process.
     """
-    from pytest_pafot.support.interrupts import Ended, interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.support.process import Ended, interrupted_by_signals  # noqa: PLC0415
 
     given = sys.argv[1:] if arguments is None else arguments
     try:

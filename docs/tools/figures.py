@@ -30,8 +30,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from pytest_pafot.support.process import installed_versions  # noqa: E402
 from pytest_pafot.support.text import csv_text  # noqa: E402
-from pytest_pafot.support.versions import installed_versions  # noqa: E402
 
 COMPARE = "-m pytest_pafot compare --workers WORKERS --out OUT"
 EVERY = "--blame ego --algorithms random,random@paper,pafot,av-fuzzer@15"

@@ -25,7 +25,7 @@ from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.support.replaced import REPLACED
+from pytest_pafot.support.process import REPLACED
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in

@@ -44,7 +44,7 @@ from pytest_pafot.searching.fitness import resolve
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, check_asserts
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.process import installed_versions
 from pytest_pafot.world import Highway, WorldLike
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
 

@@ -26,9 +26,8 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Facts, ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, RequestError
-from pytest_pafot.support.references import factory_named, name_of
-from pytest_pafot.support.replaced import REPLACED
-from pytest_pafot.support.source_files import source_files
+from pytest_pafot.support.process import REPLACED
+from pytest_pafot.support.references import factory_named, name_of, source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Perception, Policy, hint_at_object, sight_of

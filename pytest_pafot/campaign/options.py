@@ -308,7 +308,7 @@ def _read_integer(option: Option, value: object) -> int:
 
 def _read_workers(option: Option, value: object) -> int:
     if value == AUTO:
-        from pytest_pafot.support.versions import cores  # noqa: PLC0415  (slow to import)
+        from pytest_pafot.support.process import cores  # noqa: PLC0415  (slow to import)
 
         return cores()
     try:

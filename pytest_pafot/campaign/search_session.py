@@ -53,7 +53,7 @@ from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
-from pytest_pafot.support.interrupts import postponed
+from pytest_pafot.support.process import postponed
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld

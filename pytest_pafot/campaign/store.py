@@ -26,8 +26,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, flag
-from pytest_pafot.support.interrupts import postponed
-from pytest_pafot.support.replaced import REPLACED
+from pytest_pafot.support.process import REPLACED, postponed
 from pytest_pafot.world import codec
 
 UNCONFIRMED = "not confirmed: out of time"

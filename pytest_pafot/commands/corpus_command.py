@@ -20,8 +20,7 @@ from pytest_pafot.corpus.reader import content_of, parsed
 from pytest_pafot.corpus.saved import Saved, named_file
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.errors import CorpusError, RequestError
-from pytest_pafot.support.files import way_out, write_whole
-from pytest_pafot.support.git import Since, added_in
+from pytest_pafot.support.files import Since, added_in, way_out, write_whole
 from pytest_pafot.support.text import ascii_text, day_of, quiet_json, visible, wrapped_to
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.support.errors import RequestError, check_asserts
-from pytest_pafot.support.references import PLANNER, factory_named
-from pytest_pafot.support.source_files import source_digests
+from pytest_pafot.support.process import cores
+from pytest_pafot.support.references import PLANNER, factory_named, source_digests
 from pytest_pafot.support.text import meant
-from pytest_pafot.support.versions import cores
 
 BAD_USE = 2
 """The exit code for wrong arguments, which argparse uses as well."""

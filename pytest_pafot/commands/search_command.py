@@ -36,8 +36,7 @@ from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.vehicle_type import named_vehicles
 from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
-from pytest_pafot.support.interrupts import Ended, undisturbed
-from pytest_pafot.support.receipts import taken_receipt, unfinished
+from pytest_pafot.support.process import Ended, taken_receipt, undisturbed, unfinished
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import one_line, visible
 
@@ -67,7 +66,7 @@ except KeyboardInterrupt:  # before there was a session; the command says so
 except BrokenPipeError:  # as of `| head`; else Python fails to flush the rest when it exits
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     code = 1
-from pytest_pafot.support.receipts import leave_receipt  # only now: pytest rewrites the assertions of what it imports
+from pytest_pafot.support.process import leave_receipt  # only now: pytest rewrites the assertions of what it imports
 leave_receipt(folder, code)
 sys.exit(code)
 """

@@ -24,9 +24,9 @@ from pytest_pafot.comparison.run_measures import (
     of,
     survival,
 )
+from pytest_pafot.support.process import installed_versions, versions_text
 from pytest_pafot.support.proportions import holm
 from pytest_pafot.support.text import csv_text, markdown_table
-from pytest_pafot.support.versions import installed_versions, versions_text
 
 # The numbers that the paper reports (Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 4.2).
 

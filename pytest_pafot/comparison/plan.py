@@ -17,10 +17,9 @@ from pytest_pafot.oracle.checks import require
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.references import referred_to
-from pytest_pafot.support.source_files import source_digests
+from pytest_pafot.support.process import installed_versions
+from pytest_pafot.support.references import referred_to, source_digests
 from pytest_pafot.support.text import plural
-from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.codec import WorldData, code_of
 
 DIFFERENT = (

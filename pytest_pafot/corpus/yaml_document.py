@@ -20,7 +20,7 @@ import yaml
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import MAX_DEPTH, MAX_NUMBER
 from pytest_pafot.support.errors import RESTORE, CorpusError, plain_number, plain_whole
-from pytest_pafot.support.git import LFS_POINTER
+from pytest_pafot.support.files import LFS_POINTER
 from pytest_pafot.support.text import day_of
 
 VERSION = 2

@@ -30,7 +30,7 @@ from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, InGym, Job, LostRun, Timed
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import flag, install
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.process import installed_versions
 from pytest_pafot.world.guard.hang_guard import check_time
 
 OPTION = flag("dask")

@@ -32,7 +32,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeAlias, TypeVar
 
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.support.interrupts import bound_to
+from pytest_pafot.support.process import bound_to
 from pytest_pafot.world.guard.hang_guard import LastResort, check_time, last_resort
 
 TaskT = TypeVar("TaskT", bound=Hashable)

@@ -12,7 +12,7 @@ from pytest_pafot import Outcome, load
 from pytest_pafot.commands.policy_reference import add_world_arguments, ads_factory, chosen_world
 from pytest_pafot.export.exporter import FORMATS, ExportError, exporter
 from pytest_pafot.support.files import write_whole, written_into
-from pytest_pafot.support.interrupts import postponed
+from pytest_pafot.support.process import postponed
 from pytest_pafot.world.codec import WorldData
 
 

@@ -40,8 +40,8 @@ from pytest_pafot.model.trace import Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, with_avoidance
 from pytest_pafot.support.errors import plain_number
+from pytest_pafot.support.process import RULES
 from pytest_pafot.support.text import visible
-from pytest_pafot.support.versions import RULES
 
 # Error texts are cleaned of everything that differs between processes, so that the same seed writes the same files.
 

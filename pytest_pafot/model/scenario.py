@@ -30,7 +30,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.instructions.instruction import checked_number, encoded
 from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType, without_last_cars
 from pytest_pafot.support.errors import FieldError, checked_whole
-from pytest_pafot.support.shown import Pasteable
+from pytest_pafot.support.text import Pasteable
 
 PAPER_SPEED_LIMIT = 26.8
 """The speed limit on the paper's motorway, 60 mph [m/s]."""

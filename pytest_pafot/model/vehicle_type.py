@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from pytest_pafot.support.errors import FieldError, plain_number
-from pytest_pafot.support.shown import Pasteable
+from pytest_pafot.support.text import Pasteable
 
 BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {

@@ -263,7 +263,7 @@ def _not_in_checkout(top: Path, corpus: Path) -> Iterator[Path]:
 
     A submodule that is a corpus, and that was not fetched, is yielded itself.
     """
-    from pytest_pafot.support.git import git  # noqa: PLC0415  (few sessions have saved scenarios)
+    from pytest_pafot.support.files import git  # noqa: PLC0415  (few sessions have saved scenarios)
 
     above = Path(os.path.realpath(top))
     if not any(os.path.lexists(each / ".git") for each in (above, *above.parents)):

@@ -35,7 +35,7 @@ from pytest_pafot.plugin.replay_item import run_replay
 from pytest_pafot.plugin.search_item import run_search
 from pytest_pafot.plugin.session import SHARED, is_worker, uncaptured
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
-from pytest_pafot.support.replaced import REPLACED
+from pytest_pafot.support.process import REPLACED
 from pytest_pafot.support.text import meant, visible, wrapped_to
 from pytest_pafot.world.guard.hang_guard import LastResort, last_resort
 

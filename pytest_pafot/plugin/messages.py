@@ -17,7 +17,7 @@ import pytest
 
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.support.interrupts import postponed
+from pytest_pafot.support.process import postponed
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:

@@ -56,9 +56,8 @@ from pytest_pafot.searching.events import GenerationFinished
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, flag, rerun
 from pytest_pafot.support.files import remove_unfinished
-from pytest_pafot.support.replaced import REPLACED
+from pytest_pafot.support.process import REPLACED, installed_versions
 from pytest_pafot.support.text import capitalised, plural
-from pytest_pafot.support.versions import installed_versions
 from pytest_pafot.world.driving.policy import Policy
 
 if TYPE_CHECKING:

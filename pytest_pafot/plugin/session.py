@@ -161,7 +161,7 @@ def unclaimed(config: pytest.Config) -> list[str]:
 
 def end_in_order(config: pytest.Config) -> None:
     """Let SIGTERM and SIGHUP interrupt the session, which would otherwise leave processes and no results behind."""
-    from pytest_pafot.support.interrupts import interrupted_by_signals  # noqa: PLC0415
+    from pytest_pafot.support.process import interrupted_by_signals  # noqa: PLC0415
     from pytest_pafot.world.guard.hang_guard import note_interrupt  # noqa: PLC0415
 
     stack = ExitStack()
@@ -199,7 +199,7 @@ def guard_exits(config: pytest.Config) -> None:
         if not code() or not plugins.has_plugin("pafot-messages"):
             vars(os).update(own)
         elif code() == pytest.ExitCode.INTERRUPTED:
-            from pytest_pafot.support.interrupts import exit_soon  # noqa: PLC0415
+            from pytest_pafot.support.process import exit_soon  # noqa: PLC0415
 
             exit_soon(code())
 

@@ -99,7 +99,7 @@ class Records:
             finding_entry,
             worst,
         )
-        from pytest_pafot.support.versions import installed_versions  # noqa: PLC0415
+        from pytest_pafot.support.process import installed_versions  # noqa: PLC0415
 
         record, same = self._record, partial(portable, root=str(self._config.rootpath))
 

@@ -26,9 +26,8 @@ from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report.page_data import Paragraph, Report, RunView
 from pytest_pafot.support.files import write_whole
-from pytest_pafot.support.markup import content_hash, json_in_script
-from pytest_pafot.support.text import plural, visible_lines
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.process import installed_versions
+from pytest_pafot.support.text import content_hash, json_in_script, plural, visible_lines
 
 
 def text(value: object) -> str:

@@ -24,9 +24,8 @@ from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
 from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.report.terminal import further, parameter_shares
-from pytest_pafot.support.markup import code, plain
 from pytest_pafot.support.proportions import none_text
-from pytest_pafot.support.text import capitalised, plural, quiet_json
+from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
 VERSION = 1
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""

@@ -1,14 +1,18 @@
-"""Text tools for every package: text that is safe to print, nouns that agree with their number, and tables."""
+"""Texts that are safe to print, in Markdown and HTML, too, nouns that agree with their number, tables, and ``repr``."""
 
 from __future__ import annotations
 
+import base64
 import csv
 import difflib
+import hashlib
 import io
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, fields
 from datetime import date
+from types import MappingProxyType
 from typing import Any
 
 _COMMAND = r"(?<!\S)::|##(?=\w*\[)"  # compiled when it is used, as all patterns here: most sessions use none
@@ -158,3 +162,68 @@ def _leaves(place: str, data: Any) -> Iterator[tuple[str, Any]]:
 
 def _shown(leaves: Mapping[str, Any], key: str) -> str:
     return f"{leaves[key]!r:.60}" if key in leaves else "missing"
+
+
+MAX_TEXT = 300
+"""The largest number of characters of a user's text. A longer text is cut."""
+
+_MARKUP = re.compile(r"([\\`*_\[\]|~#!]|^[-+=](?=[-+=]*(?: |$)))")
+_ORDERED = re.compile(r"^(\d+)(?=[.)](?: |$))")
+_LINK = re.compile(r"(?i)(:)(?=//)|(?<=www)(\.)")
+_ENTITIES = MappingProxyType({"&": "&amp;", "<": "&lt;", ">": "&gt;", "$": "<span>$</span>"})
+_REFERENCE = re.compile(r"(?i)@|#(?=\w)|\bgh-(?=\d)|:(?=[\w+-]+:)")
+"""Text that GitHub turns into a mention, an issue or an emoji, even escaped, unless a zero-width space follows it."""
+
+
+def plain(text: str) -> str:
+    """Escape a text on one line so that nothing in it is markup, a link or HTML."""
+    line = _LINK.sub(r"\\\1\2", _ORDERED.sub(r"\1\\", _MARKUP.sub(r"\\\1", _one_line(text))))
+    line = "".join(_ENTITIES.get(character, character) for character in line)
+    return _REFERENCE.sub(r"\g<0>&#8203;", line)
+
+
+def code(text: str) -> str:
+    """Return a text as Markdown code, between fences of more backticks than the text has in a row."""
+    line = _one_line(text)
+    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
+    pad = " " if line.startswith(("`", " ")) or line.endswith(("`", " ")) else ""
+    return f"{fence}{pad}{line or ' '}{pad}{fence}"
+
+
+def _one_line(text: str) -> str:
+    line = " ".join(visible(text).split())
+    return line if len(line) <= MAX_TEXT else f"{line[:MAX_TEXT]}..."
+
+
+def json_in_script(plain: str) -> str:
+    """Return equal JSON that is safe inside a ``<script>`` element: nothing in it ends the element."""
+    return quiet_json(plain).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def content_hash(content: str) -> str:
+    """Return the hash with which a page's policy allows a style or a script."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
+
+
+class Pasteable:
+    """A dataclass whose ``repr`` is the expression that makes it, without the arguments that have their defaults.
+
+    A failing example of hypothesis can so be pasted into a test below ``from pytest_pafot import *``. Declare such a
+    dataclass with ``repr=False``.
+    """
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        given = []
+        for each in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, each.name)
+            if each.default is MISSING and not each.kw_only:
+                given.append(repr(value))
+            elif each.default is MISSING or value != each.default:
+                given.append(f"{each.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(given)})"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Print the ``repr``; hypothesis would print every field, or how its strategies made the value."""
+        printer.text(repr(self))

@@ -85,8 +85,8 @@ sys.meta_path.insert(0, Interrupted())
     ("module", "name", "command"),
     [
         ("pytest_pafot.commands.corpus_command", "SIGTERM", ["corpus", "list"]),
-        ("pytest_pafot.support.receipts", "SIGINT", ["corpus", "list"]),
-        ("pytest_pafot.support.receipts", "SIGINT", ["search", "slow:make"]),
+        ("pytest_pafot.support.process", "SIGINT", ["corpus", "list"]),
+        ("pytest_pafot.support.process", "SIGINT", ["search", "slow:make"]),
     ],
 )
 def test_signal_while_a_command_is_imported_is_told(tmp_path, module, name, command):

@@ -10,7 +10,7 @@ from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.checks import Check
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.process import installed_versions
 from tests.helpers.sessions import section
 
 SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 5.0)]], gene_seconds=6.0)

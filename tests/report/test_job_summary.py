@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.report.session_record import MAX_LISTED, SessionRecord, finding_entry, markdown
-from pytest_pafot.support.markup import code, plain
+from pytest_pafot.support.text import code, plain
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.git import git
+from pytest_pafot.support.files import git
 from tests.helpers.tables import table
 
 

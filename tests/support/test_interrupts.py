@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from pytest_pafot.support import interrupts
-from pytest_pafot.support.interrupts import ENDS, Ended, interrupted_by_signals, postponed, undisturbed
+from pytest_pafot.support import process
+from pytest_pafot.support.process import ENDS, Ended, interrupted_by_signals, postponed, undisturbed
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 
@@ -113,7 +113,7 @@ def test_a_postponed_interrupt_comes_at_the_end(number):
 
 
 def test_a_later_interrupt_ends_what_waits_for_ever(monkeypatch):
-    monkeypatch.setattr(interrupts, "PATIENCE", 0.0)
+    monkeypatch.setattr(process, "PATIENCE", 0.0)
 
     def work():
         with postponed():

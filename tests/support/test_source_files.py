@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from pytest_pafot.support.source_files import source_digests
+from pytest_pafot.support.references import source_digests
 
 POLICY = """
 import numpy, json

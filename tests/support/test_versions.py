@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from pytest_pafot.support.versions import cores, cpu_limits
+from pytest_pafot.support.process import cores, cpu_limits
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from pytest_pafot import (
     explore,
 )
 from pytest_pafot.support.errors import AdsFactoryError
-from pytest_pafot.support.versions import installed_versions
+from pytest_pafot.support.process import installed_versions
 from pytest_pafot.world.codec import described, is_code, named
 from pytest_pafot.world.engines.simulation import Simulators
 from pytest_pafot.world.roads.survey import network_of, straight_along

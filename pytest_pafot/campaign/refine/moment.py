@@ -33,7 +33,7 @@ from pytest_pafot.findings.decisions import (
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.source_files import source_files
+from pytest_pafot.support.references import source_files
 from pytest_pafot.world import codec
 from pytest_pafot.world.driving.conditions import Conditions, Parted, differing, parting, shown
 from pytest_pafot.world.driving.policy import Aside, Policy, Question, beside, changed, without

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.support.errors import FieldError, plain_whole
-from pytest_pafot.support.shown import Pasteable
+from pytest_pafot.support.text import Pasteable
 
 if TYPE_CHECKING:
     from numpy.random import Generator

@@ -21,7 +21,7 @@ from numpy.random import seed as seed_numpy
 
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
-from pytest_pafot.support.replaced import REPLACED
+from pytest_pafot.support.process import REPLACED
 
 
 class _Generator(NamedTuple):

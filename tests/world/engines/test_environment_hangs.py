@@ -17,7 +17,7 @@ from pytest_pafot.campaign.verdict import ads_text
 from pytest_pafot.findings.finding import ads_failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.support.interrupts import interrupted_by_signals
+from pytest_pafot.support.process import interrupted_by_signals
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.engines.episode import drive_episode
 from pytest_pafot.world.guard import hang_guard

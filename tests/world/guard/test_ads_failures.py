@@ -21,7 +21,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.support.interrupts import Ended, interrupted_by_signals
+from pytest_pafot.support.process import Ended, interrupted_by_signals
 from pytest_pafot.world import Highway
 from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import HangGuard
