@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
 from pytest_pafot.campaign.tallies import Driver, Tally
-from pytest_pafot.campaign.verdict import Verdict, evaluated
+from pytest_pafot.campaign.verdict import evaluated
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated, Runner
@@ -19,6 +19,7 @@ from pytest_pafot.execution.scenario_pool import trace_of
 from pytest_pafot.findings.finding import disagreement, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Facts, Run

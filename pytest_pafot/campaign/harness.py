@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.attribution.takeovers import Avoidance, avoidance, keeping_lane
 from pytest_pafot.campaign.request import AgainstError, Request
-from pytest_pafot.campaign.verdict import Test, Verdict, judge, no_skip, reference_outcomes, skips
+from pytest_pafot.campaign.verdict import Test, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
 from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
 from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace

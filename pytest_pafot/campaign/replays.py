@@ -12,7 +12,7 @@ from pathlib import Path
 from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
-from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution import scenario_pool
@@ -34,6 +34,7 @@ from pytest_pafot.findings.finding import (
 )
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.sight import Sight

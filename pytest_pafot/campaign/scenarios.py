@@ -15,10 +15,10 @@ from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import Chunk, LostRun
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Facts, Run
 from pytest_pafot.searching.algorithms.random_search import RandomSearch

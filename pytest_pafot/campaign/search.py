@@ -15,11 +15,12 @@ from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import Verdict, caught_in, unknown
+from pytest_pafot.campaign.verdict import caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import failed_as
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.searching.events import Event

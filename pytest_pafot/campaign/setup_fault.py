@@ -11,7 +11,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_pafot.campaign.verdict import PlainFailure, Verdict
+from pytest_pafot.campaign.verdict import PlainFailure, assertions
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world.base_world import BaseWorld
@@ -125,7 +126,7 @@ def cause_of(run: Run, verdict: Verdict) -> Cause | None:
     can be the scenario or the machine.
     """
     failure = verdict.failure
-    if failure is None or failure.kind == AssertionError.__name__ or verdict.asserts:
+    if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
         return None
     if not verdict.is_ads:
         return failure.kind, failure.assertion

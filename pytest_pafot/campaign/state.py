@@ -12,11 +12,12 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import FAILING, Counts, Verdict, fails_by_ego
+from pytest_pafot.campaign.verdict import FAILING, Counts, fails_by_ego
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.shrink import Shown
 from pytest_pafot.findings.signature import CHECK_FAILED, Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import events

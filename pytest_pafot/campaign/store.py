@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.scenarios import PendingFailure
-from pytest_pafot.campaign.verdict import PlainFailure, Verdict, headline
+from pytest_pafot.campaign.verdict import PlainFailure, headline
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
@@ -22,6 +22,7 @@ from pytest_pafot.findings.finding import Expect, Finding, Found, portable
 from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run

@@ -13,7 +13,7 @@ from pytest_pafot.campaign.replays import Replayed, Replays, happened, was_lost
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
-from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
@@ -22,6 +22,7 @@ from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import Finding, of_failure, unhandled
 from pytest_pafot.findings.labels import Label, Observed, RunLabel
 from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import marks, messages

@@ -12,12 +12,13 @@ from pytest_pafot.campaign.scenarios import Bred
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.verdict import Verdict, evaluated, unknown
+from pytest_pafot.campaign.verdict import evaluated, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run

@@ -7,8 +7,9 @@ from example_ads import constant_speed
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.state import RandomRuns
 from pytest_pafot.campaign.tallies import Digested, Tally
-from pytest_pafot.campaign.verdict import Verdict, evaluated
+from pytest_pafot.campaign.verdict import evaluated
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.terminal import search_lines
 from pytest_pafot.searching.events import Evaluated

@@ -5,9 +5,9 @@ import fnmatch
 import pytest
 
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
-from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Verdict
 from tests.helpers.sessions import section
 
 MISSPELT = """

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.refine.simplest import Simplest
-from pytest_pafot.campaign.verdict import Verdict, headline
+from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run, with_avoidance
 from pytest_pafot.support.errors import DriverError
 

@@ -8,13 +8,13 @@ from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.failure_rate import RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run

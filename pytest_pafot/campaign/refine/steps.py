@@ -16,11 +16,11 @@ from pytest_pafot.campaign.refine.runs import check_time, failure_rate, shows
 from pytest_pafot.campaign.refine.simplest import Simplest, simplest_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.verdict import Verdict
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import ending
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Sighting
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.text import one_line
