@@ -332,23 +332,17 @@ def test_failing_ads_file_omits_the_reference_drivers():
     assert finding.expect.reference_drivers == {}
 
 
-@table(
-    ("arguments", "message"),
-    [
-        ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
-        ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
-        ({"generations": 0}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
-        ({"generations": "00"}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
-        ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
-        (
-            {"world": Bare(), "blame": "preventable"},
-            r"\(blame='preventable'\): expected a world with reference_drivers",
-        ),
-        ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected a world such as pafot\.Highway"),
-        ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
-        ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
-    ],
-)
+@table(("arguments", "message"), [
+    ({"generation": 3}, r"pafot\.explore\(generation=\.\.\.\): did you mean 'generations'"),
+    ({"generations": "many"}, r"pafot\.explore\(generations=\.\.\.\): expected a whole number"),
+    ({"generations": 0}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
+    ({"generations": "00"}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
+    ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
+    ({"world": Bare(), "blame": "preventable"}, r"\(blame='preventable'\): expected a world with reference_drivers"),
+    ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected a world such as pafot\.Highway"),
+    ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
+    ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),
+])  # fmt: skip
 def test_a_wrong_argument_is_one_clear_error(arguments, message):
     with pytest.raises(RequestError, match=message):
         pafot.explore(constant_speed.make, holds=never_collides, **arguments)

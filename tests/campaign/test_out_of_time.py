@@ -24,13 +24,7 @@ from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.world.guard.own_worlds import rollout_of
 
 NODE_ID = "test_it.py::test_it"
-SHORT = {
-    "genes": 2,
-    "gene_seconds": 2,
-    "npcs": 2,
-    "node_id": NODE_ID,
-    "shrink_rollouts": 15,
-}
+SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 15}
 
 
 @pytest.fixture

@@ -30,25 +30,17 @@ def avoids_collisions(run):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-@pytest.mark.parametrize(
-    "settings",
-    [
-        pytest.param({"blame": "any"}, marks=pytest.mark.processes),
-        pytest.param({"blame": "ego"}, marks=pytest.mark.processes),
-        {"fitness": "npcs.ttc", "blame": "ego"},
-    ],
-)
+@pytest.mark.parametrize("settings", [
+    pytest.param({"blame": "any"}, marks=pytest.mark.processes),
+    pytest.param({"blame": "ego"}, marks=pytest.mark.processes),
+    {"fitness": "npcs.ttc", "blame": "ego"},
+])  # fmt: skip
 def test_search_learns_the_same_wherever_runs_are_read(monkeypatch, settings):
     monkeypatch.setattr(execution_runner, "DEAR", 0.0)
 
     def learnt(workers):
         found = pafot.explore(
-            lambda: brakes_late,
-            holds=avoids_collisions,
-            runs=8,
-            workers=workers,
-            shrink_rollouts=0,
-            **settings,
+            lambda: brakes_late, holds=avoids_collisions, runs=8, workers=workers, shrink_rollouts=0, **settings
         )
         return [each for each in found.events if isinstance(each, Evaluated)], [each.id for each in found.findings]
 

@@ -58,16 +58,13 @@ def test_plain_start_respects_the_speed_limit():
     assert space_of(Highway(speed_limit=10.0)).ego_speed == 10.0
 
 
-@table(
-    ("world", "given", "most"),
-    [
-        (Highway(), {}, (4, 6, 6, 4)),
-        (Highway(), {"ego_lane": 0}, (4,)),
-        (World("highway-v0"), {}, (6,)),
-        (Highway(), {"npcs": 3}, ()),
-        (World("highway-v0", config={"lanes_count": 1}), {"ego_lane": 0}, ()),
-    ],
-)
+@table(("world", "given", "most"), [
+    (Highway(), {}, (4, 6, 6, 4)),
+    (Highway(), {"ego_lane": 0}, (4,)),
+    (World("highway-v0"), {}, (6,)),
+    (Highway(), {"npcs": 3}, ()),
+    (World("highway-v0", config={"lanes_count": 1}), {"ego_lane": 0}, ()),
+])  # fmt: skip
 def test_npc_count_is_below_cells_of_its_lane(world, given, most):
     assert space_of(world, **given).most_npcs == most
 
@@ -96,14 +93,11 @@ def test_most_npcs_cross_where_ways_meet():
     assert space_of(Highway()).crossings is space_of(World("highway-v0")).crossings is None
 
 
-@table(
-    ("kinds", "drawn"),
-    [
-        (("cells", "lanes", "both"), ("both", (2.0, 3.0, 4.0))),
-        (("lanes",), ("lanes", (2.0, 3.0, 4.0))),
-        (("cells",), ("cells", (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))),
-    ],
-)
+@table(("kinds", "drawn"), [
+    (("cells", "lanes", "both"), ("both", (2.0, 3.0, 4.0))),
+    (("lanes",), ("lanes", (2.0, 3.0, 4.0))),
+    (("cells",), ("cells", (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))),
+])  # fmt: skip
 def test_own_algorithm_gets_instructions_that_it_can_sample(kinds, drawn):
     own = type("Own", (Fresh,), {"name": "own", "instructions": kinds})
     space = space_of(Highway(), algorithm=own)
@@ -136,14 +130,11 @@ def test_drawn_and_varied_vehicles_fit_all_ways():
     assert kinds == {CAR, VAN, MOTORCYCLE}
 
 
-@table(
-    ("world", "given", "words"),
-    [
-        (Highway(), {"vehicles": "lorry"}, "vehicle: expected one of car, van, truck, motorcycle, or"),
-        (Highway(), {"vehicles": []}, "vehicles: expected one or more of car, van, truck, motorcycle"),
-        (World("racetrack-v1"), {"vehicles": "truck"}, r"\(vehicles=...\): expected vehicles that NPCs can be in"),
-    ],
-)
+@table(("world", "given", "words"), [
+    (Highway(), {"vehicles": "lorry"}, "vehicle: expected one of car, van, truck, motorcycle, or"),
+    (Highway(), {"vehicles": []}, "vehicles: expected one or more of car, van, truck, motorcycle"),
+    (World("racetrack-v1"), {"vehicles": "truck"}, r"\(vehicles=...\): expected vehicles that NPCs can be in"),
+])  # fmt: skip
 def test_vehicles_that_cannot_be_drawn_are_refused(world, given, words):
     with pytest.raises(RequestError, match=words):
         space_of(world, **given)

@@ -23,14 +23,7 @@ def first(calls=None):
         assert not run.collision, run.explain()
 
     found = pafot.explore(
-        constant_speed.make,
-        holds=is_not_hit,
-        world=WORLD,
-        seed=5,
-        runs=30,
-        genes=2,
-        blame="ego",
-        shrink_rollouts=0,
+        constant_speed.make, holds=is_not_hit, world=WORLD, seed=5, runs=30, genes=2, blame="ego", shrink_rollouts=0
     )
     return next(told for told in found.sightings if told.finding.expect.avoided_by is not None)
 

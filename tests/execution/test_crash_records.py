@@ -120,17 +120,14 @@ def test_last_written_scenario_is_always_recovered(tmp_path_factory, one, other)
     assert (left.owner, left.scenario) == ('nasty "owner"\n\ud800', other)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"{",
-        b"\xff\xfe\n",
-        b'{"owner": "a", "world": 3, "scenario": []}\n',
-        json.dumps({"owner": "a", "world": None, "scenario": [[[[9, 1.0]]], 0, 1, 22.0, 10.0]}).encode(),
-        json.dumps({"owner": "a", "world": None, "scenario": [[[["up", 1.0]]], 0, 1, 22.0, 10.0]}).encode(),
-        b"[" * 100_000,
-    ],
-)
+@pytest.mark.parametrize("content", [
+    b"{",
+    b"\xff\xfe\n",
+    b'{"owner": "a", "world": 3, "scenario": []}\n',
+    json.dumps({"owner": "a", "world": None, "scenario": [[[[9, 1.0]]], 0, 1, 22.0, 10.0]}).encode(),
+    json.dumps({"owner": "a", "world": None, "scenario": [[[["up", 1.0]]], 0, 1, 22.0, 10.0]}).encode(),
+    b"[" * 100_000,
+])  # fmt: skip
 def test_a_garbled_record_is_still_a_leftover(tmp_path, content):
     abandoned(tmp_path, "77-x.inflight", content)
     (left,) = leftovers(tmp_path)

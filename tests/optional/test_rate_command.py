@@ -132,18 +132,15 @@ def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
     assert "constant_speed in test" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["pytest_pafot:Highway"], "--world: expected for rate an environment, which makes ordinary traffic itself, "),
-        ([f"{__name__}:fails"], "fails', which returns <function fails"),
-        ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
-        ([f"{__name__}:wraped"], "; did you mean 'tests.optional.test_rate_command:wrapped'?"),
-        ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),
-        ([f"{__name__}:wrapped:3", "--seed", "3"], "can be reset with the seed 3, received AssertionError: no reset"),
-        (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'); run where it is"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "text"), [
+    (["pytest_pafot:Highway"], "--world: expected for rate an environment, which makes ordinary traffic itself, "),
+    ([f"{__name__}:fails"], "fails', which returns <function fails"),
+    ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
+    ([f"{__name__}:wraped"], "; did you mean 'tests.optional.test_rate_command:wrapped'?"),
+    ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),
+    ([f"{__name__}:wrapped:3", "--seed", "3"], "can be reset with the seed 3, received AssertionError: no reset"),
+    (["no_module_of_mine:mine-v0"], "(ModuleNotFoundError: No module named 'no_module_of_mine'); run where it is"),
+])  # fmt: skip
 def test_what_is_no_environment_is_refused_by_its_name(arguments, text, capsys):
     assert rated_in(*arguments) == 2
     assert text in capsys.readouterr().err

@@ -114,13 +114,10 @@ def test_a_lane_that_begins_at_the_left_is_the_first_line(net):
     assert [line[-1] for line in way.lines] == [(2000.0, 8.0), (2000.0, LANE), (2000.0, 0.0)]
 
 
-@table(
-    ("route", "message"),
-    [
-        (["two", "none"], "edges of the net for passenger cars, received 'none'; there are"),
-        (None, "this net has more than one, received None; write route="),
-    ],
-)
+@table(("route", "message"), [
+    (["two", "none"], "edges of the net for passenger cars, received 'none'; there are"),
+    (None, "this net has more than one, received None; write route="),
+])  # fmt: skip
 def test_a_route_that_a_net_does_not_have_is_refused_by_its_edge(net, route, message):
     path = net(JOINED)
     with pytest.raises(WorldError, match=message):

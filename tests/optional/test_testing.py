@@ -128,15 +128,12 @@ def test_an_environment_in_which_npcs_cross_passes():
     check_world(environment("intersection-v0"), runs=2, ads=constant_action, npcs=2)
 
 
-@table(
-    ("env_id", "change", "promise"),
-    [
-        ("intersection-v0", {"zones": ()}, "zones are those of the instructions"),
-        ("intersection-v0", {"on_way": None}, "on_way has the places of crossing NPCs"),
-        ("intersection-v0", {"track": None}, "track is recorded if an NPC crosses"),
-        ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has NaN only for crossing NPCs"),
-    ],
-)
+@table(("env_id", "change", "promise"), [
+    ("intersection-v0", {"zones": ()}, "zones are those of the instructions"),
+    ("intersection-v0", {"on_way": None}, "on_way has the places of crossing NPCs"),
+    ("intersection-v0", {"track": None}, "track is recorded if an NPC crosses"),
+    ("merge-v0", {"track": np.full((46, 3, 5), np.nan)}, "track has NaN only for crossing NPCs"),
+])  # fmt: skip
 def test_only_crossing_npcs_must_be_recorded_as_crossing(env_id, change, promise):
     def changed(trace):
         return replace(trace, **change) if any(trace.zones) or env_id == "merge-v0" else trace
@@ -900,15 +897,12 @@ def cleared(trace):
     return with_states(trace, lambda states: np.add.at(states, (1, 0, X), 1.0)) if trace.error else trace
 
 
-@table(
-    ("wrong", "promise"),
-    [
-        (AtOneSpeed, "an NPC in the cell of its instruction takes on its speed"),
-        (traces("AtOnce", at_once), r"arrivals\[.\]\[.\] is the tick at which the NPC reached cell"),
-        (traces("Anonymous", anonymous), "error.kind and error.message are those of the exception of an ADS"),
-        (traces("Cleared", cleared), "states has the run up to the decision of an ADS that raises"),
-    ],
-)
+@table(("wrong", "promise"), [
+    (AtOneSpeed, "an NPC in the cell of its instruction takes on its speed"),
+    (traces("AtOnce", at_once), r"arrivals\[.\]\[.\] is the tick at which the NPC reached cell"),
+    (traces("Anonymous", anonymous), "error.kind and error.message are those of the exception of an ADS"),
+    (traces("Cleared", cleared), "states has the run up to the decision of an ADS that raises"),
+])  # fmt: skip
 def test_ignored_instruction_or_lost_error_is_refused(wrong, promise):
     with pytest.raises(AssertionError, match=f"^expected that ({promise})"):
         check_world(wrong(), runs=4)

@@ -205,15 +205,12 @@ def test_search_fails_if_its_reference_always_fails(project):
     result.stdout.fnmatch_lines(["the search tested too little:", "the reference itself failed in all its runs, *"])
 
 
-@table(
-    ("now", "before", "is_itself"),
-    [
-        ("from core import make\n", "from core import make\n", True),
-        (KEEPS, KEEPS, True),
-        (KEEPS, f"{KEEPS}# another text\n", False),
-        (KEEPS, "from planner import make\n", True),
-    ],
-)
+@table(("now", "before", "is_itself"), [
+    ("from core import make\n", "from core import make\n", True),
+    (KEEPS, KEEPS, True),
+    (KEEPS, f"{KEEPS}# another text\n", False),
+    (KEEPS, "from planner import make\n", True),
+])  # fmt: skip
 def test_policy_is_not_compared_with_itself(project, now, before, is_itself):
     project.pytester.makepyfile(core=KEEPS)
     project.write(TEST.replace("MORE", ""))

@@ -104,13 +104,10 @@ def test_algorithm_option_takes_a_class_by_module_name(project):
     assert "algorithm: own" in project.only_file.read_text()
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ("own:Onw", "algorithm: expected a name in the module own, received 'own:Onw'; did you mean 'own:Own'?"),
-        ("onw:Own", "algorithm: expected a module that can be imported, received 'onw:Own' (ModuleNotFoundError*"),
-    ],
-)
+@pytest.mark.parametrize(("given", "message"), [
+    ("own:Onw", "algorithm: expected a name in the module own, received 'own:Onw'; did you mean 'own:Own'?"),
+    ("onw:Own", "algorithm: expected a module that can be imported, received 'onw:Own' (ModuleNotFoundError*"),
+])  # fmt: skip
 def test_missing_algorithm_class_fails_only_its_item(project, given, message):
     project.pytester.makepyfile(own=OWN)
     project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n\ndef test_ordinary():\n    pass\n")

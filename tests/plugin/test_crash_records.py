@@ -4,8 +4,7 @@ from pytest_pafot.execution.crash_records import records_of
 
 
 def test_next_session_saves_scenario_of_a_dead_process(project):
-    project.write(
-        """
+    project.write("""
 import os
 
 SESSION = os.getpid()
@@ -14,8 +13,7 @@ SESSION = os.getpid()
 def test_dies(run):
     if os.environ.get("DIE") or (os.getpid() != SESSION and not os.environ.get("MENDED")):
         os._exit(9)
-"""
-    )
+""")
     project.pytester._monkeypatch.setenv("DIE", "1")
     assert project.run(apart=True).ret == 9
     assert project.files == []

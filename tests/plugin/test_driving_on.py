@@ -264,17 +264,14 @@ def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
     replay(saved, "slow").assert_outcomes(xfailed=1, skipped=1)
 
 
-@pytest.mark.parametrize(
-    ("now", "before", "label"),
-    [
-        ("fast", "slow", "common"),
-        ("slow", "slower", "common"),
-        ("slow", "braking", "introduced"),
-        ("braking", "slow", "fixed"),
-        ("braking", "gentle", "fixed before"),
-        ("braking", "raising", "fixed before"),
-    ],
-)
+@pytest.mark.parametrize(("now", "before", "label"), [
+    ("fast", "slow", "common"),
+    ("slow", "slower", "common"),
+    ("slow", "braking", "introduced"),
+    ("braking", "slow", "fixed"),
+    ("braking", "gentle", "fixed before"),
+    ("braking", "raising", "fixed before"),
+])  # fmt: skip
 def test_reference_is_driven_on_as_well(saved, now, before, label):
     result = replay(saved, now, f"--pafot-against=policies:{before}")
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
@@ -293,15 +290,12 @@ NOT = "not driven on past the file's end: Own.lasting"
 OTHER = f"{NOT}: expected the same world, received one in which the run begins otherwise"
 
 
-@pytest.mark.parametrize(
-    ("lasting", "told"),
-    [
-        (f"{BY}raise RuntimeError('no road')", f"{NOT}(16): expected a world, received RuntimeError: no road; "),
-        (f"{BY}return None", f"{NOT}(16): expected a world, received None; correct or remove lasting"),
-        (f"{BY}return pafot.Highway(lanes=4, headway=1.9).lasting(seconds)", OTHER),
-        (f"{BY}return pafot.Highway(lanes=3, duration=3.0)", OTHER),
-    ],
-)
+@pytest.mark.parametrize(("lasting", "told"), [
+    (f"{BY}raise RuntimeError('no road')", f"{NOT}(16): expected a world, received RuntimeError: no road; "),
+    (f"{BY}return None", f"{NOT}(16): expected a world, received None; correct or remove lasting"),
+    (f"{BY}return pafot.Highway(lanes=4, headway=1.9).lasting(seconds)", OTHER),
+    (f"{BY}return pafot.Highway(lanes=3, duration=3.0)", OTHER),
+])  # fmt: skip
 def test_wrong_lasting_is_named_and_changes_no_label(project, lasting, told):
     project.write(OWN + lasting + "\n" + TEST.replace("WORLD", "Own()"))
     project.pytester.makepyfile(policies=POLICIES)

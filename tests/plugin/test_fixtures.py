@@ -4,8 +4,7 @@ import pytest
 
 
 def test_pafot_simulate_runs_a_scenario_against_any_ads(project):
-    project.write(
-        """
+    project.write("""
 def test_simulates(pafot_simulate):
     scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
     run = pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0))
@@ -16,22 +15,19 @@ def test_takes_another_world(pafot_simulate):
     scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
     run = pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0), world=pafot.Highway(lanes=3, duration=1.0))
     assert (len(run.trace.lanes), run.duration) == (3, 1.0)
-"""
-    )
+""")
     project.run().assert_outcomes(passed=2)
 
 
 def test_pafot_simulate_fails_the_test_if_ads_fails(project):
-    project.write(
-        """
+    project.write("""
 def broken(observation):
     return observation.ego.sped, 0.0
 
 def test_simulates(pafot_simulate):
     scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
     assert not pafot_simulate(scenario, lambda: broken).collision
-"""
-    )
+""")
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["the ADS failed: AttributeError: *'sped'*", "*in broken"])
@@ -39,8 +35,7 @@ def test_simulates(pafot_simulate):
 
 @pytest.mark.processes
 def test_pafot_simulate_works_in_hypothesis_without_late_imports(project):
-    project.write(
-        """
+    project.write("""
 import sys
 from hypothesis import HealthCheck, given, settings
 
@@ -51,14 +46,12 @@ def test_any(pafot_simulate, scenario):
     world, before = pafot.Highway(duration=2.0), {*sys.modules}
     assert pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0), world=world).duration <= 2.0
     assert sys.modules.keys() == before
-"""
-    )
+""")
     project.run(fresh=True, plugins=("hypothesispytest",)).assert_outcomes(passed=1)
 
 
 def test_overridden_world_applies_to_searches_and_pafot_simulate(project):
-    project.write(
-        """
+    project.write("""
 @pytest.fixture(scope="session")
 def pafot_world():
     return pafot.Highway(lanes=3, duration=2.0)
@@ -79,14 +72,12 @@ def test_a_whole_world_wins(run):
 def test_simulate(pafot_simulate):
     scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),))
     assert pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0)).duration == 2.0
-"""
-    )
+""")
     project.run().assert_outcomes(passed=4)
 
 
 def test_invalid_world_fixture_is_one_clear_error(project):
-    project.write(
-        """
+    project.write("""
 @pytest.fixture(scope="session")
 def pafot_world():
     return "highway-v0"
@@ -94,8 +85,7 @@ def pafot_world():
 @pafot.search
 def test_search(run):
     pass
-"""
-    )
+""")
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(

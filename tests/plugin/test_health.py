@@ -9,16 +9,14 @@ def test_search_in_which_most_runs_are_rejected_fails(project):
 
 
 def test_health_warnings_fail_only_in_strict_mode(project):
-    project.write(
-        """
+    project.write("""
 def parked():
     return lambda observation: (-8.0, 0.0)
 
 @pafot.search(npcs=1, genes=4, gene_seconds=10, ads=parked)
 def test_parked(run):
     pass
-"""
-    )
+""")
     result = project.run(runs=8)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["  warning: *"])
@@ -53,14 +51,12 @@ def test_search_with_only_known_failures_says_so(project):
 
 
 def test_listing_tests_does_not_import_the_simulation(project):
-    project.pytester.makeconftest(
-        """
+    project.pytester.makeconftest("""
 import sys
 
 def pytest_unconfigure():
     print("heavy:", *sorted({"numpy", "highway_env", "gymnasium", "yaml"} & set(sys.modules)))
-"""
-    )
+""")
     project.write("@pafot.search\ndef test_a(run):\n    pass\n")
     result = project.run("--collect-only", fresh=True)
     result.stdout.fnmatch_lines(["pafot: 1 search, 0 saved scenarios*", "*test_a[[]search[]]*", "heavy:"])

@@ -53,8 +53,7 @@ def test_session_without_marked_tests_makes_few_data_classes():
 
 
 def test_search_imports_neither_hypothesis_nor_page(project):
-    project.write(
-        """
+    project.write("""
 import atexit, json, sys
 
 @pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))  # stop_after=1
@@ -66,8 +65,7 @@ def dump():
         json.dump(sorted(sys.modules), file)
 
 atexit.register(dump)
-"""
-    )
+""")
     project.pytester.makeconftest("")
     project.run(fresh=True).assert_outcomes(failed=2)
     names = set(json.loads((project.path / "modules.json").read_text()))

@@ -88,11 +88,7 @@ def fails(observation):
 """
 
 
-@pytest.mark.parametrize(
-    ("drive", "more"),
-    [("keep", ""), ("fails", FAILS)],
-    ids=["plain", "raises"],
-)
+@pytest.mark.parametrize(("drive", "more"), [("keep", ""), ("fails", FAILS)], ids=["plain", "raises"])
 def test_isolated_search_finds_and_saves_the_same(isolated, drive, more):
     project = isolated(drive, more)
     here, contents = session(project)

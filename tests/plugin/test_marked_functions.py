@@ -85,8 +85,7 @@ def test_failures_collected_by_pytest_check_fail_the_search(project):
 
 
 def test_unsuitable_function_is_one_error_and_others_run(project):
-    project.write(
-        """
+    project.write("""
 import unittest
 
 @pafot.search
@@ -117,8 +116,7 @@ def test_raw(run):
 
 def test_other():
     pass
-"""
-    )
+""")
     result = project.run()
     result.assert_outcomes(errors=7, passed=1)
     told = {
@@ -139,8 +137,7 @@ def test_arg_may_rename_a_keyword_only_parameter(project):
 
 
 def test_the_decorator_works_bare_called_and_on_classes(project):
-    project.write(
-        """
+    project.write("""
 @pafot.search()
 def test_called(run):
     assert run.duration > 0
@@ -153,8 +150,7 @@ class TestClass:
     @pafot.search(SHORT)
     def test_own_arguments(self, run):
         assert run.scenario.genes == 2
-"""
-    )
+""")
     project.run().assert_outcomes(passed=3)
 
 
@@ -165,14 +161,12 @@ def test_what_pytest_does_not_collect_cannot_be_decorated(target):
 
 
 def test_a_method_has_its_own_files(project):
-    project.write(
-        """
+    project.write("""
 class TestClass:
     @pafot.search(SHORT)  # stop_after=1
     def test_fails(self, run):
         assert not run
-"""
-    )
+""")
     project.run().assert_outcomes(failed=2)
     assert "TestClass.test_fails" in project.files[0]
     result = project.run("-v", runs=0)
@@ -316,8 +310,7 @@ def test_xfail_in_the_test_function_hides_no_failure(saved):
 
 
 def test_skip_inside_a_scenario_does_not_hide_finds(project):
-    project.write(
-        """
+    project.write("""
 seen = []
 
 @pafot.search(SHORT)
@@ -326,8 +319,7 @@ def test_skips_later(run):
     if len(seen) > 2:
         pytest.skip("no more")
     assert run.scenario.id == ""
-"""
-    )
+""")
     result = project.run()
     assert result.parseoutcomes()["failed"] == 1 + len(project.files)
     assert project.files
@@ -389,8 +381,7 @@ def test_the_skip_of_unittest_is_a_skip_too(project):
 
 
 def test_timeout_is_no_finding_and_preserves_earlier_ones(project):
-    project.write(
-        """
+    project.write("""
 import signal
 seen = []
 
@@ -401,16 +392,14 @@ def test_hangs(run):
     if len(seen) > 1:
         signal.raise_signal(signal.SIGALRM)  # as if the hour were over
     assert run.scenario.id == ""
-"""
-    )
+""")
     result = project.run(runs=20, plugins=("timeout",))
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
 
 
 def test_interrupt_preserves_and_reports_earlier_findings(project):
-    project.write(
-        """
+    project.write("""
 seen = []
 
 @pafot.search(SHORT)
@@ -419,8 +408,7 @@ def test_interrupted(run):
     if len(seen) > 1:
         raise KeyboardInterrupt
     assert run.scenario.id == ""
-"""
-    )
+""")
     result = project.run("--junitxml=junit.xml", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     assert f'name="test_interrupted[saved-{project.only_id}]"' in (project.path / "junit.xml").read_text()

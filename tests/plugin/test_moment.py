@@ -73,8 +73,7 @@ def test_nothing_is_said_of_a_policy_that_sees_more(project, ads):
 
 
 def test_with_a_reference_the_first_decision_that_differs_is_told(project):
-    project.write(
-        """
+    project.write("""
 class Braking:
     def __call__(self, seen):
         ahead = [o.x - seen.ego.x for o in seen.others if o.lane == seen.ego.lane and o.x > seen.ego.x]
@@ -83,8 +82,7 @@ class Braking:
 @pafot.search(npcs=1, genes=1, gene_seconds=20, ego_speed=22, against=Braking, instructions="cells")  # stop_after=1
 def test_collides(run):
     assert not run.collision
-"""
-    )
+""")
     result, record, _ = run(project, "--pafot-runs=60")
     moment = record["moment"]
     assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
@@ -130,8 +128,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
 
 
 def test_of_a_change_of_lanes_for_no_vehicle_the_condition_is_told_that_the_decision_before_did_not_fulfil(project):
-    project.write(
-        """
+    project.write("""
 def moves_over(seen):
     lane = 1 if seen.time > 3.0 else 0
     slow = seen.ego.speed < 5.0
@@ -140,8 +137,7 @@ def moves_over(seen):
 @pafot.search(npcs=2, genes=3, gene_seconds=3, ads=lambda: moves_over, vehicles="car", ego_lane=0)  # stop_after=1
 def test_never_moves_over_at_fault(run):
     assert not (run.collision and run.attribution.fault == "entered-lane")
-"""
-    )
+""")
     moment = run(project, "--pafot-shrink-rollouts=0", "--pafot-runs=400", runs=200)[1]["moment"]
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
     ((whom, rows),) = moment["conditions"]

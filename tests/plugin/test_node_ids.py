@@ -46,14 +46,11 @@ def test_item_without_parameters_retains_its_name():
     assert base_id(Item("test_x", parent=None)) == "test_x"
 
 
-@pytest.mark.parametrize(
-    ("id_", "part"),
-    [
-        ("cut-in-3fa9c1", "saved-cut-in-3fa9c1"),
-        ("a b", "saved-a b"),
-        ("a\\b", "saved-a%5Cb"),
-        ("\u00e9", "saved-%C3%A9"),
-    ],
-)
+@pytest.mark.parametrize(("id_", "part"), [
+    ("cut-in-3fa9c1", "saved-cut-in-3fa9c1"),
+    ("a b", "saved-a b"),
+    ("a\\b", "saved-a%5Cb"),
+    ("\u00e9", "saved-%C3%A9"),
+])  # fmt: skip
 def test_characters_rewritten_by_pytest_are_quoted_in_ids(id_, part):
     assert saved_part(id_) == part

@@ -53,16 +53,13 @@ def test_the_marker_wins_over_the_ini_file(project):
     assert settings(project, marker={"generations": 2}, ini="pafot_generations = 5").generations == 2
 
 
-@pytest.mark.parametrize(
-    ("sources", "runs", "generations"),
-    [
-        ({"marker": {"generations": 100}}, None, 100),
-        ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
-        ({"ini": "pafot_generations = 100"}, None, 100),
-        ({"marker": {"runs": 7, "generations": 2}}, 7, 2),
-        ({"marker": {"generations": 0}}, None, 0),
-    ],
-)
+@pytest.mark.parametrize(("sources", "runs", "generations"), [
+    ({"marker": {"generations": 100}}, None, 100),
+    ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
+    ({"ini": "pafot_generations = 100"}, None, 100),
+    ({"marker": {"runs": 7, "generations": 2}}, 7, 2),
+    ({"marker": {"generations": 0}}, None, 0),
+])  # fmt: skip
 def test_budget_comes_from_one_source_and_replaces_default(project, sources, runs, generations):
     found = settings(project, **sources)
     assert (found.runs, found.generations) == (runs, generations)
@@ -102,30 +99,23 @@ def test_native_toml_takes_native_types(project):
     assert (found.generations, found.max_time, found.strict_drift) == (3, 60.0, True)
 
 
-@pytest.mark.parametrize(
-    ("source", "place"),
-    [
-        (
-            {"marker": {"generations": -1}},
-            r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1",
-        ),
-        ({"marker": {"population": 1}}, "at least 2, received 1"),
-        ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
-        ({"marker": {"population": 10**9}}, r"population=...\): .* at least 2 and at most 10000, received 1000000000"),
-        ({"ini": "pafot_population = 10001"}, "ini key pafot_population: .* at most 10000, received 10001"),
-        ({"ini": "pafot_workers = 5000"}, "pafot_workers: expected auto or a whole number, .* at most 1024"),
-        ({"marker": {"isolate": "perhaps"}}, "expected true or false, received 'perhaps'"),
-        ({"ini": "pafot_max_time = nan"}, "pafot_max_time: expected seconds"),
-        ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
-        (
-            {"ini": "pafot_generations = as many"},
-            "^ini key pafot_generations: expected a whole number, at least 0, received 'as many'$",
-        ),
-        ({"ini": "pafot_generations ="}, "^ini key pafot_generations: expected a whole number.* received ''$"),
-        ({"ini": "pafot_max_time = soon"}, "^ini key pafot_max_time: expected seconds, at least 0, received 'soon'$"),
-        ({"ini": "pafot_isolate = perhaps"}, "^ini key pafot_isolate: expected true or false, received 'perhaps'$"),
-    ],
-)
+@pytest.mark.parametrize(("source", "place"), [
+    ({"marker": {"generations": -1}},
+     r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1"),
+    ({"marker": {"population": 1}}, "at least 2, received 1"),
+    ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
+    ({"marker": {"population": 10**9}}, r"population=...\): .* at least 2 and at most 10000, received 1000000000"),
+    ({"ini": "pafot_population = 10001"}, "ini key pafot_population: .* at most 10000, received 10001"),
+    ({"ini": "pafot_workers = 5000"}, "pafot_workers: expected auto or a whole number, .* at most 1024"),
+    ({"marker": {"isolate": "perhaps"}}, "expected true or false, received 'perhaps'"),
+    ({"ini": "pafot_max_time = nan"}, "pafot_max_time: expected seconds"),
+    ({"ini": "pafot_save = some"}, "ini key pafot_save: expected new or none, received 'some'"),
+    ({"ini": "pafot_generations = as many"},
+     "^ini key pafot_generations: expected a whole number, at least 0, received 'as many'$"),
+    ({"ini": "pafot_generations ="}, "^ini key pafot_generations: expected a whole number.* received ''$"),
+    ({"ini": "pafot_max_time = soon"}, "^ini key pafot_max_time: expected seconds, at least 0, received 'soon'$"),
+    ({"ini": "pafot_isolate = perhaps"}, "^ini key pafot_isolate: expected true or false, received 'perhaps'$"),
+])  # fmt: skip
 def test_wrong_value_error_names_source_expected_and_received(project, source, place):
     with pytest.raises(RequestError, match=place):
         settings(project, **source)
@@ -161,15 +151,7 @@ def test_wrong_value_elsewhere_fails_only_marked_items(project):
 
 
 def test_search_arguments_match_the_table_of_options():
-    own = {
-        "world",
-        "ads",
-        "arg",
-        "fitness",
-        "blame",
-        *RoadArguments.__annotations__,
-        *SpaceArguments.__annotations__,
-    }
+    own = {"world", "ads", "arg", "fitness", "blame", *RoadArguments.__annotations__, *SpaceArguments.__annotations__}
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options
 

@@ -125,8 +125,7 @@ def test_world_without_plain_data_is_replayed_too(project, data):
 
 def test_subclass_of_a_builtin_world_is_own_world(project):
     project.write(
-        textwrap.dedent(
-            """
+        textwrap.dedent("""
             class Short(pafot.Highway):  # which may do anything
                 def rollout(self, scenario, ads_factory):
                     return pafot.Highway(duration=2.0).rollout(scenario, ads_factory)
@@ -134,8 +133,7 @@ def test_subclass_of_a_builtin_world_is_own_world(project):
             @pafot.search(genes=2, gene_seconds=5, npcs=1, world=Short(duration=10.0))  # stop_after=1
             def test_fails(run):
                 assert run.duration > 5, run.duration
-            """
-        )
+            """)
     )
     project.run(runs=20)
     finding = load(project.only_file)
@@ -164,13 +162,10 @@ def test_finding_in_wrapped_environment_replays_in_its_wrappers(in_highway_env, 
     saved_wrapped.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
 
-@pytest.mark.parametrize(
-    ("wrappers", "shape", "now"),
-    [
-        ("wrappers=[FlattenObservation, lambda env: FrameStackObservation(env, 2)]", "(2, 25)", "'FrameStackOb*'"),
-        ("", "(5, 5)", "missing"),
-    ],
-)
+@pytest.mark.parametrize(("wrappers", "shape", "now"), [
+    ("wrappers=[FlattenObservation, lambda env: FrameStackObservation(env, 2)]", "(2, 25)", "'FrameStackOb*'"),
+    ("", "(5, 5)", "missing"),
+])  # fmt: skip
 def test_other_wrappers_than_in_the_file_are_drift(saved_wrapped, wrappers, shape, now):
     wrapped(saved_wrapped, wrappers, shape, PASSES)
     result = saved_wrapped.run("--pafot-strict-drift", runs=0)
@@ -344,13 +339,10 @@ def test_preventable_needs_drivers_that_drive(project):
     )
 
 
-@pytest.mark.parametrize(
-    ("method", "error", "driver", "kept"),
-    [
-        ("take_over", "raise KeyError(name)", "steady-braking", "avoided_by"),
-        ("rollout_reference", "raise pafot.WorldError(name)", "calm", "reference_drivers"),
-    ],
-)
+@pytest.mark.parametrize(("method", "error", "driver", "kept"), [
+    ("take_over", "raise KeyError(name)", "steady-braking", "avoided_by"),
+    ("rollout_reference", "raise pafot.WorldError(name)", "calm", "reference_drivers"),
+])  # fmt: skip
 def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project, method, error, driver, kept):
     body = f"def {method}(self, *given):\n        name = given[-1]\n        {error}\n\n    def unused(self, "
     brakes = 'takes_over = ("steady-braking",)\n\n    def take_over(self, '

@@ -171,14 +171,11 @@ def test_fixture_error_appears_on_the_page_of_others(project, page):
     assert KEPT not in text
 
 
-@pytest.mark.parametrize(
-    ("body", "ending"),
-    [
-        ("pass", KEPT),
-        ("raise KeyboardInterrupt", "No findings before the interrupt."),
-        ("pytest.exit('enough', returncode=3)", "No findings before the interrupt."),
-    ],
-)
+@pytest.mark.parametrize(("body", "ending"), [
+    ("pass", KEPT),
+    ("raise KeyboardInterrupt", "No findings before the interrupt."),
+    ("pytest.exit('enough', returncode=3)", "No findings before the interrupt."),
+])  # fmt: skip
 def test_page_without_findings_says_if_search_was_complete(project, page, body, ending):
     project.write(f"@pafot.search(SHORT)\ndef test_drive(run):\n    {body}\n")
     project.run("--pafot-report=report.html", no_reraise_ctrlc=True)

@@ -104,13 +104,10 @@ class Road:
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(
-    ("policy", "world", "argument"),
-    [
-        ("a_planner:Planner", "worlds:Road", 'world="worlds:Road"'),
-        ("a_planner:Planner@planner", "worlds:mine-v0", "world=pafot.World('mine-v0', planner_hz=5)"),
-    ],
-)
+@pytest.mark.parametrize(("policy", "world", "argument"), [
+    ("a_planner:Planner", "worlds:Road", 'world="worlds:Road"'),
+    ("a_planner:Planner@planner", "worlds:mine-v0", "world=pafot.World('mine-v0', planner_hz=5)"),
+])  # fmt: skip
 def test_search_command_drives_in_a_world_of_the_user(here, policy, world, argument):
     (here / "worlds.py").write_text(WORLDS)
     given = ["pytest_pafot", "search", policy, "--world", world, "--blame=any", "--check=a_planner:keeps_moving"]
@@ -170,16 +167,13 @@ pafot = TestCheck = test_ = test_no_crash
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(
-    ("policy", "check"),
-    [
-        ("ads", "test_no_crash"),
-        ("pytest", "pafot"),
-        ("pytest_plugins", "TestCheck"),
-        ("Tëst", "test_"),
-        ("ads:C:\\a b", "test_no_crash"),
-    ],
-)
+@pytest.mark.parametrize(("policy", "check"), [
+    ("ads", "test_no_crash"),
+    ("pytest", "pafot"),
+    ("pytest_plugins", "TestCheck"),
+    ("Tëst", "test_"),
+    ("ads:C:\\a b", "test_no_crash"),
+])  # fmt: skip
 def test_search_takes_policies_and_checks_of_any_name(here, policy, check):
     (here / "odd.py").write_text(NAMES, encoding="utf-8")
     given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-rollouts=0", "--", "-q"]
@@ -202,29 +196,20 @@ def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
     assert [*here.glob("pafot_corpus/test_mine/test_it/*")]
     monkeypatch.setenv("CI", "1")
     _, told = python("pytest_pafot", "search", "a_planner:Planner", "--runs", "1", "--seed", "0")
-    assert (
-        re.search(r"\b1 run[, ]", told) is not None,
-        "without a test" in told,
-        " error" in told,
-    ) == (True, *2 * [False]), told
+    assert (re.search(r"\b1 run[, ]", told) is not None, "without a test" in told, " error" in told) == (
+        True,
+        *2 * [False],
+    ), told
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize(
-    ("arguments", "received"),
-    [
-        (
-            ["a_planner:Planner", "--world", "nosuch-v0"],
-            "@pafot.search(world=...): env_id: expected a registered environment",
-        ),
-        (["a_planner:Planner", "--world", "highway-v0"], "the ADS failed: "),
-        (["a_planner:make"], "ads: expected a factory that can be called without arguments, received one with"),
-        (
-            ["a_planner:Planner", "--check", "a_planner:idle"],
-            "TypeError: idle() takes 0 positional arguments but 1 was",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "received"), [
+    (["a_planner:Planner", "--world", "nosuch-v0"],
+     "@pafot.search(world=...): env_id: expected a registered environment"),
+    (["a_planner:Planner", "--world", "highway-v0"], "the ADS failed: "),
+    (["a_planner:make"], "ads: expected a factory that can be called without arguments, received one with"),
+    (["a_planner:Planner", "--check", "a_planner:idle"], "TypeError: idle() takes 0 positional arguments but 1 was"),
+])  # fmt: skip
 def test_a_test_that_cannot_run_is_not_written(here, arguments, received):
     before = sorted(here.iterdir())
     code, _, told = command_in_a_copy("pytest_pafot", "search", *arguments, "--write-test")
@@ -276,20 +261,11 @@ def test_an_error_is_no_test_to_keep(here):
     assert "keep it as a test" not in told
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (
-            ["a_planner:Planner", "--runs", "-1"],
-            "argument --runs/--pafot-runs: expected a whole number, at least 0, rec",
-        ),
-        (
-            ["a_planner:Planner", "--report", "x.png"],
-            "argument --report/--pafot-report: expected the name of a page FI",
-        ),
-        (["a_planner:Planner", "--runz", "3"], "search: error: unrecognized arguments: --runz 3; python -m pytest_pa"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "told"), [
+    (["a_planner:Planner", "--runs", "-1"], "argument --runs/--pafot-runs: expected a whole number, at least 0, rec"),
+    (["a_planner:Planner", "--report", "x.png"], "argument --report/--pafot-report: expected the name of a page FI"),
+    (["a_planner:Planner", "--runz", "3"], "search: error: unrecognized arguments: --runz 3; python -m pytest_pa"),
+])  # fmt: skip
 def test_a_wrong_option_is_told_by_its_name_here(here, capsys, arguments, told):
     with pytest.raises(SystemExit, match="2"):
         main(["search", *arguments])
@@ -334,27 +310,20 @@ def test_session_of_a_search_that_is_killed_ends(here):
     assert "search: expected the process that drives to finish the command, received an end by SIGKILL" in error
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, idle, keeps_moving"),
-        (["a_planner.py:Planner"], "; give a_planner:Planner"),
-        (["broken:Planner"], "broken.py:1); correct it"),
-        (
-            ["a_planner:Planner", "--check", "foo"],
-            "search: --check: expected the name module:function of a function of a run",
-        ),
-        (
-            ["a_planner:Planner", "--check", "a_planner:nothing"],
-            "search: --check: expected a function of a run in the module a_planner",
-        ),
-        (["my-planner:Planner"], "search: ADS: expected names that `import` takes, received 'my-planner' in my-"),
-        (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
-        (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of blind_lane_change, "),
-        (["a_planner:Planner", "--vehicles", "car,tram"], "search: --vehicles: expected one of car, van, truck, motor"),
-        (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "told"), [
+    (["a_planner:Nobody"], "'a_planner:Nobody'; it has Planner, make, idle, keeps_moving"),
+    (["a_planner.py:Planner"], "; give a_planner:Planner"),
+    (["broken:Planner"], "broken.py:1); correct it"),
+    (["a_planner:Planner", "--check", "foo"],
+     "search: --check: expected the name module:function of a function of a run"),
+    (["a_planner:Planner", "--check", "a_planner:nothing"],
+     "search: --check: expected a function of a run in the module a_planner"),
+    (["my-planner:Planner"], "search: ADS: expected names that `import` takes, received 'my-planner' in my-"),
+    (["a_planner:make:"], "search: ADS: expected module:factory or module:factory:argument, received 'a_planner:"),
+    (["a_planner:Planner", "--against", "nobody"], "search: --against: expected one of blind_lane_change, "),
+    (["a_planner:Planner", "--vehicles", "car,tram"], "search: --vehicles: expected one of car, van, truck, motor"),
+    (["a_planner:Planner", "--write-test"], "search: --write-test: expected a folder without conftest.py"),
+])  # fmt: skip
 def test_impossible_search_is_reported_and_writes_nothing(here, capsys, arguments, told):
     (here / "conftest.py").write_text("# the user's\n")
     (here / "my-planner.py").write_text(POLICY)

@@ -126,8 +126,7 @@ def test_search_without_findings_passes_with_a_summary(project):
 
 
 def test_fixtures_run_once_per_item_ads_per_scenario(project):
-    project.write(
-        """
+    project.write("""
 made = []
 
 @pytest.fixture
@@ -145,8 +144,7 @@ def once():
 def test_counts(run, once, tmp_path):
     once.append(run.scenario)
     assert len(once) == len(made)
-"""
-    )
+""")
     project.run(runs=8).assert_outcomes(passed=1)
 
 
@@ -173,14 +171,12 @@ def test_central_corpus_mirrors_the_folders_of_tests(failing):
 
 
 def test_each_parametrisation_has_its_own_files(project):
-    project.write(
-        """
+    project.write("""
 @pytest.mark.parametrize("limit", [0, 1000])
 @pafot.search(SHORT)  # stop_after=1
 def test_short(run, limit):
     assert run.duration < limit
-"""
-    )
+""")
     project.run().assert_outcomes(failed=2, passed=1)
     assert project.only_file.parent.name == "test_short@0"
     result = project.run("-v", runs=0)
@@ -189,8 +185,7 @@ def test_short(run, limit):
 
 
 def test_parametrised_ads_fixture_gives_several_searches(project):
-    project.write(
-        """
+    project.write("""
 @pytest.fixture(params=["slow", "fast"])
 def ads(request):
     acceleration = -2.0 if request.param == "slow" else 0.0
@@ -199,15 +194,13 @@ def ads(request):
 @pafot.search(SHORT)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
-"""
-    )
+""")
     project.run().assert_outcomes(failed=2, passed=1)
     assert project.only_file.parent.name == "test_brakes@slow"
 
 
 def test_blame_ego_skips_runs_caused_by_npcs(project):
-    project.write(
-        """
+    project.write("""
 @pytest.fixture
 def ads():
     return lambda: lambda observation: (0.0, 0.0)
@@ -215,16 +208,14 @@ def ads():
 @pafot.search(npcs=4, genes=4, gene_seconds=5, blame="ego")
 def test_fault(run):
     assert run.responsibility != "npc"
-"""
-    )
+""")
     result = project.run(runs=16)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["* npc at fault*"])
 
 
 def test_raising_ads_is_a_finding_with_its_traceback(project):
-    project.write(
-        """
+    project.write("""
 class Broken:
     def __call__(self, observation):
         return {}["missing key"] if observation.time > 1 else (0.0, 0.0)
@@ -232,8 +223,7 @@ class Broken:
 @pafot.search(SHORT, ads=Broken)  # stop_after=1
 def test_runs(run):
     pass
-"""
-    )
+""")
     result = project.run()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
@@ -242,8 +232,7 @@ def test_runs(run):
 
 
 def test_hang_is_a_finding_that_depends_on_time(project):
-    project.write(
-        """
+    project.write("""
 import time
 
 def ads():
@@ -252,8 +241,7 @@ def ads():
 @pafot.search(world=pafot.Highway(duration=5.0, hang_limit=0.05), ads=ads)  # stop_after=1
 def test_decides(run):
     pass
-"""
-    )
+""")
     result = project.run()
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*the ADS failed: *(depends on wall-clock time)*"])
@@ -305,11 +293,7 @@ def test_short_default_search_without_findings_says_so(project):
 
 @pytest.mark.parametrize(
     ("bound", "options"),
-    [
-        ("< 1", ["--pafot-shrink-rollouts=0"]),
-        ("> 0", ["--pafot-generations=3"]),
-        ("> 0", ["--pafot-max-time=0"]),
-    ],
+    [("< 1", ["--pafot-shrink-rollouts=0"]), ("> 0", ["--pafot-generations=3"]), ("> 0", ["--pafot-max-time=0"])],
 )
 def test_no_other_search_is_called_short(project, bound, options):
     project.write(KEEPS.replace("BOUND", bound))

@@ -76,8 +76,7 @@ def test_unreportable_findings_of_interrupted_session_are_named(project, monkeyp
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not counted there")
 def test_session_without_free_file_descriptors_still_reports(project):
-    project.pytester.makeconftest(
-        """
+    project.pytester.makeconftest("""
 import os
 import resource
 import pytest
@@ -95,8 +94,7 @@ def leak():
             os.open(os.devnull, os.O_RDONLY)
     except OSError:
         pass
-"""
-    )
+""")
     project.write(FAILS)
     project.leave_behind("test_old.py::test_dies")
     result = project.run("--pafot-report=x.html", apart=True)

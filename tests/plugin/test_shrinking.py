@@ -208,8 +208,7 @@ def test_vehicle_class_in_the_kernel_gets_more_rollouts():
 
 
 def test_unrepeatable_finding_is_flaky_and_not_shrunk(project):
-    project.write(
-        """
+    project.write("""
 calls = []
 
 def flaky():
@@ -220,8 +219,7 @@ def flaky():
 @pafot.search(SHORT, ads=flaky)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
-"""
-    )
+""")
     result = run(project)
     result.stdout.fnmatch_lines(["  * is flaky: running it again gave a different run; fails in * of 10 runs*"])
     result.stdout.fnmatch_lines(
@@ -238,8 +236,7 @@ def test_brakes(run):
 
 
 def test_unrepeatable_finding_in_wrappers_may_be_by_them(project):
-    project.write(
-        """
+    project.write("""
 import itertools
 from gymnasium.wrappers import TransformAction
 
@@ -254,8 +251,7 @@ WORLD = pafot.World("highway-v0", duration=2.0, wrappers=[drawing])
 @pafot.search(SHORT, ads=lambda: lambda seen: 1, world=WORLD, shrink_rollouts=0)  # stop_after=1
 def test_drives(run):
     assert run.ego.speed.mean() < 1
-"""
-    )
+""")
     run(project).stdout.fnmatch_lines(
         ["*; the ADS or a wrapper probably draws from a generator of its own: let a wrapper draw from self.np_random*"]
     )

@@ -67,8 +67,7 @@ def test_workers_name_the_base_seed_once(project):
 
 
 def test_worker_death_loses_no_finding_or_collected_test(project):
-    project.write(
-        """
+    project.write("""
 import os
 seen = []
 
@@ -82,8 +81,7 @@ def test_dies(run):
 @pytest.mark.parametrize("number", range(6))
 def test_ordinary(number):
     pass
-"""
-    )
+""")
     result = project.run("-n1", "-v")
     assert result.parseoutcomes()["passed"] == 6
     found = next(name for name in project.files if "crash" not in name)

@@ -88,11 +88,7 @@ def test_custom_algorithm_is_a_class_or_its_name():
     of_class = resolve_algorithm(Own)
     assert of_class.make(SPACE, population=6, jump=0.1) == Own(SPACE, population=6, jump=0.1)
     assert resolve_algorithm("tests.searching.test_algorithms:Own") == of_class
-    assert (of_class.name, of_class.fitness, of_class.instructions) == (
-        "own",
-        "default",
-        ("cells", "lanes", "both"),
-    )
+    assert (of_class.name, of_class.fitness, of_class.instructions) == ("own", "default", ("cells", "lanes", "both"))
 
 
 def test_algorithm_class_declares_fitness_and_kinds_of_instructions():
@@ -128,10 +124,7 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
             "builtins:<lambda>",
             "expected a name in the module builtins, received 'builtins:<lambda>'; it has __build_class__, __import__",
         ),
-        (
-            RandomSearch(),
-            r"expected one of random, .*, a class, or module:Class, received RandomSearch\(.* the class",
-        ),
+        (RandomSearch(), r"expected one of random, .*, a class, or module:Class, received RandomSearch\(.* the class"),
         (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
         (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),
         (Borrowed, r"expected a unique name for Borrowed, received 'pafot'"),

@@ -285,14 +285,11 @@ class TestTurns:
         with pytest.raises(ValueError, match="tell: expected 4 evaluations"):
             search.tell(state, [make_evaluation(asked[0])], rng())
 
-    @table(
-        ("fields", "message"),
-        [
-            ({"population": 1}, "population: expected at least 2"),
-            ({"mutation_rate": 1.5}, "mutation_rate: expected a number from 0 to 1"),
-            ({"local_mutation_factor": math.nan}, "local_mutation_factor: expected a finite number"),
-        ],
-    )
+    @table(("fields", "message"), [
+        ({"population": 1}, "population: expected at least 2"),
+        ({"mutation_rate": 1.5}, "mutation_rate: expected a number from 0 to 1"),
+        ({"local_mutation_factor": math.nan}, "local_mutation_factor: expected a finite number"),
+    ])  # fmt: skip
     def test_wrong_parameters_are_refused(self, fields, message):
         with pytest.raises(ValueError, match=message):
             AvFuzzerSearch(**fields)

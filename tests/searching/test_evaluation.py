@@ -97,18 +97,15 @@ def test_an_evaluation_is_read_from_a_trace():
     assert (evaluation.outcome, evaluation.failing, evaluation.fitness) == (Outcome.SAFE, True, 0.5)
 
 
-@table(
-    ("fields", "by"),
-    [
-        ({}, ""),
-        ({"ended": "Goal._is_terminated"}, "Goal._is_terminated"),
-        ({"ended": "highway_env.envs.merge_env.MergeEnv._is_terminated"}, ""),
-        ({"outcome": Outcome.LEFT_ROUTE}, "the ego's leaving its route"),
-        ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 150}, "the ego's leaving the road"),
-        ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 20}, ""),  # it drove on, on a straight road
-        ({"outcome": Outcome.END_OF_ROAD}, ""),
-    ],
-)
+@table(("fields", "by"), [
+    ({}, ""),
+    ({"ended": "Goal._is_terminated"}, "Goal._is_terminated"),
+    ({"ended": "highway_env.envs.merge_env.MergeEnv._is_terminated"}, ""),
+    ({"outcome": Outcome.LEFT_ROUTE}, "the ego's leaving its route"),
+    ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 150}, "the ego's leaving the road"),
+    ({"outcome": Outcome.OFF_ROAD, "off_road_tick": 20}, ""),  # it drove on, on a straight road
+    ({"outcome": Outcome.END_OF_ROAD}, ""),
+])  # fmt: skip
 def test_an_evaluation_says_what_ended_its_run_early(fields, by):
     evaluation = Evaluation.of(trace(**fields), fitness=0.5, failing=False)
     assert (evaluation.ended, math.isfinite(evaluation.gap)) == (by, bool(by))

@@ -114,13 +114,10 @@ def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):
     ]
 
 
-@table(
-    ("fields", "expected"),
-    [
-        ({"interaction": False}, "67 % (2) of 3 valid runs never brought an NPC near the ego"),
-        ({"barely_moved": True}, "67 % (2) of 3 valid runs had an ego with a mean speed below 2 m/s"),
-    ],
-)
+@table(("fields", "expected"), [
+    ({"interaction": False}, "67 % (2) of 3 valid runs never brought an NPC near the ego"),
+    ({"barely_moved": True}, "67 % (2) of 3 valid runs had an ego with a mean speed below 2 m/s"),
+])  # fmt: skip
 def test_runs_that_test_nothing_warn_when_most_common(make_evaluation, fields, expected):
     assert health_of(make_evaluation, (1, {}), (1, fields)).warnings() == []
     (warning,) = health_of(make_evaluation, (1, {}), (2, fields)).warnings()

@@ -13,15 +13,7 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import operators
-from pytest_pafot.searching.operators import (
-    VEHICLES,
-    best_of,
-    crossover,
-    elites,
-    improves,
-    mutate,
-    parents,
-)
+from pytest_pafot.searching.operators import VEHICLES, best_of, crossover, elites, improves, mutate, parents
 from pytest_pafot.searching.operators import tournament as binary_tournament
 from pytest_pafot.searching.space import OTHERS, SearchSpace, sample
 from tests.helpers.tables import table

@@ -321,16 +321,13 @@ def test_evaluations_that_do_not_match_are_refused(make_evaluation):
         search.tell(state, evaluations[::-1], rng)
 
 
-@table(
-    ("parameters", "message"),
-    [
-        ({"population": 1}, "population: expected at least 2"),
-        ({"mutation_rate": float("nan")}, "mutation_rate: expected a number from 0 to 1"),
-        ({"elite_share": 0.8}, "elite_share: expected a share that leaves room for a child"),
-        ({"local_generations": -1}, "local_generations: expected a count of at least 0"),
-        ({"local_mutation_factor": -1.0}, "local_mutation_factor: expected a finite number"),
-    ],
-)
+@table(("parameters", "message"), [
+    ({"population": 1}, "population: expected at least 2"),
+    ({"mutation_rate": float("nan")}, "mutation_rate: expected a number from 0 to 1"),
+    ({"elite_share": 0.8}, "elite_share: expected a share that leaves room for a child"),
+    ({"local_generations": -1}, "local_generations: expected a count of at least 0"),
+    ({"local_mutation_factor": -1.0}, "local_mutation_factor: expected a finite number"),
+])  # fmt: skip
 def test_a_search_that_cannot_work_is_refused(parameters, message):
     with pytest.raises(ValueError, match=message):
         PafotSearch(SearchSpace(), **parameters)

@@ -124,26 +124,23 @@ def test_what_json_cannot_hold_is_refused():
         plain([object()])
 
 
-@table(
-    ("kind", "data", "place", "expected"),
-    [
-        (float, "fast", "", "a number"),
-        (float, True, "", "a number"),
-        (int, 1.0, "", "a whole number"),
-        (int, True, "", "a whole number"),
-        (bool, 1, "", "true or false"),
-        (Outcome, "flew", "", "one of safe"),
-        (Outcome, ["safe"], "", "one of safe"),
-        (tuple[int, ...], {"0": 1}, "", "a list"),
-        (tuple[int, ...], [1, None], "[1]", "a whole number"),
-        (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
-        (Steps, [0.5, 3], "", "a list of 3"),
-        (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
-        (Evaluation, plain([None]) * 17, "[0]", "a scenario"),
-        (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "m/s"),
-        (Collision | None, [], "", "a list of 8"),
-    ],
-)
+@table(("kind", "data", "place", "expected"), [
+    (float, "fast", "", "a number"),
+    (float, True, "", "a number"),
+    (int, 1.0, "", "a whole number"),
+    (int, True, "", "a whole number"),
+    (bool, 1, "", "true or false"),
+    (Outcome, "flew", "", "one of safe"),
+    (Outcome, ["safe"], "", "one of safe"),
+    (tuple[int, ...], {"0": 1}, "", "a list"),
+    (tuple[int, ...], [1, None], "[1]", "a whole number"),
+    (tuple[tuple[str, float], ...], [["a", 1.0], ["b", 1.0, 2.0]], "[1]", "a list of 2"),
+    (Steps, [0.5, 3], "", "a list of 3"),
+    (Steps, [0.5, 3, [["a", [9]]]], "[2][0][1][0]", "one of 1, 2"),
+    (Evaluation, plain([None]) * 17, "[0]", "a scenario"),
+    (Evaluation, [[[[[4, -1.0]]], 0, 0, 1.0, 1.0]] * 17, "[0].speed", "m/s"),
+    (Collision | None, [], "", "a list of 8"),
+])  # fmt: skip
 def test_wrong_data_is_refused_with_its_place(kind, data, place, expected):
     with pytest.raises(FieldError) as caught:
         from_plain(kind, data)

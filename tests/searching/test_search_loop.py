@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import PafotSearch
-from pytest_pafot.searching.events import (
-    CampaignStarted,
-    Evaluated,
-    GenerationFinished,
-    LocalSearchStarted,
-    Restarted,
-)
+from pytest_pafot.searching.events import CampaignStarted, Evaluated, GenerationFinished, LocalSearchStarted, Restarted
 from pytest_pafot.searching.plan import Plan, generation_rng
 from pytest_pafot.searching.space import SearchSpace
 from tests.helpers.campaigns import Fresh, run_campaign
@@ -182,13 +176,10 @@ def test_local_generations_are_added_after_the_last_generation(make_evaluation):
     assert events[-1].generations == 4
 
 
-@table(
-    ("arguments", "message"),
-    [
-        ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),
-        ({"seed": -1}, "seed: expected a whole number, at least 0"),
-    ],
-)
+@table(("arguments", "message"), [
+    ({"generations": 0}, "generations: expected a whole number, at least 1, received 0"),
+    ({"seed": -1}, "seed: expected a whole number, at least 0"),
+])  # fmt: skip
 def test_arguments_out_of_range_are_refused_early(arguments, message):
     with pytest.raises(ValueError, match=message):
         Plan(PafotSearch(), **({"generations": 1, "seed": 1} | arguments))

@@ -84,20 +84,13 @@ def test_a_wide_space_draws_all_of_its_starts():
     assert starts == {(lane, speed) for lane in (0, 2) for speed in (12.0, 12.1, 12.2, 12.3)}
 
 
-@pytest.mark.parametrize(
-    ("space", "told"),
-    [
-        (SearchSpace(), "2 NPCs; the ego starts at 22 m/s in lane 1"),
-        (
-            SearchSpace(npcs=4, ego_lanes=(1, 2), ego_speeds=(12.0, 26.8)),
-            "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 1 to 2",
-        ),
-        (
-            SearchSpace(most_npcs=(5,), traffic="everyday"),
-            "1 to 5 NPCs in everyday traffic (as most drivers drive); the ego starts at 22 m/s in lane 1",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("space", "told"), [
+    (SearchSpace(), "2 NPCs; the ego starts at 22 m/s in lane 1"),
+    (SearchSpace(npcs=4, ego_lanes=(1, 2), ego_speeds=(12.0, 26.8)),
+     "4 NPCs; the ego starts at 12 to 26.8 m/s in lanes 1 to 2"),
+    (SearchSpace(most_npcs=(5,), traffic="everyday"),
+     "1 to 5 NPCs in everyday traffic (as most drivers drive); the ego starts at 22 m/s in lane 1"),
+])  # fmt: skip
 def test_a_space_says_what_is_drawn(space, told):
     assert space.described == told
 
@@ -139,15 +132,12 @@ def test_quick_repair_equals_repair_of_the_scenario(seed, npcs, genes, repair_se
     assert repaired(chains, repair_seed, space) == Scenario.repaired(chains, seed=repair_seed)
 
 
-@table(
-    ("fields", "message"),
-    [
-        ({"npcs": 0}, "npcs: expected 1 to 8"),
-        ({"genes": 0}, "genes: expected at least one"),
-        ({"speed_limit": -1.0}, "speed_limit: expected a finite speed"),
-        ({"speed_limit": float("nan")}, "speed_limit: expected a finite speed"),
-    ],
-)
+@table(("fields", "message"), [
+    ({"npcs": 0}, "npcs: expected 1 to 8"),
+    ({"genes": 0}, "genes: expected at least one"),
+    ({"speed_limit": -1.0}, "speed_limit: expected a finite speed"),
+    ({"speed_limit": float("nan")}, "speed_limit: expected a finite speed"),
+])  # fmt: skip
 def test_a_space_that_holds_nothing_is_refused(fields, message):
     with pytest.raises(ValueError, match=message):
         SearchSpace(**fields)

@@ -30,31 +30,23 @@ def idle():
     return lambda observation: (0.0, 0.0)
 
 
-@table(
-    ("options", "message"),
-    [
-        ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
-        ({"lanes": 4.0}, "lanes: expected a whole number from 3 to 6, received 4.0"),
-        ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
-        ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs may drive 1.1 times the limit"),
-        ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
-        (
-            {"physics_hz": 1000, "ads_hz": 600},
-            "use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000",
-        ),
-        ({"physics_hz": 127, "ads_hz": 1, "duration": 3600}, "duration: expected at most 3149 s at 127 ticks a second"),
-        (
-            {"physics_hz": 1000, "duration": 3600},
-            "duration: expected at most 400 s at 1000 ticks a second, received 36",
-        ),
-        ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
-        ({"duration": 0}, "duration: expected a number from 0.0666667 to 3600, received 0"),
-        ({"clearance": -1}, "clearance: expected a number from 0 to 50, received -1"),
-        ({"headway": 11}, "headway: expected a number from 0 to 10, received 11"),
-        ({"hang_limit": 0}, "hang_limit: expected a number from 0.01 to 86400, received 0"),
-        ({"limits": {"jerk": 5}}, "limits: expected pafot.NpcLimits(...), received {'jerk': 5}"),
-    ],
-)
+@table(("options", "message"), [
+    ({"lanes": 2}, "lanes: expected a whole number from 3 to 6, received 2"),
+    ({"lanes": 4.0}, "lanes: expected a whole number from 3 to 6, received 4.0"),
+    ({"speed_limit": 4}, "speed_limit: expected a number from 5 to 40, received 4"),
+    ({"speed_limit": 39}, "speed_limit: expected at most 36.3 m/s, because NPCs may drive 1.1 times the limit"),
+    ({"physics_hz": 4}, "physics_hz: expected a whole number from 5 to 1000, received 4"),
+    ({"physics_hz": 1000, "ads_hz": 600},
+     "use one of 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000"),
+    ({"physics_hz": 127, "ads_hz": 1, "duration": 3600}, "duration: expected at most 3149 s at 127 ticks a second"),
+    ({"physics_hz": 1000, "duration": 3600}, "duration: expected at most 400 s at 1000 ticks a second, received 36"),
+    ({"ads_hz": 0}, "ads_hz: expected a whole number from 1 to 1000, received 0"),
+    ({"duration": 0}, "duration: expected a number from 0.0666667 to 3600, received 0"),
+    ({"clearance": -1}, "clearance: expected a number from 0 to 50, received -1"),
+    ({"headway": 11}, "headway: expected a number from 0 to 10, received 11"),
+    ({"hang_limit": 0}, "hang_limit: expected a number from 0.01 to 86400, received 0"),
+    ({"limits": {"jerk": 5}}, "limits: expected pafot.NpcLimits(...), received {'jerk': 5}"),
+])  # fmt: skip
 def test_wrong_highway_option_is_named_with_its_bounds(options, message):
     with raises(message):
         Highway(**options)
@@ -150,16 +142,13 @@ def test_very_slow_environment_is_refused_at_once(env_id, config, message):
         World(env_id, config=config).check()
 
 
-@table(
-    "observation",
-    [
-        {"type": "Kinematics", "vehicles_count": 100, "features": ["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]},
-        {"type": "OccupancyGrid", "grid_size": [[-32, 32], [-32, 32]], "grid_step": [0.5, 0.5]},
-        {"type": "LidarObservation", "cells": 3600},
-        {"type": "TimeToCollision", "horizon": 10},
-        {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "LidarObservation"}]},
-    ],
-)
+@table("observation", [
+    {"type": "Kinematics", "vehicles_count": 100, "features": ["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]},
+    {"type": "OccupancyGrid", "grid_size": [[-32, 32], [-32, 32]], "grid_step": [0.5, 0.5]},
+    {"type": "LidarObservation", "cells": 3600},
+    {"type": "TimeToCollision", "horizon": 10},
+    {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "LidarObservation"}]},
+])  # fmt: skip
 def test_a_large_observation_that_takes_milliseconds_is_accepted(observation):
     World("highway-v0", config={"observation": observation}).check()
 
@@ -265,14 +254,11 @@ def test_wrong_configuration_is_named_with_what_was_expected(config, message):
         World("highway-v0", config=config).check()
 
 
-@table(
-    "config",
-    [
-        {"observation": {"type": "OccupancyGrid", "vehicles_count": 15, "features_range": {"x": [-100, 100]}}},
-        {"observation": {"type": "Kinematics", "flatten": False}},
-        {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
-    ],
-)
+@table("config", [
+    {"observation": {"type": "OccupancyGrid", "vehicles_count": 15, "features_range": {"x": [-100, 100]}}},
+    {"observation": {"type": "Kinematics", "flatten": False}},
+    {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
+])  # fmt: skip
 def test_options_of_other_observation_types_are_ignored(config):
     World("highway-v0", config=config).check()
 

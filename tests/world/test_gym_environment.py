@@ -133,13 +133,7 @@ CASES = {
 
 @pytest.mark.filterwarnings("ignore:.*precision lowered by casting")
 @pytest.mark.parametrize(
-    "case",
-    mostly_oracle(
-        CASES,
-        "with running statistics",
-        "clipped actions",
-        "actions that stick by chance",
-    ),
+    "case", mostly_oracle(CASES, "with running statistics", "clipped actions", "actions that stick by chance")
 )
 def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     config, wrappers = CASES[case]
@@ -671,18 +665,15 @@ class Swapping(HighwayEnv):
 
 
 @pytest.mark.parametrize("wrappers", [None, [FlattenObservation]])
-@pytest.mark.parametrize(
-    ("cls", "received"),
-    [
-        (Spawning, "whose `step` adds 1 vehicle at 3.0 s"),
-        (Braking, "whose `step` sets the speed of NPC 1 from 2*.* to 5.0 m/s at 3.0 s"),
-        (Pushing, "whose `step` moves NPC 0 from (2*.*, 4.0) m at 3.0 s"),
-        (Choosing, "whose `reset` removes 2 vehicles at 0.0 s"),
-        (Crowding, "whose `reset` adds 1 vehicle at 0.0 s"),
-        (Swapping, "whose `reset` makes another ego at 0.0 s"),
-        (Sorting, ""),
-    ],
-)
+@pytest.mark.parametrize(("cls", "received"), [
+    (Spawning, "whose `step` adds 1 vehicle at 3.0 s"),
+    (Braking, "whose `step` sets the speed of NPC 1 from 2*.* to 5.0 m/s at 3.0 s"),
+    (Pushing, "whose `step` moves NPC 0 from (2*.*, 4.0) m at 3.0 s"),
+    (Choosing, "whose `reset` removes 2 vehicles at 0.0 s"),
+    (Crowding, "whose `reset` adds 1 vehicle at 0.0 s"),
+    (Swapping, "whose `reset` makes another ego at 0.0 s"),
+    (Sorting, ""),
+])  # fmt: skip
 def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received, wrappers, register):
     register("mine-v0", entry_point=cls)
     world = World("mine-v0", duration=6.0, wrappers=wrappers)
@@ -1176,20 +1167,15 @@ def test_a_planner_inside_of_the_environment_is_refused():
         world.rollout(SCENARIO, lambda env: lambda seen: 1)
 
 
-@table(
-    ("wrappers", "message"),
-    [
-        (FlattenObservation, "wrappers: expected a list of callables, received <class .*FlattenObservation"),
-        (["FlattenObservation"], r"wrappers\[0\]: expected a callable, received 'FlattenObservation'"),
-        ([FlattenObservation, FrameStackObservation], r"wrappers\[1\]: expected .* raised TypeError: .*stack_size"),
-        ([lambda env: None], r"wrappers\[0\]: expected .* which returned None"),
-        ([lambda env: gymnasium.make("highway-v0")], r"wrappers\[0\]: expected .* which returned <OrderEnforcing"),
-        (
-            [partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))],
-            r"wrappers: .* received the space MultiBinary\(2\) in TransformAction; let",
-        ),
-    ],
-)
+@table(("wrappers", "message"), [
+    (FlattenObservation, "wrappers: expected a list of callables, received <class .*FlattenObservation"),
+    (["FlattenObservation"], r"wrappers\[0\]: expected a callable, received 'FlattenObservation'"),
+    ([FlattenObservation, FrameStackObservation], r"wrappers\[1\]: expected .* raised TypeError: .*stack_size"),
+    ([lambda env: None], r"wrappers\[0\]: expected .* which returned None"),
+    ([lambda env: gymnasium.make("highway-v0")], r"wrappers\[0\]: expected .* which returned <OrderEnforcing"),
+    ([partial(TransformAction, func=int, action_space=gymnasium.spaces.MultiBinary(2))],
+     r"wrappers: .* received the space MultiBinary\(2\) in TransformAction; let"),
+])  # fmt: skip
 def test_what_is_no_wrapper_is_told(wrappers, message):
     with pytest.raises(WorldError, match=message):
         World("highway-v0", wrappers=wrappers).rollout(SCENARIO, lambda: lambda seen: 1)

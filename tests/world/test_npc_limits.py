@@ -15,16 +15,7 @@ from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table
-from tests.helpers.world_cases import (
-    EGOS,
-    LENGTH,
-    WIDTH,
-    chains,
-    constant_speed,
-    random_scenario,
-    stopping,
-    violations,
-)
+from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, chains, constant_speed, random_scenario, stopping, violations
 
 
 def random_highway(rng, physics_hz, limits=None):

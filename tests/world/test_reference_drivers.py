@@ -10,13 +10,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Outcome, X, Y
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, Observation, VehicleState, World, WorldError
-from pytest_pafot.world.reference_drivers import (
-    CRITICAL,
-    HARD_BRAKING,
-    REFERENCES,
-    CarefulHuman,
-    Leader,
-)
+from pytest_pafot.world.reference_drivers import CRITICAL, HARD_BRAKING, REFERENCES, CarefulHuman, Leader
 
 HZ = 30
 NAMES = tuple(REFERENCES)

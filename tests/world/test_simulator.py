@@ -83,10 +83,7 @@ def scenarios():
     return [
         Scenario(npcs=(cells, lanes), **common),
         Scenario(
-            npcs=(lanes, cells, lanes[::-1]),
-            traffic="everyday",
-            vehicles=("truck", "car", "motorcycle"),
-            **common,
+            npcs=(lanes, cells, lanes[::-1]), traffic="everyday", vehicles=("truck", "car", "motorcycle"), **common
         ),
         Scenario(npcs=(lanes[1:], cells), ego_speed=17.0, seed=5, **common),
     ]
@@ -491,8 +488,7 @@ def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message
 
 
 @pytest.mark.parametrize(
-    ("name", "write"),
-    [("from_north", 'headings = "y to x"'), ("speed_limits", "speed_limit"), ("atfront", "at_front")],
+    ("name", "write"), [("from_north", 'headings = "y to x"'), ("speed_limits", "speed_limit"), ("atfront", "at_front")]
 )
 def test_a_statement_under_a_wrong_name_is_refused_with_the_right_one(name, write):
     """Each name is in this file once, as it would be in a user's class."""

@@ -104,20 +104,12 @@ def test_steady_braking_slows_by_six_to_a_standstill(tick):
     assert (lane == lane[0]).all()
 
 
-@table(
-    ("tick", "name", "world", "message"),
-    [
-        (10, "me", HIGHWAY, "expected one of careful-human, steady-braking, received 'me'"),
-        (-1, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
-        (10**6, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
-        (
-            10,
-            "careful-human",
-            Highway(physics_hz=30),
-            "trace: expected a run in this world, with 30 .* a run with 15",
-        ),
-    ],
-)
+@table(("tick", "name", "world", "message"), [
+    (10, "me", HIGHWAY, "expected one of careful-human, steady-braking, received 'me'"),
+    (-1, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
+    (10**6, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
+    (10, "careful-human", Highway(physics_hz=30), "trace: expected a run in this world, with 30 .* a run with 15"),
+])  # fmt: skip
 def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
     trace = HIGHWAY.rollout(BRAKES, weaving)
     with pytest.raises(WorldError, match=message):
@@ -170,19 +162,16 @@ class Both(Declares, Resumes):
     pass
 
 
-@table(
-    ("world", "drivers"),
-    [
-        (HIGHWAY, ("careful-human", "steady-braking")),
-        (Own(), None),
-        (Takes(), None),
-        (Declares(), ("careful-human",)),
-        (Brakes(), ("careful-human", "steady-braking")),
-        (Resumes(), ("steady-braking",)),
-        (PassesOn(), ("steady-braking",)),
-        (Both(), ("careful-human", "steady-braking")),
-    ],
-)
+@table(("world", "drivers"), [
+    (HIGHWAY, ("careful-human", "steady-braking")),
+    (Own(), None),
+    (Takes(), None),
+    (Declares(), ("careful-human",)),
+    (Brakes(), ("careful-human", "steady-braking")),
+    (Resumes(), ("steady-braking",)),
+    (PassesOn(), ("steady-braking",)),
+    (Both(), ("careful-human", "steady-braking")),
+])  # fmt: skip
 def test_drivers_that_take_over_are_those_declared(world, drivers):
     trace = HIGHWAY.rollout(BRAKES, changing_lanes)
     known = base_world(world).taking_over(trace)
@@ -227,15 +216,12 @@ def test_braking_after_decisions_equals_the_braking_driver():
     assert np.allclose(by_decisions.states, HIGHWAY.take_over(trace, 30, "steady-braking").states)
 
 
-@table(
-    ("method", "given", "error"),
-    [
-        ("take_over", lambda self, trace, tick, name: {}[name], "KeyError: 'careful-human'"),
-        ("take_over", lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
-        ("lasting", lambda self, seconds: {}[seconds], "KeyError: 14.0"),
-        ("lasting", lambda self, seconds: None, "TypeError: expected a world, received None"),
-    ],
-)
+@table(("method", "given", "error"), [
+    ("take_over", lambda self, trace, tick, name: {}[name], "KeyError: 'careful-human'"),
+    ("take_over", lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
+    ("lasting", lambda self, seconds: {}[seconds], "KeyError: 14.0"),
+    ("lasting", lambda self, seconds: None, "TypeError: expected a world, received None"),
+])  # fmt: skip
 def test_error_of_a_world_names_its_class_and_what_it_could_not_do(method, given, error):
     world = type("Broken", (Declares,), {method: given})()
     trace = HIGHWAY.rollout(BRAKES, weaving)

@@ -275,7 +275,4 @@ def test_explanation_and_picture_say_what_the_ego_is():
     scenario = Scenario(npcs=[[PositionInstruction(2, 10.0)] * 2], vehicles=["van"])
     trace = Highway(ego=TRUCK).rollout(scenario, keeping)
     assert "\n  the ego is a truck, 12 x 2.55 m; NPC 0 is a van, 6.5 x 2.16 m\n" in Run(trace).explain()
-    assert [(each.name, each.length) for each in view_of(trace).vehicles] == [
-        ("ego, truck", 12.0),
-        ("NPC 0, van", 6.5),
-    ]
+    assert [(each.name, each.length) for each in view_of(trace).vehicles] == [("ego, truck", 12.0), ("NPC 0, van", 6.5)]

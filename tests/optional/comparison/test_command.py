@@ -409,13 +409,10 @@ def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
     assert json.loads((tmp_path / "wrapped" / "comparison.json").read_text())["plan"]["world"]["duration"] == 5.0
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["--duration", "5"], "--duration: expected no such option with --world"),
-        (["--algorithms", "random@5"], "expected no seconds after the @ in a world of your own, received random@5"),
-    ],
-)
+@pytest.mark.parametrize(("options", "told"), [
+    (["--duration", "5"], "--duration: expected no such option with --world"),
+    (["--algorithms", "random@5"], "expected no seconds after the @ in a world of your own, received random@5"),
+])  # fmt: skip
 def test_what_a_world_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
     assert compare_in("Road", tmp_path, "constant_speed", *options) == BAD_USE
     assert told in capsys.readouterr().err

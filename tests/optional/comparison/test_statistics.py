@@ -86,13 +86,10 @@ class TestSurvival:
         assert log_rank(x, [False] * 3, y, [False] * 4) == pytest.approx(2 * scipy.stats.norm.sf(abs(z)))
 
     @pytest.mark.filterwarnings("error")
-    @pytest.mark.parametrize(
-        ("x", "x_is_censored", "y", "y_is_censored"),
-        [
-            ([6, 6], [False, False], [6, 6], [False, False]),  # all failed at once
-            ([1, 1], [True, True], [2, 3, 4], [False] * 3),  # the samples are never at risk together
-            ([5, 5], [True, True], [6, 6], [True, True]),  # nobody found anything
-        ],
-    )
+    @pytest.mark.parametrize(("x", "x_is_censored", "y", "y_is_censored"), [
+        ([6, 6], [False, False], [6, 6], [False, False]),  # all failed at once
+        ([1, 1], [True, True], [2, 3, 4], [False] * 3),  # the samples are never at risk together
+        ([5, 5], [True, True], [6, 6], [True, True]),  # nobody found anything
+    ])  # fmt: skip
     def test_samples_without_a_comparable_event_do_not_differ(self, x, x_is_censored, y, y_is_censored):
         assert log_rank(x, x_is_censored, y, y_is_censored) == 1.0

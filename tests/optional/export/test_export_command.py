@@ -104,21 +104,12 @@ def test_finding_is_located_by_its_name_in_folders(tmp_path, monkeypatch, capsys
     assert "received an id that 2 files have; give one of the files: other/collision-xfail.pafot.yaml, tests/" in told
 
 
-@pytest.mark.parametrize(
-    ("below", "received"),
-    [
-        (
-            "file",
-            "{}: File exists; there is a file where a folder should be: rename or delete it, or give another folder",
-        ),
-        (
-            "file/new",
-            "{}: Not a directory; there is a file where a folder should be: rename or delete it, or give another",
-        ),
-        ("n" * 300, "{}: File name too long; shorten the names of the folders, of the test or of its parameters, or"),
-        ("taken", "{}/collision-xfail.csv: Is a directory; there is a folder with that name: rename or delete it, or"),
-    ],
-)
+@pytest.mark.parametrize(("below", "received"), [
+    ("file", "{}: File exists; there is a file where a folder should be: rename or delete it, or give another folder"),
+    ("file/new", "{}: Not a directory; there is a file where a folder should be: rename or delete it, or give another"),
+    ("n" * 300, "{}: File name too long; shorten the names of the folders, of the test or of its parameters, or"),
+    ("taken", "{}/collision-xfail.csv: Is a directory; there is a folder with that name: rename or delete it, or"),
+])  # fmt: skip
 def test_unwritable_folder_is_refused_with_the_way_out(below, received, tmp_path, capsys):
     (tmp_path / "file").touch()
     (tmp_path / "taken" / "collision-xfail.csv").mkdir(parents=True)
@@ -199,14 +190,11 @@ def test_interrupted_export_prints_line_and_exits_with_130(tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("name", "module", "library", "extra"),
-    [
-        ("xosc", "openscenario", "scenariogeneration", "export"),
-        ("mcap", "foxglove_mcap", "foxglove", "export"),
-        ("commonroad", "commonroad_xml", "commonroad", "commonroad"),
-    ],
-)
+@pytest.mark.parametrize(("name", "module", "library", "extra"), [
+    ("xosc", "openscenario", "scenariogeneration", "export"),
+    ("mcap", "foxglove_mcap", "foxglove", "export"),
+    ("commonroad", "commonroad_xml", "commonroad", "commonroad"),
+])  # fmt: skip
 def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, name, module, library, extra):
     for each in [known for known in sys.modules if known.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, each)

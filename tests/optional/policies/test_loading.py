@@ -91,14 +91,11 @@ def test_wrong_number_of_frames_is_a_clear_error():
         pushed(None, np.zeros((5, 5)), 2, (5, 15))
 
 
-@table(
-    "world",
-    [
-        pafot.Highway(),
-        pafot.World("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}),
-        pafot.World("highway-fast-v0", config={"observation": {"type": "Kinematics", "vehicles_count": 7}}),
-    ],
-)
+@table("world", [
+    pafot.Highway(),
+    pafot.World("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}),
+    pafot.World("highway-fast-v0", config={"observation": {"type": "Kinematics", "vehicles_count": 7}}),
+])  # fmt: skip
 def test_policy_is_compared_with_world_before_any_run(world):
     with pytest.raises(TypeError, match=r"None None|Box.*(Box|7, 5)"):
         world.rollout(CUT_IN, Loader())
@@ -132,13 +129,10 @@ def zipped(path, parameters):
     return path
 
 
-@pytest.mark.parametrize(
-    ("policy", "message"),
-    [
-        (lambda folder: pafot.policies.sb3(folder / "model.zip"), "expected a file that can be read, received .*model"),
-        (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected frame_stack of 1 or more, received 0"),
-    ],
-)
+@pytest.mark.parametrize(("policy", "message"), [
+    (lambda folder: pafot.policies.sb3(folder / "model.zip"), "expected a file that can be read, received .*model"),
+    (lambda folder: pafot.policies.sb3(folder, frame_stack=0), "expected frame_stack of 1 or more, received 0"),
+])  # fmt: skip
 def test_unloadable_policy_error_says_what_to_do(policy, message, tmp_path):
     with pytest.raises(TypeError, match=message):
         pafot.Highway().rollout(CUT_IN, policy(tmp_path))

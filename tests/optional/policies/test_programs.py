@@ -135,25 +135,18 @@ def test_two_runs_at_once_have_a_program_each(tmp_path):
         ads.close()
 
 
-@pytest.mark.parametrize(
-    ("body", "kind", "message"),
-    [
-        ("sys.exit(3)", "ProgramEnded", r"ended with exit code 3 in the place of an answer"),
-        ("os.kill(os.getpid(), 11)", "ProgramEnded", r"was ended by signal 11, Segmentation fault, in the place"),
-        ("os.close(1); time.sleep(60)", "ProgramEnded", r"closed its output in the place of an answer"),
-        ("print('hello', flush=True)", "BadAction", r"expected a line of JSON with .*received 'hello'"),
-        ("answer(acceleration=1.0)", "BadAction", r"expected a line of JSON with"),
-        ("answer(acceleration='fast', steering=0)", "BadAction", r"expected \(acceleration \[m/s\^2\], steering"),
-        (
-            "print(line, end='', flush=True)",
-            "BadAction",
-            r"a decision, as an object without .*, received an observation",
-        ),
-        ("answer(lane=9, speed=1)", "BadAction", r"a lane from 0"),
-        ("print('{}\\n{}', flush=True)", "BadAction", r"one line for each observation, received another.*stderr"),
-        ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
-    ],
-)
+@pytest.mark.parametrize(("body", "kind", "message"), [
+    ("sys.exit(3)", "ProgramEnded", r"ended with exit code 3 in the place of an answer"),
+    ("os.kill(os.getpid(), 11)", "ProgramEnded", r"was ended by signal 11, Segmentation fault, in the place"),
+    ("os.close(1); time.sleep(60)", "ProgramEnded", r"closed its output in the place of an answer"),
+    ("print('hello', flush=True)", "BadAction", r"expected a line of JSON with .*received 'hello'"),
+    ("answer(acceleration=1.0)", "BadAction", r"expected a line of JSON with"),
+    ("answer(acceleration='fast', steering=0)", "BadAction", r"expected \(acceleration \[m/s\^2\], steering"),
+    ("print(line, end='', flush=True)", "BadAction", r"a decision, as an object without .*, received an observation"),
+    ("answer(lane=9, speed=1)", "BadAction", r"a lane from 0"),
+    ("print('{}\\n{}', flush=True)", "BadAction", r"one line for each observation, received another.*stderr"),
+    ("print('x' * 2_000_000, flush=True)", "BadAction", r"a line of at most 1048576 bytes"),
+])  # fmt: skip
 def test_wrong_program_behaviour_is_reported_with_its_kind(body, kind, message, tmp_path, monkeypatch):
     monkeypatch.setattr(programs, "GRACE", 0.2 if "os.close" in body else 10.0)  # a busy machine ends it late
     once = f"if seen['time'] == 1.0:\n    {body}\nelse:\n    answer(acceleration=0.0, steering=0.0)"
@@ -196,14 +189,11 @@ STARTS_ANOTHER = """
 """
 
 
-@pytest.mark.parametrize(
-    ("ending", "message"),
-    [
-        ("answer(acceleration=0.0, steering=0.0)", "no error"),
-        ("os._exit(3)", "ended with exit code 3 in the place of an answer"),
-        ("os.abort()", "was ended by signal 6, Aborted, in the place of an answer"),
-    ],
-)
+@pytest.mark.parametrize(("ending", "message"), [
+    ("answer(acceleration=0.0, steering=0.0)", "no error"),
+    ("os._exit(3)", "ended with exit code 3 in the place of an answer"),
+    ("os.abort()", "was ended by signal 6, Aborted, in the place of an answer"),
+])  # fmt: skip
 def test_what_a_program_has_started_ends_with_it(ending, message, tmp_path):
     path = str(tmp_path / "lives")
     os.mkfifo(path)
@@ -238,18 +228,15 @@ def test_long_stderr_output_of_program_is_shortened(tmp_path, capfd):
     assert len(said) < 2 * programs.WORDS + 100
 
 
-@table(
-    "line",
-    [
-        b"[" * 100_000,
-        b'{"lane":' * 100_000,
-        b'{"acceleration": ' + b"9" * 5000 + b', "steering": 0}',
-        b'{"acceleration": 0, "acceleration": -9, "steering": 0}',
-        b'{"acceleration": 0, "steering": 0, "\xff": 0}',
-        b'{"acceleration": 0, "steering": 0\0}',
-        b"",
-    ],
-)
+@table("line", [
+    b"[" * 100_000,
+    b'{"lane":' * 100_000,
+    b'{"acceleration": ' + b"9" * 5000 + b', "steering": 0}',
+    b'{"acceleration": 0, "acceleration": -9, "steering": 0}',
+    b'{"acceleration": 0, "steering": 0, "\xff": 0}',
+    b'{"acceleration": 0, "steering": 0\0}',
+    b"",
+])  # fmt: skip
 def test_unreadable_answer_is_a_bad_action(line):
     with pytest.raises(BadAction, match="expected a line of JSON with the keys acceleration and steering"):
         programs.action_of(line)
@@ -269,20 +256,14 @@ def test_program_that_cannot_start_is_a_setup_error():
         ROAD.rollout(CUT_IN, pafot.policies.process(["./no-such-program"]))
 
 
-@table(
-    ("command", "timeout", "message"),
-    [
-        (
-            "./planner",
-            None,
-            r"a program and its arguments in a list, received './planner'; write process\(\['./planner'\]\)",
-        ),
-        ("python3 planner.py", None, r"write process\(\['python3', 'planner.py'\]\)"),
-        ([], None, r"in a list, received \[\]; name it"),
-        (["./planner"], "1", "a timeout above 0 .s., or None, received '1'"),
-        (["./planner"], 0, "received 0; give it seconds"),
-    ],
-)
+@table(("command", "timeout", "message"), [
+    ("./planner", None,
+     r"a program and its arguments in a list, received './planner'; write process\(\['./planner'\]\)"),
+    ("python3 planner.py", None, r"write process\(\['python3', 'planner.py'\]\)"),
+    ([], None, r"in a list, received \[\]; name it"),
+    (["./planner"], "1", "a timeout above 0 .s., or None, received '1'"),
+    (["./planner"], 0, "received 0; give it seconds"),
+])  # fmt: skip
 def test_invalid_command_or_timeout_is_refused_early(command, timeout, message):
     with pytest.raises(TypeError, match=message):
         pafot.policies.process(command, timeout=timeout)

@@ -97,22 +97,19 @@ def test_conditions_are_told_with_their_values_the_last_one_first(module, body, 
     assert recorded(module, source, 3.14159) == rows
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        ("1e-9", "1e-09"),
-        ("20.0", "20"),
-        ("float('inf')", "inf"),
-        ("np.float32(0.5)", "0.5"),
-        ("np.zeros((2, 3))", "array of shape (2, 3)"),
-        ("[1, 2]", "list of 2"),
-        ("'x' * 99", "'xxxxxxxxxxxxxxxxx...'"),
-        ("10 ** 5000", "int"),
-        ("Mode.FOLLOW", "Mode.FOLLOW"),
-        ("Vain()", "Vain"),
-        ("'a ::error \\x1b'", r"'a \x3a:error \x1b'"),
-    ],
-)
+@pytest.mark.parametrize(("value", "text"), [
+    ("1e-9", "1e-09"),
+    ("20.0", "20"),
+    ("float('inf')", "inf"),
+    ("np.float32(0.5)", "0.5"),
+    ("np.zeros((2, 3))", "array of shape (2, 3)"),
+    ("[1, 2]", "list of 2"),
+    ("'x' * 99", "'xxxxxxxxxxxxxxxxx...'"),
+    ("10 ** 5000", "int"),
+    ("Mode.FOLLOW", "Mode.FOLLOW"),
+    ("Vain()", "Vain"),
+    ("'a ::error \\x1b'", r"'a \x3a:error \x1b'"),
+])  # fmt: skip
 def test_values_are_short_safe_and_call_no_code_of_the_user(module, value, text):
     source = f"""
     import enum

@@ -220,23 +220,20 @@ def test_pair_after_a_drive_is_held_as_usual():
     assert set(ego[-9:, ACCELERATION].tolist()) == {0.5}
 
 
-@table(
-    ("drive", "said"),
-    [
-        (Drive(lane=4, speed=20.0), "a lane from 0, at the left, to 3"),
-        (Drive(lane=-1, speed=20.0), "a lane from 0, at the left, to 3"),
-        (Drive(lane=1), r"either a speed \[m/s\] or an acceleration \[m/s\^2\]"),
-        (Drive(lane=1, speed=20.0, acceleration=0.0), "either a speed"),
-        (Drive(lane=1, speed=-0.1), "a speed of at least 0 m/s"),
-        (Drive(lane=1, speed=math.nan), "finite numbers"),
-        (Drive(lane=1.5, speed=20.0), "numbers, with a whole number for the lane"),
-        (Drive(lane=True, speed=20.0), "numbers, with a whole number for the lane"),
-        (Drive(lane=1, speed="20"), "numbers, with a whole number for the lane"),
-        (Drive(lane=1, speed=20.0, lateral_acceleration=0.0), r"lateral_acceleration= from 0.1 to 100 m/s\^2"),
-        (Drive(lane=1, speed=20.0, lateral_acceleration=math.nan), "lateral_acceleration= from 0.1"),
-        (Drive(lane=1, speed=20.0, lateral_jerk=-5.0), r"lateral_jerk= from 0.1 to 1000 m/s\^3, or without it"),
-    ],
-)
+@table(("drive", "said"), [
+    (Drive(lane=4, speed=20.0), "a lane from 0, at the left, to 3"),
+    (Drive(lane=-1, speed=20.0), "a lane from 0, at the left, to 3"),
+    (Drive(lane=1), r"either a speed \[m/s\] or an acceleration \[m/s\^2\]"),
+    (Drive(lane=1, speed=20.0, acceleration=0.0), "either a speed"),
+    (Drive(lane=1, speed=-0.1), "a speed of at least 0 m/s"),
+    (Drive(lane=1, speed=math.nan), "finite numbers"),
+    (Drive(lane=1.5, speed=20.0), "numbers, with a whole number for the lane"),
+    (Drive(lane=True, speed=20.0), "numbers, with a whole number for the lane"),
+    (Drive(lane=1, speed="20"), "numbers, with a whole number for the lane"),
+    (Drive(lane=1, speed=20.0, lateral_acceleration=0.0), r"lateral_acceleration= from 0.1 to 100 m/s\^2"),
+    (Drive(lane=1, speed=20.0, lateral_acceleration=math.nan), "lateral_acceleration= from 0.1"),
+    (Drive(lane=1, speed=20.0, lateral_jerk=-5.0), r"lateral_jerk= from 0.1 to 1000 m/s\^3, or without it"),
+])  # fmt: skip
 def test_empty_drive_or_missing_lane_is_bad_action(drive, said):
     error = Highway().rollout(BEHIND, always(drive)).error
     assert error.kind == "BadAction"

@@ -25,12 +25,7 @@ SCENARIO = Scenario(
     ego_speed=22.0,
     gene_seconds=3.0,
 )
-EVERYTHING = {
-    "range": 40.0,
-    "latency": 0.5,
-    "noise": {"position": 0.5, "speed": 1.0},
-    "dropout": 0.2,
-}
+EVERYTHING = {"range": 40.0, "latency": 0.5, "noise": {"position": 0.5, "speed": 1.0}, "dropout": 0.2}
 
 
 class Watching:
@@ -138,22 +133,16 @@ def test_ads_is_closed_and_gains_no_methods():
     assert not hasattr(pafot.Perception(Watching)(), "close")
 
 
-@table(
-    ("make", "error", "message"),
-    [
-        (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class drives itself"),
-        (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections to one"),
-        (lambda: pafot.Perception(42), AdsFactoryError, "give a function or class that makes one"),
-        (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
-        (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a callable in a Perception"),
-        (
-            lambda: pafot.Perception(Watching)("what is seen"),
-            AdsFactoryError,
-            "that is used as the factory, received a call of it with an observation",
-        ),
-        (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
-    ],
-)
+@table(("make", "error", "message"), [
+    (lambda: pafot.Perception(IDMVehicle), AdsFactoryError, "a highway-env vehicle class drives itself"),
+    (lambda: pafot.Perception(pafot.Perception(Watching)), AdsFactoryError, "all imperfections to one"),
+    (lambda: pafot.Perception(42), AdsFactoryError, "give a function or class that makes one"),
+    (lambda: pafot.Perception(Watching, latency=-1.0), FieldError, "latency: expected"),
+    (pafot.Perception(lambda: IDMVehicle), AdsFactoryError, "expected a callable in a Perception"),
+    (lambda: pafot.Perception(Watching)("what is seen"), AdsFactoryError,
+     "that is used as the factory, received a call of it with an observation"),
+    (lambda: pafot.Perception(Watching)()("what is seen"), WorldError, "expected pafot.Highway or pafot.World"),
+])  # fmt: skip
 def test_what_cannot_be_is_refused(make, error, message):
     with pytest.raises(error, match=message):
         make()

@@ -22,13 +22,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.vehicles import (
-    Car,
-    EgosRegulatedRoad,
-    SearchedLanes,
-    straight_network,
-    straight_road,
-)
+from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad, SearchedLanes, straight_network, straight_road
 from pytest_pafot.world.kernel.bodies import Body
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table
@@ -96,16 +90,13 @@ def places(network, rng, count):
         yield rng.uniform(-120, 120, 2), heading
 
 
-@pytest.mark.parametrize(
-    ("name", "count"),
-    [
-        ("tangled", 600),
-        ("an unknown lane", 100),
-        oracle("racetrack-v1", 150),
-        oracle("roundabout-v1", 100),
-        oracle("intersection-v0", 100),
-    ],
-)
+@pytest.mark.parametrize(("name", "count"), [
+    ("tangled", 600),
+    ("an unknown lane", 100),
+    oracle("racetrack-v1", 150),
+    oracle("roundabout-v1", 100),
+    oracle("intersection-v0", 100),
+])  # fmt: skip
 def test_closest_lane_equals_highway_env_on_winding_roads(name, count):
     others = {"tangled": (), "an unknown lane": (Shifted([-60, -30], [60, -30]),)}
     network, found = tangled(*others[name]) if name in others else World(name).network, set()

@@ -237,17 +237,14 @@ class LooksAhead(OwnStep):
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize(
-    ("entry_point", "wrappers", "name"),
-    [
-        (HighwayEnvFast, [Fenced], "Fenced"),
-        (HighwayEnvFast, [Rewarded], "Rewarded"),
-        (HighwayEnvFast, [Plain, limited], "max_episode_steps=4"),
-        (HighwayEnvFast, [Twice, limited], "max_episode_steps=4"),
-        (Goal, [Twice], "Goal._is_terminated"),
-        (OwnStep, None, "OwnStep.step"),
-    ],
-)
+@pytest.mark.parametrize(("entry_point", "wrappers", "name"), [
+    (HighwayEnvFast, [Fenced], "Fenced"),
+    (HighwayEnvFast, [Rewarded], "Rewarded"),
+    (HighwayEnvFast, [Plain, limited], "max_episode_steps=4"),
+    (HighwayEnvFast, [Twice, limited], "max_episode_steps=4"),
+    (Goal, [Twice], "Goal._is_terminated"),
+    (OwnStep, None, "OwnStep.step"),
+])  # fmt: skip
 def test_what_only_steps_end_ends_at_their_tick_whoever_drives(register, entry_point, wrappers, name):
     """On an empty road, who keeps the speed drives as the idle action does."""
     register("ending-v0", entry_point=entry_point)

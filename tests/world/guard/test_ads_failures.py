@@ -137,17 +137,14 @@ def test_interruption_inside_an_ads_is_no_finding(world, idle, interruption):
     assert hang_guard._WATCHDOG.guards == []
 
 
-@table(
-    "lost",
-    [
-        {"position": np.array([math.nan, 0.0])},
-        {"heading": math.inf},
-        {"speed": math.nan},
-        {"action": None},
-        {"action": {}},
-        {"position": None},
-    ],
-)
+@table("lost", [
+    {"position": np.array([math.nan, 0.0])},
+    {"heading": math.inf},
+    {"speed": math.nan},
+    {"action": None},
+    {"action": {}},
+    {"position": None},
+])  # fmt: skip
 def test_vehicle_class_without_finite_state_or_action_is_ads_error(lost):
     class Lost(IDMVehicle):
         steps = 0

@@ -111,19 +111,16 @@ def test_separation_is_projection_gap_on_first_box_axes(a, b):
 EGO = Box(0.0, 0.0, 0.0, 5.0, 2.0)
 
 
-@table(
-    ("other", "side"),
-    [
-        (Box(6.0, 0.0, 0.0, 5.0, 2.0), "front"),
-        (Box(-6.0, 0.0, 0.0, 5.0, 2.0), "rear"),
-        (Box(0.0, 2.3, 0.0, 5.0, 2.0), "right"),
-        (Box(0.0, -2.3, 0.0, 5.0, 2.0), "left"),
-        (Box(6.0, 1.9, 0.0, 5.0, 2.0), "front"),  # offset, but still in the way
-        (Box(4.8, 2.3, -0.2, 5.0, 2.0), "right"),  # cuts in from the side
-        (Box(-5.5, 1.0, 0.1, 5.0, 2.0), "rear"),
-        (Box(5.3, 2.1, -0.1, 5.0, 2.0), "front"),  # over the corner, further apart ahead
-    ],
-)
+@table(("other", "side"), [
+    (Box(6.0, 0.0, 0.0, 5.0, 2.0), "front"),
+    (Box(-6.0, 0.0, 0.0, 5.0, 2.0), "rear"),
+    (Box(0.0, 2.3, 0.0, 5.0, 2.0), "right"),
+    (Box(0.0, -2.3, 0.0, 5.0, 2.0), "left"),
+    (Box(6.0, 1.9, 0.0, 5.0, 2.0), "front"),  # offset, but still in the way
+    (Box(4.8, 2.3, -0.2, 5.0, 2.0), "right"),  # cuts in from the side
+    (Box(-5.5, 1.0, 0.1, 5.0, 2.0), "rear"),
+    (Box(5.3, 2.1, -0.1, 5.0, 2.0), "front"),  # over the corner, further apart ahead
+])  # fmt: skip
 @table("turn", [0.0, 1.0, math.pi / 2, -2.5, math.pi])
 def test_side_hit_is_relative_to_ego_heading(other, side, turn):
     cos_t, sin_t = math.cos(turn), math.sin(turn)

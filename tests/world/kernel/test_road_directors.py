@@ -206,15 +206,12 @@ def test_npc_with_the_higher_number_waits():
         assert waits in {0, 1}
 
 
-@table(
-    ("env_id", "slower", "faster", "does_clash"),
-    [
-        ("intersection-v0", ("o1>o2", -3.0, 4.2, "hold"), ("o1>o2", -4.8, 6.5), True),  # they start 4.7 m apart
-        ("roundabout-v0", ("wer>exr", -0.9, 3.8), ("ner>nxr", -3.5, 18.5), True),  # in the circle, 2.5 m apart
-        ("roundabout-v0", ("wer>exr", -1.0, 4.0), ("ner>exr", -2.7, 16.9), True),  # 7.5 m apart, at 4 and 8.8 m/s
-        ("roundabout-v0", ("wer>exr", 1.0, 4.0), ("ner>exr", -2.7, 16.9), False),
-    ],
-)
+@table(("env_id", "slower", "faster", "does_clash"), [
+    ("intersection-v0", ("o1>o2", -3.0, 4.2, "hold"), ("o1>o2", -4.8, 6.5), True),  # they start 4.7 m apart
+    ("roundabout-v0", ("wer>exr", -0.9, 3.8), ("ner>nxr", -3.5, 18.5), True),  # in the circle, 2.5 m apart
+    ("roundabout-v0", ("wer>exr", -1.0, 4.0), ("ner>exr", -2.7, 16.9), True),  # 7.5 m apart, at 4 and 8.8 m/s
+    ("roundabout-v0", ("wer>exr", 1.0, 4.0), ("ner>exr", -2.7, 16.9), False),
+])  # fmt: skip
 def test_npcs_that_start_too_near_in_one_lane_clash_whether_it_is_that_of_their_entry(
     env_id, slower, faster, does_clash
 ):
@@ -260,17 +257,14 @@ def slowing():
 EGOS = (Steady, slowing, IDMVehicle)
 
 
-@pytest.mark.parametrize(
-    ("env_id", "on_grid", "runs"),
-    [
-        ("intersection-v0", 0, 12),
-        ("roundabout-v0", 0, 6),
-        ("intersection-v0", 2, 9),
-        oracle("intersection-v0", 0, 60),
-        oracle("intersection-v1", 2, 30),
-        oracle("roundabout-v0", 2, 30),
-    ],
-)
+@pytest.mark.parametrize(("env_id", "on_grid", "runs"), [
+    ("intersection-v0", 0, 12),
+    ("roundabout-v0", 0, 6),
+    ("intersection-v0", 2, 9),
+    oracle("intersection-v0", 0, 60),
+    oracle("intersection-v1", 2, 30),
+    oracle("roundabout-v0", 2, 30),
+])  # fmt: skip
 def test_npcs_without_clash_never_touch_and_respect_limits(env_id, on_grid, runs):
     world, rng = world_of(env_id), np.random.default_rng(runs)
     egos = EGOS if env_id != "intersection-v1" else EGOS[::2]
@@ -391,16 +385,13 @@ def test_run_without_crossing_npcs_has_no_way_data():
 # What does not fit.
 
 
-@table(
-    ("npc", "field", "message"),
-    [
-        (("o3>o9", 0.0, 8.0), "npcs[0][0].zone", "o3>o0, o2>o0, o1>o3, o1>o2, o3>o1, o2>o1"),
-        (("o1>o0", 0.0, 8.0), "npcs[0][0].zone", "received o1>o0"),
-        ((LEFT, -5.0, 8.0), "npcs[0][0].slot", "a slot from -4"),
-        ((LEFT, 0.0, 9.9, "hold"), None, ""),
-        ((LEFT, 0.0, 11.0), "npcs[0][0].speed", "at most the speed limit of 10 m/s"),
-    ],
-)
+@table(("npc", "field", "message"), [
+    (("o3>o9", 0.0, 8.0), "npcs[0][0].zone", "o3>o0, o2>o0, o1>o3, o1>o2, o3>o1, o2>o1"),
+    (("o1>o0", 0.0, 8.0), "npcs[0][0].zone", "received o1>o0"),
+    ((LEFT, -5.0, 8.0), "npcs[0][0].slot", "a slot from -4"),
+    ((LEFT, 0.0, 9.9, "hold"), None, ""),
+    ((LEFT, 0.0, 11.0), "npcs[0][0].speed", "at most the speed limit of 10 m/s"),
+])  # fmt: skip
 def test_unfitting_instruction_is_refused_with_what_would_fit(npc, field, message):
     world = world_of("intersection-v0")
     if field is None:

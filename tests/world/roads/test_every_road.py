@@ -141,8 +141,7 @@ def test_ring_steps_skip_cells_that_do_not_exist():
 
 
 @pytest.mark.parametrize(
-    "env_id",
-    mostly_oracle(["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"], "roundabout-v1"),
+    "env_id", mostly_oracle(["racetrack-v1", "racetrack-oval-v1", "roundabout-v1", "intersection-v2"], "roundabout-v1")
 )
 def test_npcs_stay_near_lane_centre_in_bends(env_id):
     world = world_of(env_id, duration=15.0)
@@ -485,18 +484,15 @@ def test_a_world_knows_the_roads_that_nobody_uses():
 
 
 @pytest.mark.usefixtures("registered")
-@pytest.mark.parametrize(
-    ("other", "points", "unused"),
-    [
-        (("n", "s"), ([200, -80], [200, 90]), {"crosses"}),
-        (("n", "b"), ([200, -80], [300, 0]), {"joins"}),
-        (("b", "s"), ([300, 0], [400, 90]), set()),  # leaves
-        (("n", "s"), ([200, -80], [200, -10]), set()),  # ends before it
-        (("n", "s"), ([0, 12], [600, 12]), set()),  # runs next to it
-        (("b", "a"), ([300, -4], [0, -4]), {"oncoming"}),
-        (("b", "a"), ([200, -4], [199.2, -4]), {"oncoming"}),  # however short
-    ],
-)
+@pytest.mark.parametrize(("other", "points", "unused"), [
+    (("n", "s"), ([200, -80], [200, 90]), {"crosses"}),
+    (("n", "b"), ([200, -80], [300, 0]), {"joins"}),
+    (("b", "s"), ([300, 0], [400, 90]), set()),  # leaves
+    (("n", "s"), ([200, -80], [200, -10]), set()),  # ends before it
+    (("n", "s"), ([0, 12], [600, 12]), set()),  # runs next to it
+    (("b", "a"), ([300, -4], [0, -4]), {"oncoming"}),
+    (("b", "a"), ([200, -4], [199.2, -4]), {"oncoming"}),  # however short
+])  # fmt: skip
 def test_crossing_roads_are_found_where_ways_meet(other, points, unused):
     config = {"other": list(other), "points": [list(map(float, point)) for point in points]}
     assert World("OwnMeeting-v0", config=config, duration=10.0).unused_roads == unused

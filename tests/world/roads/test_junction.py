@@ -55,10 +55,7 @@ def test_ego_straight_on_has_priority_over_oncoming_turners():
 
 
 def test_right_turn_meets_vehicles_entering_the_same_road():
-    assert zones_of(intersection("o3")) == {
-        "o1>o3": ("merging", "left", "npc"),
-        "o2>o3": ("merging", "ahead", "ego"),
-    }
+    assert zones_of(intersection("o3")) == {"o1>o3": ("merging", "left", "npc"), "o2>o3": ("merging", "ahead", "ego")}
 
 
 def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
@@ -145,15 +142,12 @@ def first_run(places, flags, since):
     return places[flagged[0]], places[flagged[breaks[0] if breaks.size else -1]]
 
 
-@pytest.mark.parametrize(
-    "world",
-    [
-        pytest.param(intersection("o1"), id="left"),
-        oracle(intersection("o2"), id="straight on"),
-        oracle(intersection("o3"), id="right"),
-        oracle(world_of("roundabout-v1"), id="roundabout"),
-    ],
-)
+@pytest.mark.parametrize("world", [
+    pytest.param(intersection("o1"), id="left"),
+    oracle(intersection("o2"), id="straight on"),
+    oracle(intersection("o3"), id="right"),
+    oracle(world_of("roundabout-v1"), id="roundabout"),
+])  # fmt: skip
 def test_zones_are_stretches_where_boxes_along_ways_touch(world):
     along_ego, ego = poses_of_ego(world)
     for zone in world.crossings.zones:
