@@ -65,7 +65,7 @@ COMMANDS = MappingProxyType({
         is_gate=True,
     ),
     "export": Command(
-        "pytest_pafot.export.export_command",
+        "pytest_pafot.export.exporter",
         "write the run of a finding as files for other tools",
         "Run the scenario of a saved finding once more, and write the paths of all vehicles and the road.",
     ),})  # fmt: skip

@@ -71,7 +71,7 @@ QUESTION = re.compile(
 QUESTIONS = {
     "attribution/manoeuvres.py": 1,  # only in a bend a lane itself leads into another
     "campaign/request.py": 1,  # whether NPCs can cross at all
-    "criticality/zones.py": 1,  # places on two ways are of use only together
+    "criticality/signals.py": 1,  # places on two ways are of use only together
     "testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
     "testing/traces.py": 10,  # the same
     "model/trace.py": 1,  # the one place that chooses the kind

@@ -13,9 +13,8 @@ import pytest_pafot as pafot
 from pytest_pafot.campaign.explore import ExploreArguments
 from pytest_pafot.campaign.options import BY_NAME, AlgorithmName
 from pytest_pafot.campaign.request import SearchArguments
-from pytest_pafot.model.driving_style import STYLES, Style
 from pytest_pafot.model.sight import NOISES, Noise
-from pytest_pafot.model.vehicle_type import READY, VehicleName
+from pytest_pafot.model.vehicle_type import READY, STYLES, Style, VehicleName
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.searching.fitness import FITNESSES, FitnessName
 from pytest_pafot.searching.space import LANE_SHARES, Instructions

@@ -29,11 +29,10 @@ from pytest_pafot.comparison.command import add_arguments
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange
-from pytest_pafot.export.export_command import add_arguments as add_export_arguments
+from pytest_pafot.export.exporter import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.driving_style import STYLES, DrivingStyle
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
     CrossingInstruction,
@@ -42,7 +41,7 @@ from pytest_pafot.model.instructions import (
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
-from pytest_pafot.model.vehicle_type import READY, VehicleType
+from pytest_pafot.model.vehicle_type import READY, STYLES, DrivingStyle, VehicleType
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.session_record import FINDING, SessionRecord

@@ -27,7 +27,7 @@ from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
 from pytest_pafot.findings.sighting import Sighting  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
-from pytest_pafot.report.page_data import LaneView, RunView  # noqa: E402
+from pytest_pafot.report.page import LaneView, RunView  # noqa: E402
 from pytest_pafot.report.views import finding_view  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402

@@ -16,7 +16,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pytest_pafot.attribution.avoidance import HARDEST, SPED_UP, Braking, Pursuit
 from pytest_pafot.attribution.manoeuvres import (
     AFTERMATH_SECONDS,
     DRIFTING,
@@ -45,16 +44,20 @@ from pytest_pafot.attribution.responses import (
     EMERGENCY,
     FOLLOWING,
     GIVING_WAY,
+    HARDEST,
     HEADWAY,
     HELD,
+    SPED_UP,
     VISIBLY,
+    Braking,
+    Pursuit,
     answer,
     brakings,
     room_to_leave,
 )
 from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.criticality.boxes import Boxes, overlaps, relate
+from pytest_pafot.criticality.measures import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, HEADING, LANE, SPEED, Trace, X, Y
 

@@ -1,4 +1,4 @@
-"""The events of a search that its algorithm does not emit; its own are in :mod:`pytest_pafot.searching.events`."""
+"""The events of a search that its algorithm does not emit; its own are in :mod:`pytest_pafot.searching.evaluation`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.events import Event
+from pytest_pafot.searching.evaluation import Event
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import hits_more
 from pytest_pafot.support.text import plural

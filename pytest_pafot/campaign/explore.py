@@ -30,17 +30,15 @@ from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import source_file
-from pytest_pafot.corpus.layout import folder_of_test, link_below
-from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.corpus.layout import folder_of_test, link_below, refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass
-from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, RandomSearch
+from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.searching.fitness import resolve
+from pytest_pafot.searching.plan import Algorithm
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, check_asserts

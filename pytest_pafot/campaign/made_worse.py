@@ -18,9 +18,8 @@ from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.sighting import Sighting
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.searching.plan import generation_rng
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
@@ -58,7 +57,7 @@ class MadeWorse:
         """
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
-        drawn = (sample(space, generation_rng(self.store.seed, 0, 0, number)) for number in range(self.most))
+        drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(self.most))
         runner = self.bench.runner
         # Other processes judge by the failures that the search knows, which do not matter here.
         runner.read_here()

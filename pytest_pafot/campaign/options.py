@@ -17,7 +17,7 @@ from pytest_pafot.corpus.layout import CORPUS
 from pytest_pafot.support.errors import RequestError, flag
 
 if TYPE_CHECKING:
-    from pytest_pafot.searching.ask_tell import Algorithm
+    from pytest_pafot.searching.plan import Algorithm
 
 Kind = Literal[
     "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file"

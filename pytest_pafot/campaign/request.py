@@ -9,12 +9,21 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypedDict, get_args
 
 from pytest_pafot.campaign.options import BUDGETS, BY_NAME, AlgorithmName, Settings
-from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES, Style
 from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, rng_of
-from pytest_pafot.model.vehicle_type import CAR, READY, VehicleName, VehicleType, named_vehicles
+from pytest_pafot.model.vehicle_type import (
+    CAR,
+    HOSTILE,
+    PAPERS,
+    READY,
+    STYLES,
+    Style,
+    VehicleName,
+    VehicleType,
+    named_vehicles,
+)
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, resolve_algorithm
-from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Fitness, FitnessName
+from pytest_pafot.searching.plan import Algorithm
 from pytest_pafot.searching.space import MOST_ON_GRID, Instructions, SearchSpace, sample
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import described, factory_named, imported

@@ -13,8 +13,7 @@ from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import Evaluated, RunsEvaluated
+from pytest_pafot.searching.evaluation import Evaluated, Evaluation, RunsEvaluated
 
 COLUMNS: Mapping[str, str] = {
     "test": "node id of the search",

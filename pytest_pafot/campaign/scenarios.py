@@ -21,9 +21,8 @@ from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Facts, Run
-from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import CampaignFinished, CampaignStarted, EndReason, Evaluated, Event
+from pytest_pafot.searching.algorithms.catalogue import RandomSearch
+from pytest_pafot.searching.evaluation import CampaignFinished, CampaignStarted, EndReason, Evaluated, Evaluation, Event
 from pytest_pafot.searching.plan import Plan
 
 CHUNK_SECONDS = 0.05

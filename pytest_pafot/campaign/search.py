@@ -22,8 +22,7 @@ from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import failed_as
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import Event
+from pytest_pafot.searching.evaluation import Evaluation, Event
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 

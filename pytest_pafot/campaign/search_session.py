@@ -45,11 +45,10 @@ from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.ask_tell import Algorithm
-from pytest_pafot.searching.events import EndReason
+from pytest_pafot.searching.algorithms.catalogue import RandomSearch
+from pytest_pafot.searching.evaluation import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
-from pytest_pafot.searching.plan import Plan
+from pytest_pafot.searching.plan import Algorithm, Plan
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag

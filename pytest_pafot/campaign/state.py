@@ -20,8 +20,8 @@ from pytest_pafot.findings.signature import CHECK_FAILED, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching import events
-from pytest_pafot.searching.health import Health
+from pytest_pafot.searching import evaluation
+from pytest_pafot.searching.evaluation import Health
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.text import plural
@@ -66,7 +66,7 @@ class RandomRuns:
             return
         if isinstance(event, Judged):
             self.judged[event.scenario] = event
-        elif isinstance(event, events.Evaluated):
+        elif isinstance(event, evaluation.Evaluated):
             judged = self.judged.pop(event.evaluation.scenario, None)
             if judged is None or judged.verdict.discarded or judged.verdict.kind == "invalid":
                 self._add(1, 0, 0, 0, 0)
@@ -120,9 +120,9 @@ class State:
     shrink_decisions: int = field(init=False, default=0)  # that the ADS made in these
     moment_runs: int = field(init=False, default=0)  # number of runs in which the ADS is asked again beside a run
     moment_decisions: int = field(init=False, default=0)  # that the ADS made in these
-    uncounted: list[events.Evaluated] = field(init=False, default_factory=list)
+    uncounted: list[evaluation.Evaluated] = field(init=False, default_factory=list)
     generation: int = field(init=False, default=0)  # generation of the main search, from 0
-    finished: events.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
+    finished: evaluation.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
     skip: BaseException | None = field(init=False, default=None)  # the last skip of the test function
     first_generation: FirstGeneration = field(init=False, default_factory=FirstGeneration)
 
@@ -190,13 +190,13 @@ class State:
         """
         self.random.see(event)
         match event:
-            case events.Evaluated():
+            case evaluation.Evaluated():
                 self.uncounted.append(event)
                 if len(self.uncounted) >= COUNTED_AT_ONCE:
                     self.count()
-            case events.GenerationFinished(local_generation=0):
+            case evaluation.GenerationFinished(local_generation=0):
                 self.first_generation.end()
-            case events.CampaignFinished():
+            case evaluation.CampaignFinished():
                 self.finished = event
 
     def take(self, run: Run, verdict: Verdict, caught: Iterable[str], doubt: str) -> None:

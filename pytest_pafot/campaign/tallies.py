@@ -34,9 +34,7 @@ from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Facts, Run
-from pytest_pafot.searching.evaluation import Evaluation, has_interaction
-from pytest_pafot.searching.events import RunsEvaluated
-from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.evaluation import Evaluation, Health, RunsEvaluated, has_interaction
 
 
 def facts_of(run: Run, evaluation: Evaluation) -> Facts:

@@ -12,7 +12,7 @@ from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.scenarios import Bred, Numbers
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.searching.events import EndReason
+from pytest_pafot.searching.evaluation import EndReason
 
 RUNS_TO_CONFIRM = 4
 """The time to find and confirm a failure, as a number of runs.

@@ -32,8 +32,7 @@ from pytest_pafot.commands.policy_reference import (
     whole_name,
 )
 from pytest_pafot.corpus.layout import CORPUS, files_below
-from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.model.vehicle_type import named_vehicles
+from pytest_pafot.model.vehicle_type import STYLES, named_vehicles
 from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.process import Ended, taken_receipt, undisturbed, unfinished

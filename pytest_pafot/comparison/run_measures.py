@@ -16,7 +16,7 @@ import scipy  # it imports its parts on first use, which takes a second
 from pytest_pafot import Cell
 from pytest_pafot.comparison.plan import Plan, world_of
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching.health import IMMEDIATE
+from pytest_pafot.searching.evaluation import IMMEDIATE
 
 # The coverage inverted distance: how much of all failures a run of a search has shown, rather than how often.
 #

@@ -262,3 +262,11 @@ def name_without(part: str, name: str) -> str:
     if tail.startswith("-"):
         return head + tail[1:]
     return head[:-1] if head.endswith("[") else head[:-1] + tail
+
+
+def refusal(link: Path) -> str:
+    """Return the message that says why nothing is read, written or removed behind a link, and what to do."""
+    return (
+        f"expected a folder, received the link {link}, which may lead to files of other people; "
+        "replace the link by the folder itself, or give the absolute path of the folder"
+    )

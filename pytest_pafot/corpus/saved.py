@@ -6,7 +6,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in
+from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in, refusal
 from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.text import visible
 
@@ -97,11 +97,3 @@ def saved_in(folder: Path) -> list[Saved]:
 def refused_in(folder: Path, link: Path) -> list[Saved]:
     """Return the files of a folder as unreadable, because the folder is behind a link that leads out of the project."""
     return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]
-
-
-def refusal(link: Path) -> str:
-    """Return the message that says why nothing is read, written or removed behind a link, and what to do."""
-    return (
-        f"expected a folder, received the link {link}, which may lead to files of other people; "
-        "replace the link by the folder itself, or give the absolute path of the folder"
-    )

@@ -16,11 +16,10 @@ from typing import Any
 import yaml
 
 from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.corpus.reader import DEFAULT_GENE_SECONDS, load
-from pytest_pafot.corpus.yaml_document import MAX_BYTES, VERSION
+from pytest_pafot.corpus.reader import DEFAULT_GENE_SECONDS, MAX_BYTES, VERSION, load
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.model.driving_style import PAPERS
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import PAPERS
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
 

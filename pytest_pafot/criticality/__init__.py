@@ -18,11 +18,15 @@ compiled.load(__name__)  # before the modules that import what is compiled
 
 from pytest_pafot.criticality.measures import (
     Encounters,
+    RelativePositions,
+    RoadFrame,
+    RssRules,
     centre_distance,
     ettc,
     execution_time,
     gap,
     hardest_brake,
+    longitudinal_gap,
     max_safety_shortfall,
     mettc,
     min_centre_distance,
@@ -33,9 +37,7 @@ from pytest_pafot.criticality.measures import (
     safety_distance,
     ttc,
 )
-from pytest_pafot.criticality.relative import RelativePositions
-from pytest_pafot.criticality.rss import RoadFrame, RssRules, longitudinal_gap
-from pytest_pafot.criticality.zones import Passage, passages, time_advantage
+from pytest_pafot.criticality.signals import Passage, passages, time_advantage
 
 __all__ = [
     "Encounters", "Passage", "RelativePositions", "RoadFrame", "RssRules", "centre_distance", "ettc", "execution_time",

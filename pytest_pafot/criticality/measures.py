@@ -1,23 +1,271 @@
-"""The paper's measures, the time to collision of boxes, and derived measures.
+"""The geometry of a run, the paper's measures and others that follow from it, and the safe distances of RSS.
 
-Source, unless another is named: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 3.3 (Fitness
-Function), equations 1 to 5. Vehicle 1 of the equations is the ego, vehicle 2 an NPC.
+The road of the run (:class:`pytest_pafot.model.trace.RoadOfRun`) defines the distances. The record of a collision, the
+explanation of a run and the report page share them. *Ahead* is the distance driven along the road, *right* is the
+distance across it, both from the ego's centre to the NPC's [m]. Neither depends on the ego's heading. Both together
+determine the cell, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego, columns as wide as its
+lane. While an NPC that crosses is not on the ego's way, its distances, gaps and safe distances are NaN, it is in no
+cell, and it shares a lane with no vehicle.
+
+Sources, unless another is named: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target
+Positions) for the grid, and section 3.3 (Fitness Function), equations 1 to 5, for the measures. Vehicle 1 of the
+equations is the ego, vehicle 2 an NPC.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
+from itertools import product, takewhile
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
-from pytest_pafot.criticality.boxes import Boxes, Pairs, box_gap, contact_time, depth, relate
-from pytest_pafot.criticality.relative import RelativePositions
-from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, FloatArray, Trace
+from pytest_pafot.model.grid import Cell, cell_at
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Lane, Trace, road_of_run
+
+
+class RelativePositions:
+    """The positions of the NPCs of a run relative to the ego at every tick; each array is computed at its first use.
+
+    Arrays have the shape [NPCs, ticks + 1]: with the long dimension innermost, numpy is about three times as fast.
+
+    Args:
+        states, sizes, lanes, track: data of a run, see :class:`~pytest_pafot.Trace`.
+    """
+
+    def __init__(
+        self, states: FloatArray, sizes: FloatArray, lanes: Sequence[Lane], track: FloatArray | None = None
+    ) -> None:
+        self._states = states
+        self._sizes = sizes
+        self._lanes = lanes
+        self._road = road_of_run(states, lanes, track)
+
+    def column(self, index: int) -> FloatArray:
+        """Return one column of the trace's states, shape [vehicles, ticks + 1]."""
+        return self._road.column(index)
+
+    @property
+    def x(self) -> FloatArray:
+        """The x coordinates of all vehicles [m], shape [vehicles, ticks + 1]."""
+        return self._road.x
+
+    @property
+    def y(self) -> FloatArray:
+        """The y coordinates of all vehicles [m], shape [vehicles, ticks + 1]."""
+        return self._road.y
+
+    @property
+    def road(self) -> tuple[FloatArray, FloatArray]:
+        """Cosine and sine of the heading of the ego's lane, each of shape [1, ticks + 1], or [1, 1] if all have one."""
+        return self._road.direction
+
+    @property
+    def is_on_way(self) -> npt.NDArray[np.bool_]:
+        """True while an NPC is on the ego's way. An NPC that crosses is on that way only after it has merged."""
+        return self._road.is_on_way
+
+    @property
+    def ahead(self) -> FloatArray:
+        """The distance of each NPC's centre ahead of the ego's [m], negative behind it; NaN off the ego's way.
+
+        On a straight road it is the distance along the road. On a road that bends, it is the difference of the two
+        places on the ego's way, times the mean of the metres that ego and NPC drive per metre of that way. In a circle
+        this is the length of the arc halfway between the arcs of the two vehicles.
+        """
+        return self._road.offsets[0]
+
+    @property
+    def right(self) -> FloatArray:
+        """The distance of each NPC's centre to the right of the ego's, across the road [m], negative to the left.
+
+        NaN off the ego's way. On a road that bends, it is the difference of the two vehicles' distances to the ego's
+        way, each measured at the place of the vehicle.
+        """
+        return self._road.offsets[1]
+
+    @cached_property
+    def same_lane(self) -> npt.NDArray[np.bool_]:
+        """True if the centres of ego and NPC are in one lane of the road and the NPC is on the ego's way."""
+        lane = self.column(LANE)
+        same: npt.NDArray[np.bool_] = (lane[1:] == lane[:1]) & (lane[:1] >= 0) & self.is_on_way
+        return same
+
+    def cell(self, npc: int, tick: int) -> Cell | None:
+        """Return the cell that an NPC's centre is in at a tick; None in the ego's own cell and off the ego's way.
+
+        A column is as wide as the ego's lane at that tick, or as the first lane if the ego is off the road.
+        """
+        ahead, right = self._road.offset(npc, tick)
+        width = self._lanes[max(int(self._states[tick, 0, LANE]), 0)].width
+        return cell_at(ahead, right, float(self._sizes[0, 0]), width)
+
+    def last_cell(self, npc: int, tick: int) -> Cell | None:
+        """Return the last cell, except the ego's own, that an NPC's centre was in up to a tick; None if there is none.
+
+        None, too, if the NPC is off the ego's way at that tick, or has been in the ego's own cell since it entered that
+        way.
+        """
+        ticks = takewhile(lambda each: self.is_on_way[npc, each], range(tick, -1, -1))
+        cells = (self.cell(npc, each) for each in ticks)
+        return next((cell for cell in cells if cell is not None), None)
+
+
+_TINY = 1e-290
+"""A tiny velocity that is added to relative velocities, so that no division is by zero [m/s]. Any velocity other than
+zero stays the same, and a division by it does not overflow."""
+
+FourAxes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""One array per axis. A single stacked array would be so large that the allocator returns it to the system each time,
+and faulting its pages in again takes several times as long as the arithmetic."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Boxes:
+    """Rectangles that move without turning.
+
+    Attributes:
+        x, y: centres [m].
+        cos, sin: cosines and sines of the headings; a heading points along the length.
+        vx, vy: velocities [m/s].
+        half_length, half_width: half of the lengths and of the widths [m].
+    """
+
+    x: FloatArray
+    y: FloatArray
+    cos: FloatArray
+    sin: FloatArray
+    vx: FloatArray
+    vy: FloatArray
+    half_length: FloatArray
+    half_width: FloatArray
+
+    @classmethod
+    def driving(
+        cls, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, width: FloatArray
+    ) -> Boxes:
+        """Make boxes that move along their heading [m, rad, m/s]; a negative speed means backwards."""
+        cos, sin = np.cos(heading), np.sin(heading)
+        return cls(
+            x=x, y=y, cos=cos, sin=sin, vx=speed * cos, vy=speed * sin, half_length=length / 2, half_width=width / 2
+        )
+
+    def part(self, vehicles: slice, ticks: slice) -> Boxes:
+        """Return the boxes of some vehicles at some ticks; these boxes have shape [vehicles, ticks]."""
+        moving = {name: getattr(self, name)[vehicles, ticks] for name in ("x", "y", "cos", "sin", "vx", "vy")}
+        return Boxes(**moving, half_length=self.half_length[vehicles], half_width=self.half_width[vehicles])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairs:
+    """Pairs of boxes a and b, projected onto the four axes that can separate them.
+
+    The axes are a's length, a's width, b's length and b's width.
+
+    Attributes:
+        a, b: the boxes of each pair.
+        offsets: offset of b's centre from a's, along each axis [m].
+        reaches: half extent of a plus half extent of b along each axis [m]; the boxes overlap there below this offset.
+        cos, sin: cosine and sine of b's heading relative to a's.
+    """
+
+    a: Boxes
+    b: Boxes
+    offsets: FourAxes
+    reaches: FourAxes
+    cos: FloatArray
+    sin: FloatArray
+
+
+def relate(a: Boxes, b: Boxes) -> Pairs:
+    """Project the pairs (a, b) onto their four axes, which all measures of this module need."""
+    cos = a.cos * b.cos + a.sin * b.sin
+    sin = a.cos * b.sin - a.sin * b.cos
+    c, s = np.abs(cos), np.abs(sin)
+    reaches = (
+        a.half_length + b.half_length * c + b.half_width * s,
+        a.half_width + b.half_length * s + b.half_width * c,
+        b.half_length + a.half_length * c + a.half_width * s,
+        b.half_width + a.half_length * s + a.half_width * c,
+    )
+    return Pairs(a=a, b=b, offsets=_along_axes(a, b, b.x - a.x, b.y - a.y), reaches=reaches, cos=cos, sin=sin)
+
+
+def overlaps(pairs: Pairs) -> npt.NDArray[np.bool_]:
+    """Return whether the boxes have a point in common, which means that no axis separates them."""
+    result: npt.NDArray[np.bool_] = np.ones(pairs.cos.shape, dtype=np.bool_)
+    for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True):
+        result &= np.abs(offset) <= reach
+    return result
+
+
+def depth(pairs: Pairs) -> FloatArray:
+    """Return how deep the boxes overlap along the axis with the least overlap [m]; negative if they are apart."""
+    spare = [reach - np.abs(offset) for offset, reach in zip(pairs.offsets, pairs.reaches, strict=True)]
+    result: FloatArray = np.min(spare, axis=0)
+    return result
+
+
+def box_gap(pairs: Pairs) -> FloatArray:
+    """Return the smallest distance between the boxes [m], 0 at overlap; lower is worse.
+
+    The smallest distance between two separate rectangles is always at a corner of one of them.
+    """
+    a, b = pairs.a, pairs.b
+    along, across, back_along, back_across = pairs.offsets
+    from_b = _corners_to_box(along, across, pairs.cos, pairs.sin, a, b)
+    # As seen from b, the offset has the opposite sign. That mirrors the set of a's corners in b's centre, which does
+    # not change their distances from b's box, so the sign can stay.
+    from_a = _corners_to_box(back_along, back_across, pairs.cos, -pairs.sin, b, a)
+    return np.where(overlaps(pairs), 0.0, np.sqrt(np.minimum(from_a, from_b)))
+
+
+def contact_time(pairs: Pairs) -> FloatArray:
+    """Return the time until the boxes first touch if both keep their velocity and heading [s]; lower is worse.
+
+    The time is 0 at overlap, and infinite if the boxes never touch. Along each of the four axes, the projections of the
+    boxes overlap during one interval of time. Contact begins when the last of these four intervals begins, unless one
+    of them has ended by then.
+    """
+    velocities = _along_axes(pairs.a, pairs.b, pairs.b.vx - pairs.a.vx, pairs.b.vy - pairs.a.vy)
+    begins: FloatArray = np.full(pairs.cos.shape, -np.inf)
+    ends: FloatArray = np.full(pairs.cos.shape, np.inf)
+    for offset, reach, velocity in zip(pairs.offsets, pairs.reaches, velocities, strict=True):
+        distance = np.abs(offset)
+        parting = np.copysign(1.0, offset) * velocity + _TINY
+        near, far = (reach - distance) / parting, -(reach + distance) / parting
+        begins = np.maximum(begins, np.minimum(near, far))
+        ends = np.minimum(ends, np.maximum(near, far))
+    # This order makes NaN fail the comparisons, so the result is NaN.
+    return np.where((begins > ends) | (ends < 0), np.inf, np.maximum(begins, 0.0))
+
+
+def _along_axes(a: Boxes, b: Boxes, x: FloatArray, y: FloatArray) -> FourAxes:
+    """Return the components of the vector (x, y) along the four axes of the boxes a and b."""
+    return x * a.cos + y * a.sin, y * a.cos - x * a.sin, x * b.cos + y * b.sin, y * b.cos - x * b.sin
+
+
+def _corners_to_box(
+    u: FloatArray, v: FloatArray, cos: FloatArray, sin: FloatArray, box: Boxes, other: Boxes
+) -> FloatArray:
+    """Return the squared distance from the nearest corner of ``other`` to ``box`` [m^2].
+
+    ``(u, v)`` is the centre of ``other`` in the frame of ``box``. ``cos`` and ``sin`` are the cosine and sine of the
+    heading of ``other`` in that frame.
+    """
+    length_u, length_v = other.half_length * cos, other.half_length * sin
+    width_u, width_v = -other.half_width * sin, other.half_width * cos
+    nearest: FloatArray = np.full(u.shape, np.inf)
+    for move, side in product((np.add, np.subtract), repeat=2):
+        outside_u = np.maximum(np.abs(side(move(u, length_u), width_u)) - box.half_length, 0.0)
+        outside_v = np.maximum(np.abs(side(move(v, length_v), width_v)) - box.half_width, 0.0)
+        nearest = np.minimum(nearest, outside_u * outside_u + outside_v * outside_v)
+    return nearest
+
 
 MANOEUVRE_SECONDS = 3.0
 """The time to manoeuvre t of equation 5 [s] (section 3.3: between 2 and 6 s by the literature, 3 s adopted)."""
@@ -132,7 +380,7 @@ def ttc(trace: Trace) -> FloatArray:
     """Return the time until the boxes touch if both keep velocity and heading [s], or inf.
 
     Source: time to collision of Hayward, "Near-miss determination through use of a scale of danger", 1972, for
-    oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.boxes.contact_time`).
+    oriented boxes; exact for straight motion (see :func:`pytest_pafot.criticality.measures.contact_time`).
     """
     return contact_time(encounters_of(trace).pairs).T
 
@@ -239,3 +487,150 @@ def planned_duration(trace: Trace) -> float:
 
 def _lowest(values: FloatArray) -> float:
     return float(values.min(initial=np.inf))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RssRules:
+    """The parameters of RSS. The paper does not specify their values.
+
+    The defaults are the initial values that Intel published with its open implementation (ad-rss-lib, appendix
+    "Parameter Discussion"), with a response time of 1 s for the automated vehicle and 2 s for all others.
+
+    Attributes:
+        ego_response, npc_response: rho, the response time, in which a vehicle may still accelerate as hard as possible
+            [s].
+        acceleration: a_max,accel, the hardest acceleration during the response time [m/s^2].
+        least_braking: a_min,brake, the least braking of a follower after its response time [m/s^2].
+        hardest_braking: a_max,brake, the hardest braking of a leader [m/s^2].
+        lateral_acceleration: a_lat,max,accel, the hardest sideways acceleration towards the other vehicle during the
+            response time [m/s^2].
+        lateral_braking: a_lat,min,brake, the least sideways braking after the response time [m/s^2].
+        fluctuation: mu, the lateral margin [m].
+    """
+
+    ego_response: float = 1.0
+    npc_response: float = 2.0
+    acceleration: float = 3.5
+    least_braking: float = 4.0
+    hardest_braking: float = 8.0
+    lateral_acceleration: float = 0.2
+    lateral_braking: float = 0.8
+    fluctuation: float = 0.1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            divides = field.name in ("least_braking", "hardest_braking", "lateral_braking")
+            if not math.isfinite(value) or value < 0 or (divides and value == 0):
+                bound = "more than 0" if divides else "at least 0"
+                raise ValueError(f"{field.name}: expected a finite number, {bound}, received {value!r}")
+
+    def safe_along(self, follower: FloatArray, leader: FloatArray, response: float | FloatArray) -> FloatArray:
+        """Return the gap [m] that a follower must leave, for the two speeds [m/s] and the follower's response time [s].
+
+        The leader may brake as hard as possible at once. The follower may speed up for its response time rho and then
+        brakes with at least a_min,brake:
+
+            v rho + a rho^2 / 2 + (v + rho a)^2 / (2 a_min,brake) - v_leader^2 / (2 a_max,brake)
+
+        Speeds are along the road. A leader that drives against the direction of the road comes closer while it brakes,
+        so the square of its speed has the sign of the speed. The paper's second formula, for oncoming traffic, is not
+        used.
+        """
+        fastest = follower + response * self.acceleration
+        travelled = (follower + fastest) / 2 * response + _stopping(fastest, self.least_braking)
+        return np.asarray(np.maximum(travelled - _stopping(leader, self.hardest_braking), 0.0))
+
+
+def longitudinal_gap(trace: Trace) -> FloatArray:
+    """Return the gap between the boxes of ego and NPC along the road [m], shape [ticks + 1, NPCs].
+
+    Lower is worse; 0 if the boxes are side by side.
+    """
+    return RoadFrame(trace).gap_along
+
+
+class RoadFrame:
+    """Positions and velocities of a run's vehicles along and across the road, shape [vehicles or NPCs, ticks + 1].
+
+    Attributes:
+        is_on_way: whether each NPC is on the ego's way, see :class:`~pytest_pafot.criticality.RelativePositions`.
+        ahead, right: offset of the NPC's centre from the ego's [m].
+        cos, sin: cosine and sine of each vehicle's angle to the road at its place.
+        speed: speed of each vehicle along the road [m/s].
+        drift: speed of each vehicle to the right across the road [m/s], from its movement since the previous tick, so
+            slip is included. At the first tick of the run, or of the vehicle on the ego's way, it is computed from the
+            vehicle's heading.
+        half_along, half_across: half extents of each box [m].
+
+    Gaps and safe distances have the shape [ticks + 1, NPCs]. All values of an NPC are NaN while it is not on the ego's
+    way.
+    """
+
+    def __init__(self, trace: Trace) -> None:
+        encounters = Encounters(trace)
+        boxes = encounters.boxes
+        self.is_on_way, self.ahead, self.right = encounters.is_on_way, encounters.ahead, encounters.right
+        self.cos, self.sin, road_cos, road_sin = trace.road.turned(boxes.cos, boxes.sin)
+        speed = encounters.speed
+        self.speed, self.drift = speed * self.cos, speed * self.sin
+        before = slice(-1) if road_cos.shape[1] > 1 else slice(None)
+        right = np.diff(encounters.y) * road_cos[:, before] - np.diff(encounters.x) * road_sin[:, before]
+        self.drift[0, 1:] = right[0] * trace.physics_hz
+        was_and_is = self.is_on_way[:, :-1] & self.is_on_way[:, 1:]
+        np.copyto(self.drift[1:, 1:], right[1:] * trace.physics_hz, where=was_and_is)
+        cos, sin = np.abs(self.cos), np.abs(self.sin)
+        self.half_along = boxes.half_length * cos + boxes.half_width * sin
+        self.half_across = boxes.half_length * sin + boxes.half_width * cos
+
+    @property
+    def gap_along(self) -> FloatArray:
+        """The gap between the boxes of ego and NPC along the road [m]; lower is worse, 0 if they are side by side."""
+        return np.maximum(np.abs(self.ahead) - self.half_along[:1] - self.half_along[1:], 0.0).T
+
+    @property
+    def gap_across(self) -> FloatArray:
+        """The gap between the boxes of ego and NPC across the road [m]; lower is worse.
+
+        It is 0 in one track, which means that the box behind would touch the box ahead if it drove straight on.
+        """
+        return np.maximum(np.abs(self.right) - self.half_across[:1] - self.half_across[1:], 0.0).T
+
+    def safe_along(self, rules: RssRules) -> FloatArray:
+        """Return the longitudinal distance that RSS requires of the follower [m]; see :meth:`RssRules.safe_along`.
+
+        A smaller :attr:`gap_along` is not safe.
+        """
+        ego_follows = self.ahead >= 0
+        follower = np.where(ego_follows, self.speed[:1], self.speed[1:])
+        leader = np.where(ego_follows, self.speed[1:], self.speed[:1])
+        response = np.where(ego_follows, rules.ego_response, rules.npc_response)
+        return rules.safe_along(follower, leader, response).T
+
+    def safe_across(self, rules: RssRules) -> FloatArray:
+        """Return the lateral distance that RSS requires between ego and NPC [m]; a smaller gap is not safe.
+
+        RSS assumes that both vehicles accelerate towards each other for their response times, and then brake with
+        ``rules.lateral_braking`` until they no longer move sideways. The distance is ``rules.fluctuation`` plus the
+        metres by which the vehicles come closer until then, if they do. A vehicle that still moves away from the other
+        vehicle after its response time increases the gap while it brakes, so its stopping distance is subtracted. In
+        the published formula, which assumes vehicles that come closer, every stopping distance is added.
+        """
+        towards_npc = np.where(self.right >= 0, 1.0, -1.0)
+        ego_way = _sideways(towards_npc * self.drift[:1], rules.ego_response, rules)
+        npc_way = _sideways(-towards_npc * self.drift[1:], rules.npc_response, rules)
+        return (rules.fluctuation + np.maximum(ego_way + npc_way, 0.0)).T
+
+
+def _stopping(speed: FloatArray, deceleration: float) -> FloatArray:
+    """Return the distance that a vehicle drives until it stands [m], with the sign of its speed."""
+    return speed * np.abs(speed) / (2 * deceleration)
+
+
+def _sideways(drift: FloatArray, response: float, rules: RssRules) -> FloatArray:
+    """Return the largest distance that a vehicle may move towards the other until its sideways motion ends [m].
+
+    ``drift`` is its sideways speed towards the other vehicle [m/s], and ``response`` its response time [s].
+    """
+    fastest = drift + response * rules.lateral_acceleration
+    return (drift + fastest) / 2 * response + _stopping(fastest, rules.lateral_braking)

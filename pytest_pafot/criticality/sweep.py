@@ -30,7 +30,7 @@ LONGEST = 1e5
 UNENDING = math.inf
 """Infinity; unlike ``math.inf``, it is a C number in compiled code."""
 TINY = 1e-290
-"""A tiny velocity that avoids a division by zero [m/s], as in :mod:`~pytest_pafot.criticality.boxes`."""
+"""A tiny velocity that avoids a division by zero [m/s], as in :mod:`~pytest_pafot.criticality.measures`."""
 
 
 def is_in_use() -> bool:

@@ -1,18 +1,26 @@
-"""The interface of exporters, and the lookup of an exporter of this or another package by its format's name."""
+"""The command ``export``, which writes the run of a finding to files for other tools, and their formats."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from pytest_pafot import Trace
+from pytest_pafot import Outcome, Trace, load
+from pytest_pafot.commands.policy_reference import add_world_arguments, ads_factory, chosen_world
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import HEADING, STEERING, FloatArray, Lane, Y
+from pytest_pafot.model.trace import HEADING, LANE, STEERING, FloatArray, Lane, Y
 from pytest_pafot.support.errors import FieldError, install
+from pytest_pafot.support.files import write_whole, written_into
+from pytest_pafot.support.process import postponed
+from pytest_pafot.support.text import csv_text
+from pytest_pafot.world.codec import WorldData
 
 # A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.
 
@@ -65,7 +73,7 @@ def name_of(vehicle: int) -> str:
 FORMATS: Mapping[str, str] = MappingProxyType(
     {
         "commonroad": "commonroad_xml:export",
-        "csv": "csv_table:export",
+        "csv": "exporter:csv_table",
         "mcap": "foxglove_mcap:export",
         "xosc": "openscenario:export",
         "xosc-1.0": "openscenario:export_1_0",
@@ -112,3 +120,61 @@ def exporter(name: str) -> Exporter:
             fix=f"run `{install(EXTRAS[library])}`",
         ) from error
     return made
+
+
+COLUMNS = ("time", "vehicle", "x", "y", "heading", "speed", "acceleration", "steering", "lane", "length", "width")
+"""The columns, in s, m, rad, m/s and m/s^2. Lanes are numbered from 0 at the left; -1 is off the road."""
+
+
+def csv_table(finding: Finding, trace: Trace) -> Mapping[str, bytes]:
+    """Return a CSV file with all digits of the numbers, so that reading it gives exactly the states of the run."""
+    rows = (
+        [time, name_of(number), *state[:LANE], int(state[LANE]), *size]
+        for time, vehicles in zip(trace.times.tolist(), states_of(trace).tolist(), strict=True)
+        for number, (state, size) in enumerate(zip(vehicles, trace.sizes.tolist(), strict=True))
+    )
+    return {f"{finding.id}.csv": csv_text(COLUMNS, rows).encode()}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the command."""
+    parser.add_argument("finding", metavar="FILE|FINDING", help="run this saved scenario: its file, or its id")
+    of_to = f"write this format: {', '.join(FORMATS)}"
+    parser.add_argument("--to", required=True, metavar="FORMAT", help=of_to)
+    of_ads = "let this policy drive the ego: a module of example_ads, module:factory, or module:factory:argument"
+    parser.add_argument("--ads", metavar="ADS", help=of_ads)
+    add_world_arguments(parser, "needed if that of the file is code, such as wrappers or your own", has_config=False)
+    of_out = "write to this folder (default: the current one)"
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help=of_out)
+
+
+def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
+    """Drive the scenario of a finding, and write the run to files of the requested format; return the exit code."""
+    export, saved = exporter(arguments.to), load(arguments.finding)
+    if arguments.ads is None:
+        expected = f"the policy that drives the ego in the test {saved.finding.test}, such as --ads module:factory"
+        received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
+        raise ExportError(field="--ads", expected=expected, received=received)
+    made = chosen_world(arguments.world, None, [arguments.ads])
+    world: Any = saved.world if made is None else WorldData(saved.finding.world).named(made)
+    driven = saved.replay(ads_factory(arguments.ads), world=world)
+    error = driven.trace.error
+    if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):
+        expected = f"a policy that drives in {'the world of the file' if made is None else arguments.world}"
+        fix = "give the policy of the test" + ("" if made is None else ", and its world, or no --world if that is data")
+        raise ExportError(field="--ads", expected=expected, received=error.text, fix=fix)
+    files = export(saved.finding, driven.trace)
+    with postponed():  # one of several files is worth nothing alone, such as a scenario without its road
+        for name, content in files.items():
+            with written_into(arguments.out):
+                write_whole(arguments.out / name, content)
+            sys.stdout.write(f"{arguments.out / name}\n")
+    # A failed check cannot be compared, because the test function is not called.
+    if saved.expect.check is None and not saved.matches(driven):
+        event = f"{saved.expect.outcome} at {saved.expect.time:.1f} s"
+        world_too = "" if arguments.world is None else ", and --world its world"
+        sys.stderr.write(
+            f"export: {saved.id} was saved with {event}, but this run ended with {driven.outcome} after "
+            f"{driven.duration:.1f} s. Is this the policy of its test{world_too}?\n"
+        )
+    return 0

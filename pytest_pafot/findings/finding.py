@@ -16,10 +16,9 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
+from pytest_pafot.attribution.mistakes import Avoidance, Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.sentences import ANSWERS, AT_FAULT, sentences
-from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.labels import Label, RunLabel
 from pytest_pafot.findings.shrink import Shrunk

@@ -19,7 +19,6 @@ from functools import lru_cache, partial
 from itertools import combinations, islice, pairwise, permutations, product, zip_longest
 from typing import Any, NamedTuple, TypeVar
 
-from pytest_pafot.model.driving_style import HOSTILE, PAPERS, STYLES
 from pytest_pafot.model.instructions import (
     LANE_STARTS,
     MAX_SPEED,
@@ -39,7 +38,7 @@ from pytest_pafot.model.scenario import (
     continues,
     retimed,
 )
-from pytest_pafot.model.vehicle_type import CAR, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, HOSTILE, PAPERS, STYLES, VehicleType
 from pytest_pafot.support.text import plural
 
 Start = tuple[int, float]

@@ -2,7 +2,7 @@
 
 Position-Instructions place an NPC around the ego, Lane-Instructions make it change lanes wherever the ego is, and
 a Crossing-Instruction sends it across or into the ego's way. All genes of a chain are of one kind, and the NPCs of a
-scenario may have different kinds. Each kind is in a file of ``model/instructions/``.
+scenario may have different kinds. The kinds are in ``model/instructions.py``.
 
 Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, sections 2 and 3.2.
 """
@@ -17,7 +17,6 @@ from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING, Any, cast
 
-from pytest_pafot.model.driving_style import PAPERS, STYLES, Style
 from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.model.instructions import (
     KINDS,
@@ -25,10 +24,11 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     ScenarioError,
+    checked_number,
+    encoded,
     instruction_of,
 )
-from pytest_pafot.model.instructions.instruction import checked_number, encoded
-from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType, without_last_cars
+from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleName, VehicleType, without_last_cars
 from pytest_pafot.support.errors import FieldError, checked_whole
 from pytest_pafot.support.text import Pasteable
 

@@ -14,28 +14,27 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.mistakes import attributed
+from pytest_pafot.attribution.mistakes import Avoidance, TakeOver, attributed
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
 from pytest_pafot.attribution.sentences import due_by, responsible_sentence
-from pytest_pafot.attribution.takeovers import Avoidance, TakeOver
 from pytest_pafot.criticality import Passage, passages
-from pytest_pafot.criticality.asked import Asked, asked
 from pytest_pafot.criticality.signals import (
+    Asked,
     EgoLaneChange,
     EgoSignals,
     NpcSignals,
     Signals,
+    asked,
     ego_lane_changes,
     headway,
     leader,
 )
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
-from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.model.vehicle_type import CAR, STYLES
 from pytest_pafot.support import import_late
 from pytest_pafot.support.errors import driven_by, install
 from pytest_pafot.support.text import ascii_text

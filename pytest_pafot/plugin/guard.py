@@ -30,6 +30,7 @@ from pytest_pafot.corpus.layout import (
     link_below,
     module_of_file,
     name_within,
+    refusal,
     relative,
 )
 from pytest_pafot.corpus.layout import (
@@ -250,8 +251,6 @@ def _files_below(
                 if not is_folder(file):  # An archive of a corpus, or a link that is a text, is in its place.
                     yield file, is_inside or name.partition(".")[0] == CORPUS
                 elif name == CORPUS and file != corpus and not is_inside_project(file, top):
-                    from pytest_pafot.corpus.saved import refusal  # noqa: PLC0415  (few projects have such a link)
-
                     problems.append(refusal(file))
                     yield file, True
     if queue:

@@ -23,7 +23,7 @@ from pytest_pafot.support.errors import flag, rerun
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.sighting import Sighting
-    from pytest_pafot.report.page_data import RunView
+    from pytest_pafot.report.page import RunView
 
 
 class Pages:
@@ -71,8 +71,15 @@ class Pages:
 
     def _write(self, target: str, *, is_interrupted: bool) -> None:
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
-        from pytest_pafot.report.page import WHOLE, by_test, numbers, rank, session_facts, write_report  # noqa: PLC0415
-        from pytest_pafot.report.page_data import Report  # noqa: PLC0415
+        from pytest_pafot.report.page import (  # noqa: PLC0415
+            WHOLE,
+            Report,
+            by_test,
+            numbers,
+            rank,
+            session_facts,
+            write_report,
+        )
 
         record, path = self._record, Path(os.path.normpath(self._config.invocation_params.dir / target))
         errors = tuple(
@@ -103,7 +110,7 @@ class Pages:
         """Return the view of a finding with its number of runs and its label, which are known only at the end."""
         from pytest_pafot.campaign.events import by_test  # noqa: PLC0415
         from pytest_pafot.plugin.finding_message import label_of  # noqa: PLC0415
-        from pytest_pafot.report.page_data import RunView  # noqa: PLC0415
+        from pytest_pafot.report.page import RunView  # noqa: PLC0415
 
         view = unpacked(RunView, zlib.decompress(self._views[sighting.node_id]).decode())
         if sighting.node_id in self._record.new:

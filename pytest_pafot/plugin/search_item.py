@@ -35,8 +35,7 @@ from pytest_pafot.campaign.search_session import (
     prepared,
 )
 from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
-from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below
-from pytest_pafot.corpus.saved import refusal
+from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.scenario_pool import ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
@@ -52,7 +51,7 @@ from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.plugin.terminal_reporter import LiveTerminal
 from pytest_pafot.report import terminal
-from pytest_pafot.searching.events import GenerationFinished
+from pytest_pafot.searching.evaluation import GenerationFinished
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, flag, rerun
 from pytest_pafot.support.files import remove_unfinished

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, is_ci
-from pytest_pafot.corpus.layout import link_below
+from pytest_pafot.corpus.layout import link_below, refusal
 from pytest_pafot.plugin.option_sources import resolve, value_if_right
 from pytest_pafot.support.errors import RequestError, flag
 
@@ -221,8 +221,6 @@ def not_written(config: pytest.Config, name: str, folder: Path, write: Callable[
     """
     link = None if os.path.isabs(name) else link_below(config.rootpath, folder)  # noqa: PTH117  (a text of the user)
     if link is not None:
-        from pytest_pafot.corpus.saved import refusal  # noqa: PLC0415  (as rare as the links)
-
         return refusal(link)
     try:
         write()

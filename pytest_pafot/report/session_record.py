@@ -22,7 +22,7 @@ from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting, passing
-from pytest_pafot.model.driving_style import STYLES
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json

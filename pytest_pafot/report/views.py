@@ -21,13 +21,12 @@ from pytest_pafot.findings.decisions import advice_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.driving_style import AMPLE, STYLES, DrivingStyle
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lane, Trace, X, Y
-from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES, DrivingStyle
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, lanes_apart
-from pytest_pafot.report.page_data import (
+from pytest_pafot.report.page import (
     CheckView,
     EventView,
     InstructionView,

@@ -5,14 +5,17 @@ This package does not simulate: whoever follows a :class:`~pytest_pafot.searchin
 
 from __future__ import annotations
 
-from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
+from pytest_pafot.searching.algorithms.catalogue import (
+    ALGORITHMS,
+    AlgorithmClass,
+    RandomManoeuvreSearch,
+    RandomSearch,
+    resolve_algorithm,
+)
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
-from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState, SearchState
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.evaluation import Evaluation, Health
 from pytest_pafot.searching.operators import crossover, mutate, tournament
-from pytest_pafot.searching.plan import Plan
+from pytest_pafot.searching.plan import Algorithm, GenerationalSearch, GenerationState, Plan, SearchState
 from pytest_pafot.searching.space import SearchSpace, sample, sample_manoeuvres
 
 __all__ = [

@@ -18,9 +18,9 @@ from pytest_pafot.model.scenario import Chromosome, Scenario, retimed
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic
 from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.patterns import followed_by_pattern
 from pytest_pafot.searching.space import (
     SearchSpace,
+    followed_by_pattern,
     fresh_seed,
     repaired,
     sample,

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 
 import numpy as np
 
-from pytest_pafot.attribution.avoidance import HARDEST
-from pytest_pafot.attribution.responses import FOLLOWING
-from pytest_pafot.attribution.takeovers import STEADY_BRAKING
+from pytest_pafot.attribution.mistakes import STEADY_BRAKING
+from pytest_pafot.attribution.responses import FOLLOWING, HARDEST
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction, ScenarioError

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.avoidance import ALIKE, HORIZON, Braking, Emergency, Pursuit
+from pytest_pafot.attribution.responses import ALIKE, HORIZON, Braking, Emergency, Pursuit
 from tests.helpers.polygons import corners, polygons_meet
 from tests.helpers.tables import table
 

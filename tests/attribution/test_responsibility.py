@@ -10,6 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.manoeuvres import Stop, hard_braking
+from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.attribution.responsibility import Conflict, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import (
@@ -22,7 +23,6 @@ from pytest_pafot.attribution.sentences import (
     responsible_sentence,
     sentences,
 )
-from pytest_pafot.attribution.takeovers import Avoidance
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.grid import Cell

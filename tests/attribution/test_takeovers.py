@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import Drive
-from pytest_pafot.attribution.takeovers import Avoidance, avoidance, keeping_lane
+from pytest_pafot.attribution.mistakes import Avoidance, avoidance, keeping_lane
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario

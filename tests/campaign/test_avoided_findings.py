@@ -4,7 +4,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.world import Highway
 
 WORLD = Highway(duration=20.0)

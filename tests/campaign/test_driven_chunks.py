@@ -65,7 +65,7 @@ def searched(tmp_path, monkeypatch):
         counts = (summary.failing, summary.runs, summary.random_runs, summary.random_failing)
         return {
             "rows": [{name: value for name, value in row.items() if name != "run"} for row in found.runs],
-            "events": [each for each in found.events if type(each).__module__.endswith("searching.events")],
+            "events": [each for each in found.events if type(each).__module__ == "pytest_pafot.searching.evaluation"],
             "files": texts,
             "counts": (*counts, summary.outcomes, summary.responsibilities),
             "failures": summary.failures,

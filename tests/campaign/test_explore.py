@@ -24,7 +24,7 @@ from pytest_pafot.corpus.writer import CorpusWriteError, write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table
 

@@ -19,7 +19,7 @@ from pytest_pafot.execution.scenario_pool import CapturedOutput
 from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.report import terminal
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.support.errors import OutOfTime, RequestError
 from pytest_pafot.world.guard.own_worlds import rollout_of
 

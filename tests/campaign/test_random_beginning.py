@@ -12,7 +12,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.terminal import search_lines
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import Evaluated
 from tests.helpers.traces import blamed_on, trace_of, vehicle
 
 

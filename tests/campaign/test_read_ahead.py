@@ -14,7 +14,7 @@ from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle import run as oracle_run
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import evaluation
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.searching.fitness import Steered, resolve
 
 

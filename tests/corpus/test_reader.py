@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.corpus import yaml_document
+from pytest_pafot.corpus import reader
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.failure_rate import FailureRate
@@ -316,8 +316,8 @@ def test_a_huge_file_is_refused_unread(path):
 
 
 def test_too_many_values_are_refused_at_their_line(path, monkeypatch):
-    assert yaml_document.MOST_VALUES == 40_000
-    monkeypatch.setattr(yaml_document, "MOST_VALUES", 400)
+    assert reader.MOST_VALUES == 40_000
+    monkeypatch.setattr(reader, "MOST_VALUES", 400)
     for values in ("1," * 400, "[]," * 400, "{a: 1}," * 200):
         error = fault(path, f"pafot: 2\nworld: {{kind: own, data: [{values}]}}\n")
         assert (error.expected, error.line) == ("at most 400 values", 2)
@@ -589,6 +589,6 @@ def test_errors_of_a_world_are_given_a_line(path, part, error, line, field, told
 
 @pytest.mark.parametrize("most", [1, 10])
 def test_number_of_values_is_limited_exactly(path, monkeypatch, most):
-    monkeypatch.setattr(yaml_document, "MOST_VALUES", most)
+    monkeypatch.setattr(reader, "MOST_VALUES", most)
     assert fault(path, f"[{', '.join('0' * most)}]").expected == f"at most {most} values"
     assert fault(path, f"[{', '.join('0' * (most - 1))}]").expected != f"at most {most} values"

@@ -6,10 +6,9 @@ import pytest
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.attribution.takeovers import Avoidance
-from pytest_pafot.corpus.reader import load, parsed
+from pytest_pafot.attribution.mistakes import Avoidance
+from pytest_pafot.corpus.reader import load, parse, parsed
 from pytest_pafot.corpus.writer import text_of, write
-from pytest_pafot.corpus.yaml_document import parse
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import Situation
 from pytest_pafot.model.grid import Cell

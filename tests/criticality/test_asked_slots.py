@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.criticality.asked import asked
+from pytest_pafot.criticality.signals import asked
 from pytest_pafot.model.trace import SPEED, Outcome
 from pytest_pafot.oracle.run import Run
 from tests.helpers.tables import table

@@ -6,8 +6,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
-from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.attribution.mistakes import LANE_CHANGES, Avoidance, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
@@ -16,12 +15,12 @@ from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import ACTS, SHIFTS, CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.world import Highway
 from tests.helpers.hostile import CHARACTERS

@@ -5,7 +5,7 @@ from datetime import date
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.findings.finding import (
     Expect,
     Finding,

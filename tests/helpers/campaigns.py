@@ -5,10 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import Algorithm, GenerationalSearch, GenerationState
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import Event
-from pytest_pafot.searching.plan import Plan
+from pytest_pafot.searching.evaluation import Evaluation, Event
+from pytest_pafot.searching.plan import Algorithm, GenerationalSearch, GenerationState, Plan
 from pytest_pafot.searching.space import sample
 
 

@@ -8,10 +8,10 @@ import random
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, Y
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.world.driving.vehicles import Car
 from pytest_pafot.world.kernel.bodies import Body
 

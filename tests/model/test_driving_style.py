@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot import PositionInstruction, Scenario, ScenarioError
-from pytest_pafot.model.driving_style import PAPERS, STYLES
+from pytest_pafot.model.vehicle_type import PAPERS, STYLES
 from pytest_pafot.searching.space import SearchSpace
 from tests.helpers.tables import table
 

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import MAX_SEED, Scenario, retimed
+from pytest_pafot.model.vehicle_type import STYLES
 from tests.helpers.tables import table
 
 instructions = st.builds(PositionInstruction, st.integers(1, 8), st.integers(0, 268).map(lambda tenths: tenths / 10))

@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from pytest_pafot.attribution.takeovers import avoidance
+from pytest_pafot.attribution.mistakes import avoidance
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.world import Highway
 

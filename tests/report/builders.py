@@ -14,7 +14,7 @@ from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.page import Report
 from pytest_pafot.report.views import finding_view
 from tests.findings.builders import plain_finding
 from tests.helpers.hostile import CHARACTERS

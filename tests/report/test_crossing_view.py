@@ -9,8 +9,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.report.page import render_page
-from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.page import Report, render_page
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
 from tests.report.builders import HOSTILE, view_of
 

@@ -7,7 +7,7 @@ import pytest
 from highway_env.vehicle.controller import ControlledVehicle
 
 import pytest_pafot as pafot
-from pytest_pafot.attribution.takeovers import Avoidance
+from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import Failure

@@ -15,8 +15,17 @@ from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.model.trace import AdsError, Outcome
-from pytest_pafot.report.page import ASSETS, DRAWN, SCRIPTS, data_json, finding_article, finding_list, render_page
-from pytest_pafot.report.page_data import Report, RunView
+from pytest_pafot.report.page import (
+    ASSETS,
+    DRAWN,
+    SCRIPTS,
+    Report,
+    RunView,
+    data_json,
+    finding_article,
+    finding_list,
+    render_page,
+)
 from pytest_pafot.searching.plain import from_plain, plain
 from tests.findings.builders import sighting
 from tests.helpers.traces import trace_of, vehicle

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.report.page import render_page
-from pytest_pafot.report.page_data import CheckView, Report
+from pytest_pafot.report.page import CheckView, Report, render_page
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import HOSTILE, as_seen, bend_report, real_report, scenario

@@ -2,8 +2,7 @@
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.report.page import WHOLE, by_test, numbers, rank, render_page, session_facts
-from pytest_pafot.report.page_data import Report
+from pytest_pafot.report.page import WHOLE, Report, by_test, numbers, rank, render_page, session_facts
 from tests.findings.builders import sighting
 from tests.helpers.tables import table
 from tests.report.builders import as_seen, real_report

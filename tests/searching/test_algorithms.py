@@ -18,7 +18,7 @@ from pytest_pafot.searching import (
     sample,
 )
 from pytest_pafot.searching.algorithms.catalogue import CLASSES
-from pytest_pafot.searching.events import GenerationFinished
+from pytest_pafot.searching.evaluation import GenerationFinished
 from pytest_pafot.searching.fitness import FitnessError, resolve
 from tests.helpers.campaigns import Fresh, run_campaign
 from tests.helpers.tables import table

@@ -23,7 +23,7 @@ from pytest_pafot.searching.algorithms.av_fuzzer import (
     roulette,
     swapped,
 )
-from pytest_pafot.searching.events import (
+from pytest_pafot.searching.evaluation import (
     Evaluated,
     GenerationFinished,
     LocalSearchFinished,

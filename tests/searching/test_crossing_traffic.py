@@ -9,16 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.searching import RandomSearch, SearchSpace, resolve_algorithm
 from pytest_pafot.searching.algorithms.catalogue import CLASSES
 from pytest_pafot.searching.crossing_traffic import ACTS, CrossingTraffic, drawn_slot
-from pytest_pafot.searching.evaluation import EvaluationCache
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import Evaluated, EvaluationCache
 from pytest_pafot.searching.operators import crossover, mutate, varied
 from pytest_pafot.searching.space import sample
 from tests.helpers.campaigns import run_campaign

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health
-from pytest_pafot.searching.evaluation import LEAVING
-from pytest_pafot.searching.events import Evaluated
+from pytest_pafot.searching.evaluation import LEAVING, Evaluated
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.tables import table
 

@@ -11,8 +11,8 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.algorithms.pafot import PafotSearch, PafotState
-from pytest_pafot.searching.evaluation import EvaluationCache
-from pytest_pafot.searching.events import (
+from pytest_pafot.searching.evaluation import (
+    EvaluationCache,
     GenerationFinished,
     LocalSearchFinished,
     LocalSearchStarted,

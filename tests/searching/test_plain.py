@@ -20,8 +20,7 @@ from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
 from pytest_pafot.plugin.messages import packed, unpacked
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.health import Health
+from pytest_pafot.searching.evaluation import Evaluation, Health
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
 from pytest_pafot.support.errors import FieldError

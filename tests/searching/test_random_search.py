@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pytest_pafot.searching.algorithms.random_search import RandomSearch
-from pytest_pafot.searching.events import GenerationFinished, NewBest
+from pytest_pafot.searching.algorithms.catalogue import RandomSearch
+from pytest_pafot.searching.evaluation import GenerationFinished, NewBest
 from pytest_pafot.searching.space import SearchSpace
 from tests.helpers.campaigns import Fresh
 

@@ -7,10 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import PafotSearch
-from pytest_pafot.searching.events import CampaignStarted, Evaluated, GenerationFinished, LocalSearchStarted, Restarted
-from pytest_pafot.searching.plan import Plan, generation_rng
+from pytest_pafot.searching.evaluation import (
+    CampaignStarted,
+    Evaluated,
+    GenerationFinished,
+    LocalSearchStarted,
+    Restarted,
+)
+from pytest_pafot.searching.plan import Plan
 from pytest_pafot.searching.space import SearchSpace
 from tests.helpers.campaigns import Fresh, run_campaign
 from tests.helpers.tables import table
@@ -76,9 +83,9 @@ def test_another_seed_is_another_search(cheap_world):
 
 
 def test_every_generation_has_its_own_draws():
-    draws = {generation_rng(*key).integers(2**62) for key in ((1,), (1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))}
+    draws = {rng_of(*key).integers(2**62) for key in ((1,), (1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0))}
     assert len(draws) == 5
-    assert generation_rng(1, 2, 3).integers(2**62) == generation_rng(1, 2, 3).integers(2**62)
+    assert rng_of(1, 2, 3).integers(2**62) == rng_of(1, 2, 3).integers(2**62)
 
 
 def test_a_reused_evaluation_is_marked(cheap_world):

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.driving_style import STYLES
-from pytest_pafot.model.instructions import random_position
+from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.searching.operators import mutate
 from pytest_pafot.searching.space import SearchSpace, repaired, sample
 from tests.helpers.tables import table
@@ -119,7 +119,7 @@ def test_single_npc_holds_or_steps_aside_equally_often(assert_rate):
 
 def test_a_random_instruction_is_uniform_over_the_cells(assert_rate):
     rng = np.random.default_rng(5)
-    cells = [random_position(SearchSpace().choices, rng).cell for _ in range(3000)]
+    cells = [PositionInstruction(1, 0.0).varied(SearchSpace().choices, rng).cell for _ in range(3000)]
     for cell in range(1, 9):
         assert_rate(cells.count(cell), 3000, 1 / 8)
 
@@ -128,7 +128,7 @@ def test_a_random_instruction_is_uniform_over_the_cells(assert_rate):
 def test_quick_repair_equals_repair_of_the_scenario(seed, npcs, genes, repair_seed):
     rng = np.random.default_rng(seed)
     space = SearchSpace(npcs=npcs, genes=genes)
-    chains = [[random_position(space.choices, rng) for _ in range(genes)] for _ in range(npcs)]
+    chains = [[PositionInstruction(1, 0.0).varied(space.choices, rng) for _ in range(genes)] for _ in range(npcs)]
     assert repaired(chains, repair_seed, space) == Scenario.repaired(chains, seed=repair_seed)
 
 

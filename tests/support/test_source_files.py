@@ -128,7 +128,7 @@ def test_missing_and_broken_files_are_no_errors(policy, tmp_path):
 def test_installed_and_own_packages_are_left_out(tmp_path):
     import numpy
 
-    from pytest_pafot.searching.algorithms.random_search import RandomSearch
+    from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 
     assert source_digests(numpy, RandomSearch, json_of, None, 1.0, "text", here=tmp_path).keys() == {__name__}
     exec_made = {}

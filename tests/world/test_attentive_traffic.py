@@ -11,10 +11,10 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED, Outcome, X, Y
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.world import Highway, NpcLimits
 from pytest_pafot.world.kernel.bodies import Body
 from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, constant_speed, random_scenario

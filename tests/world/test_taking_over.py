@@ -9,8 +9,8 @@ from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
+from pytest_pafot.attribution.mistakes import avoidance
 from pytest_pafot.attribution.responsibility import Passing, rss_rule
-from pytest_pafot.attribution.takeovers import avoidance
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED

@@ -23,8 +23,7 @@ from pytest_pafot import (
     VehicleType,
     WorldError,
 )  # fmt: skip
-from pytest_pafot.criticality.boxes import overlaps
-from pytest_pafot.criticality.measures import Encounters
+from pytest_pafot.criticality.measures import Encounters, overlaps
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome
 from pytest_pafot.oracle.run import Run

@@ -17,9 +17,15 @@ from numpy.random import Generator
 from pytest_pafot.model.instructions import LaneInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
-from pytest_pafot.searching.evaluation import Evaluation
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchStarted, NewBest, Restarted
+from pytest_pafot.searching.evaluation import (
+    AlgorithmEvent,
+    Evaluation,
+    GenerationFinished,
+    LocalSearchStarted,
+    NewBest,
+    Restarted,
+)
+from pytest_pafot.searching.plan import check_ask, check_evaluations, check_parameters, end_of_local_search
 from pytest_pafot.searching.space import SearchSpace, sample_manoeuvres
 
 ACTIONS: tuple[Literal["keep", "left", "right"], ...] = ("keep", "left", "right")  # the lanes of a Lane-Instruction

@@ -1,21 +1,72 @@
-"""The search algorithms by name, users' own algorithms by class, and the checks before a search begins."""
+"""The search algorithms by name, with random search, users' own algorithms by class, and the checks before a search.
+
+The paper's Random manipulates "the driving behaviours of NPCs at specified intervals" (section 4.2), which can mean
+random Position-Instructions or random manoeuvres. There is a search for each. Both sample every scenario independently,
+and learn nothing.
+"""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
+from numpy.random import Generator
+
+from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.algorithms.pafot import PafotSearch
-from pytest_pafot.searching.algorithms.random_search import RandomManoeuvreSearch, RandomSearch
-from pytest_pafot.searching.ask_tell import Algorithm
 from pytest_pafot.searching.fitness import Fitness
-from pytest_pafot.searching.space import LANE_SHARES, SearchSpace
+from pytest_pafot.searching.plan import Algorithm, GenerationalSearch, GenerationState
+from pytest_pafot.searching.space import LANE_SHARES, SearchSpace, sample, sample_manoeuvres
 from pytest_pafot.support.references import referred_to
 from pytest_pafot.support.text import meant
+
+
+@dataclass(frozen=True, slots=True)
+class RandomSearch:
+    """The default search, which samples valid scenarios at random, each by its number.
+
+    Scenario number n follows from the seed and from n alone. So whoever needs it draws it, in any process and order.
+    """
+
+    name: ClassVar[str] = "random"
+    draws_vehicles: ClassVar[bool] = True
+
+    space: SearchSpace = field(default_factory=SearchSpace)
+
+    def drawn(self, seed: int, number: int) -> Scenario:
+        """Return the scenario of a number, which is counted from 0."""
+        return sample(self.space, rng_of(seed, number, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class RandomManoeuvreSearch(GenerationalSearch[GenerationState]):
+    """A search that samples random manoeuvres, one for each time slice, as AV-Fuzzer has them.
+
+    See the algorithm ``av-fuzzer``. Its generations are as large as those of the paper's search (section 4.2).
+
+    Attributes:
+        slices: number of manoeuvres of each NPC; together they last as long as the genes of the space.
+    """
+
+    name: ClassVar[str] = "random-manoeuvre"
+    is_papers: ClassVar[bool] = True
+    instructions: ClassVar[tuple[str, ...]] = ("lanes",)
+
+    slices: int = field(default=5, kw_only=True)
+
+    def start(self, rng: Generator) -> GenerationState:
+        """Return the state before the first generation, without using a random number."""
+        return GenerationState()
+
+    def propose(self, state: GenerationState, rng: Generator) -> tuple[GenerationState, Iterable[Scenario]]:
+        """Propose a generation of random scenarios of Lane-Instructions."""
+        space: Any = self.space.sliced(self.slices)
+        return state, (sample_manoeuvres(space, rng) for _ in range(self.population))
+
 
 CLASSES: Mapping[str, type[Any]] = MappingProxyType({
     each.name: each for each in (RandomSearch, PafotSearch, RandomManoeuvreSearch, AvFuzzerSearch)

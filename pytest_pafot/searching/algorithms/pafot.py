@@ -14,10 +14,17 @@ from typing import ClassVar
 from numpy.random import Generator
 
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.searching.ask_tell import check_ask, check_evaluations, check_parameters, end_of_local_search
-from pytest_pafot.searching.evaluation import Evaluation, EvaluationCache
-from pytest_pafot.searching.events import AlgorithmEvent, GenerationFinished, LocalSearchStarted, NewBest, Restarted
+from pytest_pafot.searching.evaluation import (
+    AlgorithmEvent,
+    Evaluation,
+    EvaluationCache,
+    GenerationFinished,
+    LocalSearchStarted,
+    NewBest,
+    Restarted,
+)
 from pytest_pafot.searching.operators import best_of, elites, improves, mutate, parents, varied
+from pytest_pafot.searching.plan import check_ask, check_evaluations, check_parameters, end_of_local_search
 from pytest_pafot.searching.space import SearchSpace, sample
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_pafot.model.trace import AdsError
-from pytest_pafot.searching.health import IMMEDIATE
+from pytest_pafot.searching.evaluation import IMMEDIATE
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
 from pytest_pafot.support.references import described
 from pytest_pafot.world.driving.environment import (

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.criticality.relative import RelativePositions
+from pytest_pafot.criticality.measures import RelativePositions
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.sight import Sight

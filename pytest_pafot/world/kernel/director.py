@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from pytest_pafot.model.driving_style import AMPLE, STYLES
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
 from pytest_pafot.model.instructions import LANE_STARTS
 from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
-from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import (
     NpcDriver,

@@ -18,10 +18,10 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.finding import disagreement
-from pytest_pafot.model.driving_style import STYLES
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
+from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import World, WorldError
