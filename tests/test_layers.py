@@ -55,11 +55,10 @@ OPTIONAL = {
 }  # fmt: skip
 """Libraries that cost time to import, or that need not be installed."""
 
-CLIMBS = {"collision": 11, "check": 8, "environment": 11, "workers": 10, "replay": 7}
+CLIMBS = {"collision": 8, "check": 5, "environment": 8, "workers": 8, "replay": 5}
 """For each route the number of pairs of files of which the lower one calls the higher one. Numbers here only fall.
 
-Such a call is one of something that was passed in, so a reader of the lower file cannot see what it does. Two on each
-route are of the base class of instructions, which makes instructions of its kinds.
+Such a call is one of something that was passed in, so a reader of the lower file cannot see what it does.
 """
 
 QUESTION = re.compile(

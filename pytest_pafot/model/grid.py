@@ -8,10 +8,10 @@ Source: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Model
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from enum import IntEnum
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 _ROWS = (1, 1, 1, 0, -1, -1, -1, 0)
 _COLUMNS = (-1, 0, 1, 1, 1, 0, -1, -1)
@@ -112,7 +112,7 @@ def repair_gene(
     previous: Sequence[Cell] | None,
     requested: Sequence[Cell],
     existing: Collection[Cell],
-    coin: Callable[[int], bool],
+    coins: Iterable[bool],
     *,
     skipping: bool = False,
 ) -> tuple[Cell, ...]:
@@ -120,7 +120,7 @@ def repair_gene(
 
     A requested cell is executed if it is the previous cell or its ring neighbour, its lane exists and no NPC with a
     smaller index occupies it. Otherwise the NPC gets one of the two neighbours of its previous cell, each with a
-    probability of 50 %, by ``coin(npc)``. If only one neighbour is free, the NPC gets that neighbour. If neither is
+    probability of 50 %, by its coin. If only one neighbour is free, the NPC gets that neighbour. If neither is
     free, the NPC stays in its previous cell (section 2.1). The first gene has no previous cells: there the NPC gets the
     free cell that is nearest to the requested one on the ring.
 
@@ -131,7 +131,7 @@ def repair_gene(
         previous: the executed cells of the previous gene, distinct, one per NPC; None in the first gene.
         requested: the requested cells, one per NPC.
         existing: the cells whose lane exists now.
-        coin: function from the NPC's index to False (try the anticlockwise neighbour first) or True (clockwise first).
+        coins: for each NPC False (try the anticlockwise neighbour first) or True (clockwise first); read if needed.
         skipping: whether a step to a cell that does not exist goes on to the next cell on the ring that exists. For
             roads on which few cells exist, such as a single lane with cells 2 and 6.
 
@@ -144,12 +144,12 @@ def repair_gene(
     if are_free and (previous is None or _STEPS.issuperset(zip(previous, requested, strict=True))):
         return tuple(requested)
     if previous is None:
-        preferences = [_first_cells(cell, existing, coin(npc)) for npc, cell in enumerate(requested)]
+        preferences = [_first_cells(cell, existing, coin) for cell, coin in zip(requested, coins, strict=True)]
     else:
         next_cells = _next_existing_cells if skipping else _next_cells
         preferences = [
-            next_cells(before, cell, existing, coin(npc))
-            for npc, (before, cell) in enumerate(zip(previous, requested, strict=True))
+            next_cells(before, cell, existing, coin)
+            for before, cell, coin in zip(previous, requested, coins, strict=True)
         ]
     # The first complete assignment in order of preference, in which an NPC with a smaller index chooses first.
     assignment = _assigned(preferences, ())
@@ -175,7 +175,7 @@ def repair_chains(chains: Sequence[Sequence[Cell]], seed: int) -> tuple[tuple[Ce
             [repaired[npc][-1] for npc in active] if gene else None,
             [chains[npc][gene] for npc in active],
             ALL_CELLS,
-            lambda position, active=active, gene=gene: toss(seed, active[position], gene),  # type: ignore[misc]
+            map(toss, repeat(seed), active, repeat(gene)),
         )
         for npc, cell in zip(active, executed, strict=True):
             repaired[npc].append(cell)

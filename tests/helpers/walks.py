@@ -67,7 +67,7 @@ ROUTES: Mapping[str, str] = {
 }
 """The options of each route's session; the last one replays what the first one saves."""
 ALWAYS = (
-    "-p", "pytest_pafot.plugin", "-p", "no:cacheprovider", "--pafot-seed=2", "--pafot-population=4",
+    "-p", "pytest_pafot.plugin", "-p", "no:cacheprovider", "--pafot-seed=2",
     "--pafot-runs=8", "--pafot-shrink-rollouts=6",
 )  # fmt: skip
 ROOMS = (

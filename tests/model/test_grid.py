@@ -158,13 +158,13 @@ def test_repair_takes_first_complete_assignment_by_preference(case):
         if len({order[rank] for order, rank in zip(orders, choice, strict=True)}) == len(orders)
     ]
     best = tuple(order[rank] for order, rank in zip(orders, min(distinct), strict=True))
-    assert repair_gene(previous, requested, existing, coins.__getitem__) == best
+    assert repair_gene(previous, requested, existing, coins) == best
 
 
 @given(gene_requests())
 def test_repaired_cells_are_distinct_adjacent_and_existing(case):
     previous, requested, existing, coins = case
-    executed = repair_gene(previous, requested, existing, coins.__getitem__)
+    executed = repair_gene(previous, requested, existing, coins)
     assert len(set(executed)) == len(executed)
     for before, cell in zip(previous, executed, strict=True):
         assert is_adjacent(before, cell)
@@ -175,10 +175,10 @@ def test_repaired_cells_are_distinct_adjacent_and_existing(case):
 def test_executed_cells_are_executed_again_for_any_coins(case, others):
     """With the same coins always; with others wherever every executed cell exists."""
     previous, requested, existing, coins = case
-    executed = repair_gene(previous, requested, existing, coins.__getitem__)
-    assert repair_gene(previous, executed, existing, coins.__getitem__) == executed
+    executed = repair_gene(previous, requested, existing, coins)
+    assert repair_gene(previous, executed, existing, coins) == executed
     if set(executed) <= existing:
-        assert repair_gene(previous, executed, existing, others.__getitem__) == executed
+        assert repair_gene(previous, executed, existing, others[: len(executed)]) == executed
 
 
 @given(st.lists(cells, min_size=1, max_size=8), roads, seeds)
@@ -187,16 +187,16 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
         with pytest.raises(
             ValueError, match=rf"received {len(requested)} NPCs for {len(existing)} existing cells; use"
         ):
-            repair_gene(None, requested, existing, lambda npc: toss(seed, npc, 0))
+            repair_gene(None, requested, existing, [toss(seed, npc, 0) for npc in range(len(requested))])
         return
-    executed = repair_gene(None, requested, existing, lambda npc: toss(seed, npc, 0))
+    executed = repair_gene(None, requested, existing, [toss(seed, npc, 0) for npc in range(len(requested))])
     free = set(existing)
     for wanted, cell in zip(requested, executed, strict=True):
         nearest = min(ring_distance(wanted, other) for other in free)
         assert cell in free
         assert ring_distance(wanted, cell) == nearest
         free.remove(cell)
-    assert repair_gene(None, executed, existing, lambda npc: not toss(seed, npc, 0)) == executed
+    assert repair_gene(None, executed, existing, [not toss(seed, npc, 0) for npc in range(len(requested))]) == executed
 
 
 class TestRepairThatSkipsMissingCells:
@@ -218,8 +218,7 @@ class TestRepairThatSkipsMissingCells:
         ],
     )
     def test_a_step_from_the_front_goes_to_the_next_cell_that_exists(self, requested, existing, clockwise, executed):
-        coin = lambda npc: clockwise  # noqa: E731
-        assert repair_gene([Cell.FRONT], [requested], frozenset(existing), coin, skipping=True) == (executed,)
+        assert repair_gene([Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True) == (executed,)
 
     @given(
         st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),
@@ -229,7 +228,7 @@ class TestRepairThatSkipsMissingCells:
     )
     def test_the_result_is_distinct_and_a_fixed_point(self, previous, data, existing, clockwise):
         requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
-        executed = repair_gene(previous, requested, existing, lambda npc: clockwise, skipping=True)
+        executed = repair_gene(previous, requested, existing, [clockwise] * len(previous), skipping=True)
         assert len(set(executed)) == len(executed)
-        assert repair_gene(previous, executed, existing, lambda npc: clockwise, skipping=True) == executed
+        assert repair_gene(previous, executed, existing, [clockwise] * len(previous), skipping=True) == executed
         assert all(cell in existing or cell == before for cell, before in zip(executed, previous, strict=True))

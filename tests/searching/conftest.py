@@ -116,7 +116,7 @@ class CheapWorld:
                 [own[-1].cell for own in driven] if gene else None,
                 [chain[gene].cell for chain in scenario.npcs],
                 existing,
-                lambda npc, gene=gene: toss(scenario.seed, npc, gene),
+                [toss(scenario.seed, npc, gene) for npc in range(len(driven))],
             )
             driven = tuple(
                 (*own, PositionInstruction(cell, chain[gene].speed))

@@ -10,6 +10,7 @@ import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import repeat
 from typing import Any
 
 from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
@@ -335,14 +336,8 @@ class Director(BaseDirector):
     def _repaired(
         self, before: list[Cell] | None, wanted: list[Cell], existing: frozenset[Cell], npcs: list[Npc], gene: int
     ) -> tuple[Cell, ...]:
-        indices = [npc.index for npc in npcs]
-        return repair_gene(
-            before,
-            wanted,
-            existing,
-            lambda position: toss(self._scenario.seed, indices[position], gene),
-            skipping=self.skips,
-        )
+        coins = map(toss, repeat(self._scenario.seed), [npc.index for npc in npcs], repeat(gene))
+        return repair_gene(before, wanted, existing, coins, skipping=self.skips)
 
     def _control(self, npc: Npc, ego: Body) -> None:
         """Set acceleration and steering of one NPC for the coming tick."""
