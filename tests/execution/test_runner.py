@@ -85,17 +85,6 @@ def test_crash_record_stays_written_during_the_verdict(runner_of, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-def test_isolated_runs_never_call_the_ads_here(runner_of):
-    with runner_of(Planner, isolate=True, workers=2) as runner:
-        runner.announce(SCENARIOS[:3])
-        traces = [runner.run(each, announced=True) for each in SCENARIOS[:3]]
-        again = runner.run(SCENARIOS[0])
-    assert callers == []
-    assert [trace.scenario for trace in (*traces, again)] == [*SCENARIOS[:3], SCENARIOS[0]]
-    assert runner.notes == []
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 def test_isolated_runs_raise_the_exception_of_the_factory(runner_of):
     def factory():
         raise LookupError("no such planner")

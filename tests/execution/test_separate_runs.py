@@ -42,31 +42,6 @@ def praise(trace):
     """Accept every run."""
 
 
-def die_in_first(number):
-    if number == 1:
-        os._exit(9)
-
-
-@needs_fork
-def test_scenario_and_its_verdict_run_in_another_process(job_of, tmp_path, capfd):
-    def judge(trace):
-        print("judged")
-        (tmp_path / f"{trace.scenario.seed}").write_text(f"{os.getpid()}")
-
-    trace, *_ = answer_apart(job_of(idle), ONE, judge, isolate=False)
-    assert trace.scenario == ONE
-    assert (tmp_path / "1").read_text() != f"{os.getpid()}"
-    assert capfd.readouterr().out == ""
-
-
-@needs_fork
-@pytest.mark.parametrize("part", ["run", "verdict"])
-def test_process_dying_in_run_or_verdict_is_lost(job_of, part):
-    drive, judge = (os._exit, praise) if part == "run" else (idle, lambda trace: os._exit(trace.scenario.seed))
-    with pytest.raises(ProcessLostError, match="ended with exit code 1"):
-        run_apart(job_of(drive), ONE, judge, isolate=False)
-
-
 @needs_fork
 def test_lost_process_counts_despite_a_successful_retry(job_of, tmp_path):
     def die_once(number):
@@ -108,62 +83,12 @@ def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork
         run_apart(job_of(idle), ONE, praise, isolate=isolate)
 
 
-class TestRetrying:
-    @pytest.fixture
-    def retried(self, job_of, tmp_path):
-        """Return the result of a dead process's record, and what is saved."""
-
-        def retried(drive=idle):
-            folder = tmp_path / "records"
-            folder.mkdir(exist_ok=True)
-            record = {"owner": "it", "pid": 1, "world": None, "scenario": json.loads(ONE.canonical())}
-            (folder / "1-x.inflight").write_text(json.dumps(record))
-            return again(drive)
-
-        def again(drive=idle, *, twice=False):
-            (leftover,) = leftovers(tmp_path / "records")
-            kept = []
-            came = retry(
-                leftover,
-                job_of(drive),
-                praise,
-                isolate=False,
-                has_died_twice=twice,
-                keep=lambda leftover, scenario, lost: kept.append((scenario, lost and lost.end)),
-            )
-            return came, kept
-
-        retried.again = again
-        return retried
-
-    @needs_fork
-    def test_retried_scenario_that_completes_is_noted_and_pending(self, retried, tmp_path):
-        came, kept = retried()
-        assert kept == []
-        assert "ran to its end when it was tried again" in came.notes[0]
-        assert [each.path for each in leftovers(tmp_path / "records")] == [came.pending.path]
-
-    @needs_fork
-    def test_retried_scenario_that_dies_again_is_saved(self, retried, tmp_path):
-        came, kept = retried(die_in_first)
-        assert kept == [(ONE, "ended with exit code 9")]
-        assert (came.notes, came.pending) == ((), None)
-        assert leftovers(tmp_path / "records") == ()
-
-    @needs_fork
-    def test_sessions_that_are_killed_again_and_again_are_no_finding(self, retried):
-        retried()
-        for _ in range(2):
-            came, kept = retried.again()
-            assert kept == []
-            assert "killed from outside" in came.notes[0]
-
-    @needs_fork
-    def test_scenario_in_which_two_processes_died_is_saved(self, retried):
-        retried()
-        came, kept = retried.again(twice=True)
-        assert (kept, came.pending) == ([(ONE, None)], None)
-
-    def test_without_retrying_one_death_of_lone_scenario_suffices(self, retried, no_fork):
-        _, kept = retried()
-        assert kept == [(ONE, None)]
+def test_without_retrying_one_death_of_lone_scenario_suffices(job_of, no_fork, tmp_path):
+    (tmp_path / "records").mkdir()
+    record = {"owner": "it", "pid": 1, "world": None, "scenario": json.loads(ONE.canonical())}
+    (tmp_path / "records" / "1-x.inflight").write_text(json.dumps(record))
+    (leftover,) = leftovers(tmp_path / "records")
+    kept = []
+    options = {"isolate": False, "has_died_twice": False, "keep": lambda *given: kept.append(given[1:])}
+    retry(leftover, job_of(idle), praise, **options)
+    assert kept == [(ONE, None)]

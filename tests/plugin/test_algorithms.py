@@ -54,22 +54,6 @@ def test_every_algorithm_searches_with_every_kind_it_supports(project):
     assert supported.count(False) == 4, "av-fuzzer and random-manoeuvre have lanes only"
 
 
-def test_unknown_algorithm_or_kind_error_lists_the_choices(project):
-    told = {
-        "SHORT, algorithm='random-manoeuvre', instructions='both'": "*instructions=*expected 'lanes' for the algorithm "
-        "random-manoeuvre, received 'both'*",
-        "SHORT, instructions='cell'": "*instructions: expected one of cells, lanes, both, received 'cell'*",
-        "SHORT, algorithm='genetic'": "*expected random, pafot, *or random-manoeuvre, received 'genetic'; or give "
-        "your own class*",
-        "SHORT, algorithm='randm'": "*or random-manoeuvre, received 'randm'; did you mean 'random'[?]",
-    }
-    project.write("\n".join(f"@pafot.search({given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(told)))
-    result = project.run()
-    result.assert_outcomes(failed=2, errors=2)
-    for n, line in enumerate(told.values()):
-        pytest.LineMatcher(section(result, f"test_{n}").splitlines()).fnmatch_lines([line])
-
-
 OWN = (
     "from dataclasses import dataclass\n"
     "from pytest_pafot.searching import GenerationalSearch, GenerationState, sample\n\n"
@@ -102,15 +86,3 @@ def test_algorithm_option_takes_a_class_by_module_name(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n")
     project.run("--pafot-algorithm=own:Own", runs=32).assert_outcomes(failed=2)
     assert "algorithm: own" in project.only_file.read_text()
-
-
-@pytest.mark.parametrize(("given", "message"), [
-    ("own:Onw", "algorithm: expected a name in the module own, received 'own:Onw'; did you mean 'own:Own'?"),
-    ("onw:Own", "algorithm: expected a module that can be imported, received 'onw:Own' (ModuleNotFoundError*"),
-])  # fmt: skip
-def test_missing_algorithm_class_fails_only_its_item(project, given, message):
-    project.pytester.makepyfile(own=OWN)
-    project.write("@pafot.search(SHORT)\ndef test_it(run):\n    pass\n\ndef test_ordinary():\n    pass\n")
-    result = project.run(f"--pafot-algorithm={given}")
-    result.assert_outcomes(passed=1, errors=1)
-    result.stdout.fnmatch_lines([f"*{message.replace('[', '[[]')}*"])

@@ -306,21 +306,6 @@ def test_wrong_lasting_is_named_and_changes_no_label(project, lasting, told):
     assert told in " ".join(result.stdout.str().split())
 
 
-def test_inherited_lasting_is_not_used(project):
-    weak = """
-class Own(pafot.Highway):
-    def to_dict(self):
-        return {}
-
-    def rollout(self, scenario, ads_factory, **given):
-        return super().rollout(scenario, ads_factory, **given)
-"""
-    project.write(weak + TEST.replace("WORLD", "Own(lanes=3)"))
-    project.pytester.makepyfile(policies=POLICIES)
-    filed(project, {"kind": "own", "class": "Own", "data": {}})
-    replay(project, "slow").stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
-
-
 def test_property_that_a_test_records_is_that_of_the_file(saved):
     body = "record_property('seconds', run.duration)\n    assert not run.collision"
     source = TEST.replace("WORLD", WORLD).replace("(run)", "(run, record_property)")

@@ -266,14 +266,6 @@ def test_rerunning_failures_knows_no_error_of_the_session(saved, ci):
     replay(saved, "--lf").stdout.no_fnmatch_line("*known failure*")
 
 
-def test_two_files_of_one_failure_both_replay(saved):
-    first = saved.only_file
-    shutil.copy(first, first.with_name("a-000000.pafot.yaml"))
-    replay(saved).assert_outcomes(failed=2, skipped=1)
-    saved.write(FAILING.replace("< 1", "> 1"))
-    replay(saved).assert_outcomes(passed=2, skipped=1)
-
-
 PLACES = (
     "pafot_corpus/test_it/test_fails/deeper/still/a.pafot.yaml",
     "pafot_corpus/test_it/a.pafot.yaml",

@@ -1,9 +1,6 @@
 """Every kind of ADS can be searched, and what it raises is a finding."""
 
-import sys
 import textwrap
-
-import pytest
 
 from pytest_pafot.corpus.reader import load
 from tests.helpers.sessions import section
@@ -25,21 +22,6 @@ VEHICLES = {
     """,
 }
 
-SLOW_VEHICLE = """
-import time
-from highway_env.vehicle.behavior import IDMVehicle
-
-class Slow(IDMVehicle):
-    def act(self, action=None):
-        time.sleep(0.0002)
-        super().act(action)
-
-@pafot.search(SHORT, ads=Slow, shrink_rollouts=0)
-def test_vehicle(run):
-    assert not run.collision
-    assert run.min_distance > 5
-"""
-
 
 class TestAVehicleClassIsItsOwnFactory:
     def test_vehicle_class_works_in_search_and_replay(self, project, in_highway_env):
@@ -50,19 +32,6 @@ class TestAVehicleClassIsItsOwnFactory:
         assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
         assert "flaky" not in result.stdout.str()
         project.run(runs=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
-
-    @pytest.mark.processes
-    @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-    def test_for_the_processes_of_a_search_too(self, project):
-        project.write(SLOW_VEHICLE)
-        serial = project.run(runs=8)
-        contents = project.contents
-        for name in project.files:
-            (project.path / name).unlink()
-        parallel = project.run("--pafot-workers=2", runs=8)
-        parallel.stdout.fnmatch_lines(["*--pafot-workers=2: in use after 1 run of this process*"])
-        assert (project.contents, parallel.parseoutcomes()) == (contents, serial.parseoutcomes())
-        assert contents
 
 
 RAISING = """
@@ -107,12 +76,6 @@ class TestWhatAnAdsRaisesIsAFinding:
             assert finding.expect.failure == failure
         result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
         project.run(runs=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
-
-    def test_but_for_an_interrupt(self, project):
-        project.write(RAISING.replace("RAISE", "raise KeyboardInterrupt"))
-        result = project.run(no_reraise_ctrlc=True)
-        result.stdout.fnmatch_lines(["*ended: interrupted*"])
-        assert (result.ret, project.files) == (pytest.ExitCode.INTERRUPTED, [])
 
     def test_factory_that_ends_the_session_fails_its_search(self, project):
         ends = "def ends():\n    pytest.exit('green', returncode=0)\n\n"

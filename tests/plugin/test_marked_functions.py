@@ -326,11 +326,13 @@ def test_skips_later(run):
     result.stdout.fnmatch_lines(["*2 skipped*"])
 
 
-def test_skipping_every_scenario_skips_the_test(project):
-    project.write("@pafot.search(SHORT)\ndef test_skips(run):\n    pytest.skip('not today')\n")
+@pytest.mark.parametrize("skip", ["pytest.skip('not today')", "raise unittest.SkipTest('not today')"])
+def test_skipping_every_scenario_skips_the_test(project, skip):
+    project.write(f"import unittest\n\n@pafot.search(SHORT)\ndef test_skips(run):\n    {skip}\n")
     result = project.run("-rs")
     result.assert_outcomes(skipped=1)
     result.stdout.fnmatch_lines(["SKIPPED*not today"])
+    assert project.files == []
 
 
 def test_rejected_scenarios_are_counted_and_found_nothing(project):
@@ -374,12 +376,6 @@ def test_NUMBER(run):
     assert failures == {(f"test_{n}", each.partition("(")[0]) for n, each in enumerate(raised)}
 
 
-def test_the_skip_of_unittest_is_a_skip_too(project):
-    project.write("import unittest\n\n@pafot.search(SHORT)\ndef test_x(run):\n    raise unittest.SkipTest('no')\n")
-    project.run().assert_outcomes(skipped=1)
-    assert project.files == []
-
-
 def test_timeout_is_no_finding_and_preserves_earlier_ones(project):
     project.write("""
 import signal
@@ -396,22 +392,3 @@ def test_hangs(run):
     result = project.run(runs=20, plugins=("timeout",))
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*Timeout*", f"FAILED test_it.py::test_hangs[[]saved-{project.only_id}[]]*"])
-
-
-def test_interrupt_preserves_and_reports_earlier_findings(project):
-    project.write("""
-seen = []
-
-@pafot.search(SHORT)
-def test_interrupted(run):
-    seen.append(run)
-    if len(seen) > 1:
-        raise KeyboardInterrupt
-    assert run.scenario.id == ""
-""")
-    result = project.run("--junitxml=junit.xml", no_reraise_ctrlc=True)
-    assert result.ret == pytest.ExitCode.INTERRUPTED
-    assert f'name="test_interrupted[saved-{project.only_id}]"' in (project.path / "junit.xml").read_text()
-    result.stdout.fnmatch_lines(
-        [f"pafot: found test_it.py::test_interrupted[[]saved-{project.only_id}[]]", "*interrupted"]
-    )

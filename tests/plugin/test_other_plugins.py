@@ -62,13 +62,6 @@ def test_with_another_plugin_finds_are_reported_once(project, plugin):
     assert (project.path / "junit.xml").read_text().count(f'name="{name}"') == 1
 
 
-@pytest.mark.parametrize("family", ["xunit1", "xunit2"])
-def test_junit_has_a_case_for_search_and_finding(failing, family):
-    failing.run("--junitxml=junit.xml", "-o", f"junit_family={family}")
-    text = (failing.path / "junit.xml").read_text()
-    assert text.count("<testcase ") == text.count("<failure ") == 1 + len(failing.files) == 2
-
-
 def test_pdb_stops_in_function_at_first_finding(project):
     project.write(MANY)
     project.pytester.makepyfile(

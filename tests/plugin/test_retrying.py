@@ -71,24 +71,6 @@ def test_retried_scenario_that_completes_is_reported_but_unsaved(project):
 
 
 @forks
-def test_session_killed_from_outside_is_no_finding(project):
-    killed_once = """
-import pathlib
-
-@pafot.search(SHORT, ads=ADS)
-def test_it(run):
-    if not pathlib.Path("killed").exists():
-        pathlib.Path("killed").touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-"""
-    write(project, "None", killed_once)
-    assert project.run(apart=True).ret == -signal.SIGKILL
-    assert len(project.records) == 1
-    replayed(project).stdout.fnmatch_lines([INNOCENT])
-    assert (project.files, project.records) == ([], [])
-
-
-@forks
 @pytest.mark.processes
 def test_session_killed_while_the_scenario_runs_again_is_no_finding(project):
     killed_once = """

@@ -108,13 +108,6 @@ def test_quiet_session_tells_only_the_first_finding_in_short(project):
     assert announced(project.run_once("-qq", "--pafot-shrink-rollouts=0", runs=40, seed=2)) == []
 
 
-def test_next_session_replays_finding_under_the_same_id(failing):
-    failing.run_once()
-    result = failing.run_once(runs=0)
-    result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"FAILED test_it.py::test_fails[[]saved-{failing.only_id}[]]*"])
-
-
 def test_search_without_findings_passes_with_a_summary(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    assert run.duration > 0\n")
     result = project.run(runs=8)
@@ -231,22 +224,6 @@ def test_runs(run):
     project.run(runs=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_hang_is_a_finding_that_depends_on_time(project):
-    project.write("""
-import time
-
-def ads():
-    return lambda observation: time.sleep(5)
-
-@pafot.search(world=pafot.Highway(duration=5.0, hang_limit=0.05), ads=ads)  # stop_after=1
-def test_decides(run):
-    pass
-""")
-    result = project.run()
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*the ADS failed: *(depends on wall-clock time)*"])
-
-
 def test_max_time_zero_still_makes_one_run(project):
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
     result = project.run("--pafot-max-time=0", runs=200)
@@ -273,13 +250,6 @@ def test_printed_fresh_base_seed_repeats_the_search(project):
     project.only_file.unlink()
     project.run("--pafot-stop-after=1", seed=seed)
     assert project.contents == first
-
-
-def test_fitness_may_be_name_or_function(project):
-    each = ["'paper'", "lambda trace: -trace.duration"]
-    tests = (f"@pafot.search(SHORT, fitness={given})\ndef test_{n}(run):\n    pass\n" for n, given in enumerate(each))
-    project.write("\n".join(tests))
-    project.run(runs=8).assert_outcomes(passed=len(each))
 
 
 SHORT_SEARCH = "*note: 100 runs are a short search; use --pafot-runs=1000 for a longer one"

@@ -11,7 +11,6 @@ import time
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.execution import runner
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.processes import begun
 
@@ -109,13 +108,6 @@ def test_number_of_workers_does_not_change_which_known_runs_are_looked_at(dear):
     assert told[0] == told[1]
     assert told[0][1]
     assert all(0 < len(lines) <= 3 for lines in told[0][1].values())
-
-
-def test_cheap_runs_stay_in_process_with_a_note(project, monkeypatch):
-    monkeypatch.setattr(runner, "DEAR", 60.0)  # then every run counts as fast, even on a busy machine
-    project.write(MANY.replace("genes=2, gene_seconds=4", "genes=1, gene_seconds=1"))
-    result = project.run("--pafot-workers=2", "--pafot-algorithm=pafot", runs=12)
-    result.stdout.fnmatch_lines(["*note: --pafot-workers=2: not in use, since a run took * ms, and it pays*"])
 
 
 @pytest.mark.parametrize("capture", ["fd", "sys"])

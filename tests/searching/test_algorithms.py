@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from pytest_pafot import searching
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.searching import (
     ALGORITHMS,
@@ -71,10 +70,6 @@ class Nameless:
 
 def own_fitness(trace):
     return trace.duration
-
-
-def test_everything_in_the_catalogue_is_there():
-    assert all(hasattr(searching, name) for name in searching.__all__)
 
 
 def test_algorithms_are_found_by_name():

@@ -31,7 +31,6 @@ from pytest_pafot.searching.evaluation import (
     NewBest,
     Restarted,
 )
-from tests.campaign.test_random_beginning import explored
 from tests.campaign.test_request import space_of
 from tests.helpers.campaigns import run_campaign
 from tests.helpers.tables import table
@@ -304,7 +303,3 @@ def test_av_fuzzer_has_the_space_of_the_paper():
     space = space_of(Highway(), algorithm="av-fuzzer")
     assert (space.npcs, space.ego_lane, space.ego_speed, space.patterns) == (2, 1, 22.0, False)
     assert space_of(World("intersection-v0"), algorithm="av-fuzzer").crossings is None
-
-
-def test_av_fuzzer_has_no_random_share():
-    assert explored(runs=8, algorithm="av-fuzzer").summary.random_runs == 0

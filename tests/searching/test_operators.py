@@ -217,10 +217,6 @@ def test_elites_are_the_best_share_rounded_up(make_evaluation, fields, share):
     assert all(elite.rank >= rank for elite in chosen for rank in rest)
 
 
-def test_a_quarter_of_the_population_is_rounded_up(make_population):
-    assert [len(elites(make_population(size), 0.25)) for size in (1, 4, 5, 8, 9)] == [1, 1, 2, 2, 3]
-
-
 def test_rounding_error_does_not_add_an_elite(make_population):
     assert len(elites(make_population(100), 0.07)) == 7
 

@@ -60,12 +60,6 @@ def test_the_defaults_are_the_papers_numbers():
     assert (search.local_generations, search.local_mutation_factor, search.restart_after) == (1, 1.5, 5)
 
 
-def test_first_generation_is_random_and_full_size(driver):
-    driver.round(1.0)
-    assert len(driver.asked) == 4
-    assert len(set(driver.asked)) == 4
-
-
 def test_one_elite_of_four_survives_without_new_run(driver):
     (first, *_) = driver.round(1.0, 3.0, 2.0, 0.0)
     (second, *_) = driver.round(0.5)
@@ -121,12 +115,6 @@ def start_local_search(driver):
     events = driver.round(5.0, 1.0)
     assert isinstance(events[-1], LocalSearchStarted)
     return events[-1].incumbent
-
-
-def test_first_three_generations_start_no_local_search(driver):
-    for fitness in (1.0, 2.0, 3.0):
-        assert LocalSearchStarted not in kinds(driver.round(fitness))
-    assert LocalSearchStarted in kinds(driver.round(4.0))
 
 
 def test_a_local_search_evolves_mutants_of_the_incumbent(driver):
@@ -249,12 +237,6 @@ def test_child_with_known_run_is_bred_again(make_population, local):
     assert all(known.recall(child) is None for child in children)
 
 
-def test_population_without_new_children_still_fills_up(make_population):
-    search = PafotSearch(crossover_rate=0.0, mutation_rate=0.0)
-    _, children = search.ask(PafotState(population=make_population()), np.random.default_rng(0))
-    assert len(children) == 3
-
-
 def test_individuals_evolve_as_they_were_driven(make_evaluation):
     driven = Scenario(npcs=((PositionInstruction(2, 1.5),),))
     driver = Driver(make_evaluation, PafotSearch(crossover_rate=0.0, mutation_rate=0.0))
@@ -275,31 +257,11 @@ def test_ineligible_run_is_neither_best_nor_elite(make_evaluation, fields):
     assert seen == [Restarted]
 
 
-def test_failing_scenario_improves_on_a_fitter_one(driver):
-    driver.round(9.0)
-    assert NewBest in kinds(driver.round(1.0, failing=True))
-    assert driver.state.best.failing
-
-
-def test_asking_does_not_change_the_given_state():
-    search = PafotSearch()
-    state = search.start(np.random.default_rng(0))
-    copy = replace(state)
-    search.ask(state, np.random.default_rng(0))
-    assert state == copy
-
-
 def test_tell_without_ask_is_refused(make_evaluation):
     search = PafotSearch()
     rng = np.random.default_rng(0)
     with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
         search.tell(search.start(rng), [make_evaluation()], rng)
-
-
-def test_a_second_tell_is_refused(driver, make_evaluation):
-    driver.round(1.0)
-    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
-        driver.search.tell(driver.state, [make_evaluation(scenario) for scenario in driver.asked], driver.rng)
 
 
 def test_a_second_ask_is_refused():

@@ -65,6 +65,11 @@ IDLE = lambda: lambda seen: 1  # noqa: E731
 CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 
+def acting(kind, **options):
+    """Return a configuration with a kind of actions, in which the policy also sees behind itself."""
+    return {"action": {"type": kind, **options}, "observation": {"type": "Kinematics", "see_behind": True}}
+
+
 class Staged(HighwayEnv):
     """A version of highway-v0 whose reset gives the first moment of a trace."""
 
@@ -119,6 +124,11 @@ CASES = {
     "with running statistics": ({}, [NormalizeObservation]),
     "four frames at once": ({}, [partial(FrameStackObservation, stack_size=4)]),
     "other actions": ({}, [mirrored]),
+    "speeds alone": (acting("DiscreteMetaAction", lateral=False), []),
+    "steering alone": (acting("ContinuousAction", longitudinal=False), []),
+    "a bicycle": (acting("ContinuousAction", dynamical=True), []),
+    "a range of speeds": (acting("ContinuousAction", speed_range=[5, 25]), []),
+    "numbers for continuous actions": (acting("DiscreteAction", steering_range=[-0.01, 0.01]), []),
     "rescaled actions": (CONTINUOUS, [partial(RescaleAction, min_action=0.0, max_action=1.0)]),
     "clipped actions": (CONTINUOUS, [ClipAction, FlattenObservation]),
     "actions that stick by chance": ({}, [partial(StickyAction, repeat_action_probability=0.5)]),
@@ -132,9 +142,7 @@ CASES = {
 
 
 @pytest.mark.filterwarnings("ignore:.*precision lowered by casting")
-@pytest.mark.parametrize(
-    "case", mostly_oracle(CASES, "with running statistics", "clipped actions", "actions that stick by chance")
-)
+@pytest.mark.parametrize("case", mostly_oracle(CASES, "with running statistics", "clipped actions", "a bicycle"))
 def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
     config, wrappers = CASES[case]
     world = World("highway-v0", config=config, duration=4.0, wrappers=wrappers, ends="duration")

@@ -320,19 +320,6 @@ def test_what_cannot_be_called_is_no_factory(world, idle, factory):
         world.rollout(SCENARIO, factory)
 
 
-@worlds
-def test_ads_given_instead_of_its_factory_is_recognised(world, idle):
-    with pytest.raises(AdsFactoryError, match=r"can be called without arguments, .*\(observation\).*lambda: MyPlanner"):
-        world.rollout(SCENARIO, lambda observation: idle)
-
-
-@worlds
-@pytest.mark.parametrize("ads", [None, 3, (0.0, 0.0)])
-def test_factory_that_returns_no_ads_is_refused(world, idle, ads):
-    with pytest.raises(AdsFactoryError, match=r"expected the factory to return an ADS, .* received"):
-        world.rollout(SCENARIO, lambda: ads)
-
-
 def test_the_highway_has_no_environment_to_plan_in():
     with pytest.raises(AdsFactoryError, match=r'without a parameter `env`.*use world=pafot\.World\("highway-v0"\)'):
         HIGHWAY.rollout(SCENARIO, lambda env: lambda observation: (0, 0))

@@ -127,47 +127,6 @@ def test_highway_planner_drives_like_continuous_actions(exact, physics_hz, ads_h
     assert_same(trace, log, exact)
 
 
-def continuous(rng):
-    return rng.uniform(-0.4, 0.4, 2).astype(np.float32) * np.float32([1, 0.03])
-
-
-@pytest.mark.parametrize("env_id", ["highway-v0", oracle("highway-fast-v0")])
-@pytest.mark.parametrize(
-    ("action_type", "choose"),
-    [
-        ({"type": "DiscreteMetaAction"}, lambda rng: int(rng.integers(5))),
-        ({"type": "DiscreteMetaAction", "lateral": False}, lambda rng: rng.integers(3, size=(1,))),
-        ({"type": "ContinuousAction"}, continuous),
-        ({"type": "ContinuousAction", "longitudinal": False}, lambda rng: continuous(rng)[1:]),
-        ({"type": "ContinuousAction", "dynamical": True}, lambda rng: continuous(rng) * np.float32([1, 0.3])),
-        ({"type": "ContinuousAction", "speed_range": [5, 25]}, lambda rng: continuous(rng).astype(np.float64)),
-        ({"type": "DiscreteAction", "steering_range": [-0.01, 0.01]}, lambda rng: np.int64(rng.integers(9))),
-    ],
-    ids=lambda value: "-".join(map(str, value.values())) if isinstance(value, dict) else "",
-)
-def test_policy_sees_and_acts_as_in_gymnasium(exact, env_id, action_type, choose):
-    config = {"action": action_type, "observation": {"type": "Kinematics", "vehicles_count": 4, "see_behind": True}}
-    world = World(env_id, config=config, duration=4.0)
-    (scenario,) = random_scenarios(1, lanes=world.lanes, speed_limit=30.0, seed=env_id)
-    rng, seen = np.random.default_rng(5), []
-
-    def policy(observation):
-        seen.append(observation)
-        return choose(rng)
-
-    trace = world.rollout(scenario, lambda: policy)
-    env, log = stock_env(trace, env_id, config)
-    assert len(trace.actions) == len(seen) > 3
-    expected = env.unwrapped.observation_type.observe()
-    for observation, action in zip(seen, trace.actions, strict=True):
-        if exact:
-            assert observation.tobytes() == expected.tobytes()
-        else:
-            assert np.allclose(observation, expected, atol=1e-3)
-        expected, *_ = env.step(action)
-    assert_same(trace, log, exact)
-
-
 @pytest.mark.parametrize(
     ("world", "ego_class"),
     [

@@ -342,14 +342,6 @@ def test_hang_while_an_action_is_read_is_interrupted(clock):
     assert "__float__" in trace.error.traceback
 
 
-def test_nested_run_does_not_count_as_outer_hang():
-    def nesting(observation):
-        inner = HIGHWAY.rollout(SCENARIO, always((0.0, 0.0)))
-        return (0.0, 0.0) if inner.outcome is Outcome.SAFE else None
-
-    assert HIGHWAY.rollout(SCENARIO.truncated(1), lambda: nesting).outcome is Outcome.SAFE
-
-
 def test_time_between_decisions_is_not_a_hang():
     now = [0.0]
     with HangGuard(0.05, clock=lambda: now[0]) as guard:
