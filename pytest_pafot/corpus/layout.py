@@ -52,11 +52,6 @@ def name_within(name: str) -> str:
     return original + suffix if original and more else ""
 
 
-def modules_in(root: Path) -> list[Path]:
-    """Return the folders of modules in a corpus, sorted by name; none if there is no corpus."""
-    return [path for path in entries_of(root) if is_folder(path)]
-
-
 def entries_of(folder: Path) -> list[Path]:
     """Return all paths in a folder, sorted by name; none if the folder is missing or cannot be listed."""
     try:

@@ -233,12 +233,6 @@ class SessionRecord:
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
-    @property
-    def is_empty(self) -> bool:
-        """True if nothing in the session concerned this plugin."""
-        parts = (self.searches, self.findings, self.orphans, self.problems)
-        return not any(parts)
-
 
 def to_text(record: SessionRecord) -> str:
     """Write a record as JSON with sorted keys."""
@@ -272,7 +266,8 @@ def markdown(record: SessionRecord, page: str = "") -> str:
     ``page`` is the path of the report page; empty without one.
     """
     where, rest = further(page)
-    return "" if record.is_empty else "\n".join(_lines(record, f"see {code(where)}{rest}")) + "\n"
+    is_used = record.searches or record.findings or record.orphans or record.problems
+    return "\n".join(_lines(record, f"see {code(where)}{rest}")) + "\n" if is_used else ""
 
 
 def _lines(record: SessionRecord, rest: str) -> Iterator[str]:

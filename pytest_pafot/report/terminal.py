@@ -246,7 +246,10 @@ def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
     lists = [origin, *drawn]
     failing, counted = search.random_failing, search.random_runs
     if counted:
-        others = f"; {other_failures(search)}" if search.random_otherwise else ""
+        checks, rest = search.random_checks, search.random_otherwise - search.random_checks
+        broke = f"{checks} {'more ' if search.random_failing else ''}failed a check" if checks else ""
+        failed = ", ".join(filter(None, [broke, f"{rest} failed in other ways" if rest else ""]))
+        others = f"; {failed}" if failed else ""
         share = interval_text(failing, counted)
         share = f", {share}" if failing else share.removeprefix("0 %")
         lists.append(f"random scenarios: {failing} of {counted} failed by the ego's fault{share}{others}")
@@ -263,13 +266,6 @@ def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
     texts += [f"warning: {warning}" for warning in search.warnings]
     texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
     return [search.node_id, *lines, *(line for text in texts for line in _wrapped(text, width))]
-
-
-def other_failures(search: SearchSummary) -> str:
-    """Say of random scenarios that fail without a collision by the ego's fault how many broke a check."""
-    checks, rest = search.random_checks, search.random_otherwise - search.random_checks
-    broke = f"{checks} {'more ' if search.random_failing else ''}failed a check" if checks else ""
-    return ", ".join(filter(None, [broke, f"{rest} failed in other ways" if rest else ""]))
 
 
 def _figures(search: SearchSummary) -> str:

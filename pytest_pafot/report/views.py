@@ -373,8 +373,9 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     heading = trace.road.drawn_headings
     views = []
     for vehicle in range(trace.states.shape[1]):
+        name, kind = f"NPC {vehicle - 1}" if vehicle else "ego", trace.vehicle_type(vehicle)
         view = VehicleView(
-            name=_name_of(trace, vehicle),
+            name=name if kind == CAR else f"{name}, {kind.name}",
             length=float(trace.sizes[vehicle, 0]),
             width=float(trace.sizes[vehicle, 1]),
             along=_numbers(along[ticks, vehicle], 2),
@@ -411,11 +412,6 @@ def zone_view(zone: Zone, length: float, width: float) -> ZoneView:
     places = np.linspace(first, max(last, first), max(round(last - first), 1) + 1)
     area = np.stack([np.interp(places, along, line[:, column]) for column in (0, 1)], axis=-1)
     return ZoneView(name=zone.way, way=_points(line), area=_points(area), width=float(width))
-
-
-def _name_of(trace: Trace, vehicle: int) -> str:
-    name, kind = f"NPC {vehicle - 1}" if vehicle else "ego", trace.vehicle_type(vehicle)
-    return name if kind == CAR else f"{name}, {kind.name}"
 
 
 def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:

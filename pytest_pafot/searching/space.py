@@ -337,14 +337,9 @@ class SearchSpace:
         low, high = self.low_step / SPEED_STEPS_PER_MPS, self.top_step / SPEED_STEPS_PER_MPS
         return CrossingTraffic(self.crossings, low, high, self.most_on_grid)
 
-    @property
-    def draws_start(self) -> bool:
-        """True if the space varies the start, the number of NPCs or the duration of genes."""
-        return bool(self.ego_lanes or self.most_npcs or self.gene_durations) or self.ego_speeds is not None
-
     def drawn(self, rng: Generator) -> SearchSpace:
         """Sample the start, number of NPCs and duration of genes, and return the space in which these are fixed."""
-        if not self.draws_start:
+        if not (self.ego_lanes or self.most_npcs or self.gene_durations) and self.ego_speeds is None:
             return self
         lane = self.ego_lanes[int(rng.integers(len(self.ego_lanes)))] if self.ego_lanes else self.ego_lane
         speed = self.drawn_speed(rng)
