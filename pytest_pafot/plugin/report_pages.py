@@ -71,15 +71,7 @@ class Pages:
 
     def _write(self, target: str, *, is_interrupted: bool) -> None:
         from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
-        from pytest_pafot.report.page import (  # noqa: PLC0415
-            WHOLE,
-            Report,
-            by_test,
-            numbers,
-            rank,
-            session_facts,
-            write_report,
-        )
+        from pytest_pafot.report import page  # noqa: PLC0415
 
         record, path = self._record, Path(os.path.normpath(self._config.invocation_params.dir / target))
         errors = tuple(
@@ -87,21 +79,21 @@ class Pages:
             for (node_id, when), text in sorted(self._failures.items())
             if not (when == "call" and node_id in self._shown)  # a failure that a finding shows already
         )
-        found = sorted((record.new.get(node_id) or record.sightings[node_id] for node_id in self._views), key=rank)
+        found = sorted((record.new.get(node_id) or record.sightings[node_id] for node_id in self._views), key=page.rank)
         searches = [each for _, each in sorted(record.searches.items()) if each.reason is not Ending.REPLAYS]
-        report = Report(
-            title=f"{self._config.rootpath.name}: {numbers(len(found), len(errors))}",
-            facts=tuple(session_facts(searches, record.replays)),
+        report = page.Report(
+            title=f"{self._config.rootpath.name}: {page.numbers(len(found), len(errors))}",
+            facts=tuple(page.session_facts(searches, record.replays)),
             command=rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ),
-            findings=by_test(list(map(self._view, found[:WHOLE]))),
-            further=tuple(found[WHOLE:]),
+            findings=page.by_test(list(map(self._view, found[: page.WHOLE]))),
+            further=tuple(found[page.WHOLE :]),
             searches=tuple(searches),
             errors=errors,
             is_interrupted=is_interrupted,
         )
         lines = self._config.stash[SUMMARY_LINES]
         problem = not_written(
-            self._config, target, path.parent, lambda: lines.reports.append(write_report(target, path, report))
+            self._config, target, path.parent, lambda: lines.reports.append(page.write_report(target, path, report))
         )
         if problem:
             lines.problems.append(f"{flag('report', target)}: not written: {problem}")

@@ -84,7 +84,7 @@ def test_an_interrupt_leaves_all_files_or_none(tmp_path, monkeypatch, capsys):
         write_whole(path, content)
 
     monkeypatch.setattr("pytest_pafot.export.exporter.write_whole", interrupted)
-    monkeypatch.setattr("pytest_pafot.export.exporter.export", two_files)
+    monkeypatch.setattr("pytest_pafot.export.exporter.csv_table", two_files)
     assert export(FILE, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path) == 128 + signal.SIGTERM
     assert sorted(each.name for each in tmp_path.iterdir()) == ["collision-xfail.a", "collision-xfail.b"]
     assert capsys.readouterr().err == "\nexport: interrupted\n"
