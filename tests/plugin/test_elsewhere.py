@@ -5,20 +5,9 @@ import json
 import pytest
 
 import pytest_pafot as pafot
-from tests.plugin.test_driving_on import filed
+from tests.plugin.test_driving_on import POLICIES, filed
 
-POLICIES = """
-import os
-import pytest_pafot as pafot
-
-def cruising(top):
-    return lambda: lambda seen: (min(max(top - seen.ego.speed, -1.0), 1.0), 0.0)
-
-fast = cruising(30.0)
-
-def braking():
-    return lambda seen: (-4.0 if seen.ego.speed > 4.0 else 0.0, 0.0)
-
+CAREFUL = """
 def careful():
     def decide(seen):
         ahead = [other for other in seen.others if other.lane == seen.ego.lane and other.x > seen.ego.x]
@@ -37,7 +26,7 @@ SEARCHED = ("--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-rollouts
 
 def fixed(project, policy, **more):
     project.write(TEST.replace("POLICY", policy))
-    project.pytester.makepyfile(policies=POLICIES)
+    project.pytester.makepyfile(policies=POLICIES + CAREFUL)
     filed(project, pafot.Highway(lanes=3).to_dict(), **more)
     project.pytester.makeini("[pytest]\n")
     return project

@@ -11,20 +11,11 @@ from pytest_pafot.corpus.reader import load
 from tests.helpers.processes import begun
 from tests.helpers.sessions import set_keys
 from tests.plugin.test_report_page import read_page
+from tests.plugin.test_session_records import TWO
 
 pytestmark = pytest.mark.processes
 
 pytest.importorskip("xdist")
-
-TWO = """
-@pafot.search(SHORT)
-def test_first(run):
-    assert run.scenario.id == ""
-
-@pafot.search(SHORT)
-def test_second(run):
-    assert run.scenario.id == ""
-"""
 
 
 @pytest.fixture(autouse=True)
