@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import Any, NamedTuple, Self, TypeVar
 
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.findings.labels import PASSING, Label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -231,15 +230,15 @@ def by_test(searches: Iterable[SearchSummary]) -> dict[str, SearchSummary]:
 def concluded(replay: Sighting, searches: Mapping[str, SearchSummary]) -> Sighting:
     """Return a replay with what the search of its test says about it, which another process may have run.
 
-    A replay that passes is ``still failing elsewhere`` if the search found the same failure. ``searches`` are the
-    searches of this session by node id of their tests.
+    ``searches`` are the searches of this session by node id of their tests.
     """
-    search = searches.get(replay.test)
-    if search is None or replay.label not in PASSING:
+    search, now = searches.get(replay.test), replay.observed
+    if search is None or now is None or replay.label != "passes":
         return replay
     if elsewhere := search.failures.get(replay.finding.signature.text, ""):
-        return replace(replay, label=Label.ELSEWHERE, elsewhere=elsewhere)
-    return replace(replay, searched=search.tested, drawn=min(search.random_runs, search.tested))
+        return replace(replay, observed=replace(now, elsewhere=elsewhere))
+    drawn = min(search.random_runs, search.tested)
+    return replace(replay, observed=replace(now, searched=search.tested, drawn=drawn))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

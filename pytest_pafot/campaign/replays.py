@@ -26,13 +26,13 @@ from pytest_pafot.findings.finding import (
     Finding,
     beyond_acceptance,
     ending,
+    handles,
     has_time,
+    is_same_event,
     is_same_failure,
     of_failure,
-    replay_label,
-    unhandled,
 )
-from pytest_pafot.findings.labels import Label, Observed, RunLabel
+from pytest_pafot.findings.labels import Observed
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
@@ -61,33 +61,6 @@ SOON = 2.0
 """The time after a file's end in which a collision with the file's NPC stands for the saved one, only later [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Replayed:
-    """The result of a replay.
-
-    Attributes:
-        facts: what was observed, from which the label follows.
-        run: the run that shows the failure; the first run if all of them pass.
-        verdict: the verdict on that run.
-        note: a text on the time after the file's end; empty if nothing is to be said.
-        is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
-            drive on in its own process, and die.
-        rate: how often it fails now; None unless the file has a rate.
-    """
-
-    facts: Observed
-    run: Run
-    verdict: Verdict
-    note: str = ""
-    is_lost: bool = False
-    rate: FailureRate | None = None
-
-    @property
-    def label(self) -> Label:
-        """The label of the replay."""
-        return self.facts.label
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replays:
     """The replays of the saved scenarios of one test."""
@@ -112,10 +85,11 @@ class Replays:
                 known.setdefault(finding.signature, each.id)
             with suppress(RequestError):
                 world = self.world_of(each)
-                shown, is_later = self._observed(each, world, owner)
+                now = self._driven(each, world, owner)
+                shown = _signature(now)
                 # The reference is driven on if the ADS was. Otherwise it is judged as in a search.
-                sought = partial(is_same_failure, _finding(each)) if is_later else None
-                if shown is not None and self.passes_reference(each, world, owner, sought) is not False:
+                sought = partial(is_same_failure, _finding(each)) if now.is_later else None
+                if shown is not None and self._compared(each, world, owner, now, sought).reference_passes is not False:
                     known.setdefault(shown, each.id)
         return known
 
@@ -123,35 +97,13 @@ class Replays:
         """Return whether the failure of a file is accepted today."""
         return self.today is not None and finding.is_accepted(self.today)
 
-    def beyond_acceptance(self, finding: Finding, run: Run, failure: Failure) -> str:
-        """Return how a failure goes beyond the one that a file accepts today; empty if the file accepts it, or none."""
-        if not self.accepts(finding):
-            return ""
-        same_versions = all(self.harness.versions.get(name) == each for name, each in finding.found.versions.items())
-        return beyond_acceptance(finding, run, failure, same_versions=same_versions)
-
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
         try:
-            shown, *_ = self._observed(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
+            now = self._driven(saved, self.world_of(saved), self.harness.saved_node_id(saved.id))
         except RequestError:
             return False
-        return shown == _finding(saved).signature
-
-    def _observed(self, saved: Saved, world: BaseWorld, owner: str) -> tuple[Signature | None, bool]:
-        """Return the failure that a saved scenario shows now, and whether only the repetition of a run showed it."""
-        try:
-            first = Replayed(Observed(), *self.tried(saved, world, owner))
-            now = first
-            if not first.verdict.failed and not first.verdict.discarded and world.can_go_on:
-                now = self._repeated(saved, world, owner, first)
-            if _finding(saved).rate is not None and not first.verdict.discarded:
-                now = self._by_rate(saved, world, owner, now)
-        except ProcessLostError as error:
-            return expectation(error).signature, False
-        if not now.verdict.failed or now.verdict.failure is None:
-            return None, False
-        return of_failure(now.run, now.verdict.failure), now.run is not first.run
+        return _signature(now) == _finding(saved).signature
 
     def world_of(self, saved: Saved) -> BaseWorld:
         """Return the world in which to replay a file, and check that the scenario fits that world.
@@ -227,32 +179,28 @@ class Replays:
             return
         raise SetupFaultError(run, verdict, f"this replay and {PROBES} random scenarios", is_replay=True)
 
-    def passes_reference(self, saved: Saved, world: BaseWorld, owner: str, sought: Sought | None = None) -> bool | None:
-        """Return whether the reference passes a saved scenario; None if the test has no reference."""
-        __tracebackhide__ = True
-        verdict, _ = self.of_reference(saved, world, owner, sought)
-        return None if verdict is None else verdict.passes
-
-    def of_reference(
-        self, saved: Saved, world: BaseWorld, owner: str, sought: Sought | None = None
-    ) -> tuple[Verdict | None, bool]:
-        """Return the verdict on the reference in a saved scenario; None if the test has no reference.
+    def _compared(
+        self, saved: Saved, world: BaseWorld, owner: str, now: Observed, sought: Sought | None = None
+    ) -> Observed:
+        """Return a replay with the result of the reference in the same scenario, if the test has a reference.
 
         The reference runs in a separate process if the ADS does. If it passes, and a failure is ``sought``, it is
-        driven on, too, and fails if it shows that failure then. The second value is True if its process died or hung
-        in that time.
+        driven on, too, and fails if it shows that failure then.
         """
         __tracebackhide__ = True
         run, verdict = self._of_reference(saved, world, owner, is_checked=True)
-        longer = None if sought is None else self._longer(saved, world)[0]
-        if run is None or sought is None or verdict is None or not verdict.passes or longer is None:
-            return verdict, False
-        later, then = self._of_reference(saved, longer, owner)
-        failure = None if then is None else then.failure
-        if later is None or failure is None:
-            return verdict, later is None
-        is_shown = begins_alike(run, later) and has_time(later, failure) and sought(later, failure)
-        return then if is_shown else verdict, False
+        if verdict is None:
+            return now
+        longer = None if sought is None or run is None or not verdict.passes else self._longer(saved, world)[0]
+        if longer is not None and run is not None and sought is not None:
+            later, then = self._of_reference(saved, longer, owner)
+            now = replace(now, is_lost=now.is_lost or later is None)
+            failure = None if then is None else then.failure
+            if later is not None and then is not None and failure is not None and begins_alike(run, later):
+                verdict = then if has_time(later, failure) and sought(later, failure) else verdict
+        # What the policy does worse than the reference in the same scenario is a part of the verdict.
+        own = replace(now.verdict, reference=verdict) if now.fails and now.verdict is not None else now.verdict
+        return replace(now, reference_passes=verdict.passes, verdict=own)
 
     def _of_reference(
         self, saved: Saved, world: BaseWorld, owner: str, *, is_checked: bool = False
@@ -313,7 +261,7 @@ class Replays:
         name = f"{type(world.given).__name__}.lasting({seconds:g})"
         return None, f"not {PAST_END}: {name}: expected a world, received {received}; correct or remove lasting"
 
-    def _driven_on(self, saved: Saved, world: BaseWorld, owner: str, first: Replayed) -> Replayed:
+    def _driven_on(self, saved: Saved, world: BaseWorld, owner: str, first: Run) -> Observed:
         """Run a scenario that passes again, and drive on after its end if the world can; a note says why it cannot."""
         __tracebackhide__ = True
         harness, (longer, note) = self.harness, self._longer(saved, world)
@@ -325,8 +273,8 @@ class Replays:
         elif longer is not None:
             try:
                 run, verdict = self.tried(saved, longer, owner)
-                if codec.is_built_in(world) or begins_alike(first.run, run):
-                    return replace(first, run=run, verdict=verdict)
+                if codec.is_built_in(world) or begins_alike(first, run):
+                    return Observed(run=run, verdict=verdict)
                 note = (
                     f"not {PAST_END}: {type(world.given).__name__}.lasting: expected the same world, received one in "
                     "which the run begins otherwise; correct or remove lasting"
@@ -338,39 +286,34 @@ class Replays:
                 # It is no failure of a file that is about something else.
                 note, is_lost = f"{PAST_END}, the process {error.end}", True
         run, verdict = self.tried(saved, world, owner)
-        return replace(first, run=run, verdict=verdict, note=note, is_lost=is_lost)
+        return Observed(run=run, verdict=verdict, note=note, is_lost=is_lost)
 
-    def _repeated(self, saved: Saved, world: BaseWorld, owner: str, first: Replayed) -> Replayed:
-        """Run a scenario that passes again, and drive on; return the result as in :meth:`labelled`.
-
-        Its run is that of ``first``, or the second one if that failed.
-        """
+    def _repeated(self, saved: Saved, world: BaseWorld, owner: str, now: Observed) -> Observed:
+        """Run a scenario that passes again, and drive on; the run stays the first one unless the second one failed."""
         __tracebackhide__ = True
-        finding, second = _finding(saved), self._driven_on(saved, world, owner, first)
-        run, verdict, is_alike = second.run, second.verdict, begins_alike(first.run, second.run)
-        is_hit = is_alike and _is_hit_soon(finding, first.run, run)
-        facts = replace(first.facts, is_unsteady=finding.flaky is not None or not is_alike, is_hit=is_hit)
-        passed = replace(second, facts=facts, run=first.run, verdict=first.verdict)
-        failed = replace(second, facts=replace(facts, shows=Label.STILL_FAILING, fails=True, is_unsteady=True))
+        finding, (first, _) = _finding(saved), now.ran
+        second = self._driven_on(saved, world, owner, first)
+        (run, verdict), is_alike = second.ran, begins_alike(first, second.ran[0])
+        is_hit = is_alike and _is_hit_soon(finding, first, run)
+        note = f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}" if is_hit else second.note
+        passed = replace(now, note=note, is_lost=second.is_lost, is_handled=now.is_handled and not is_hit)
+        passed = replace(passed, is_unsteady=finding.flaky is not None or not is_alike)
         failure = verdict.failure if verdict.failed else None
-        if is_hit:
-            passed = replace(passed, note=f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}")
         if failure is None:
             return passed
+        failed = replace(passed, fails=True, is_same=True, is_later=True, is_unsteady=True, run=run, verdict=verdict)
         # The failure is in the time after the end, unless the test function or a clock decides by chance.
-        if not is_alike or run.trace.ticks <= first.run.trace.ticks or self.harness.judge(first.run).failed:
+        if not is_alike or run.trace.ticks <= first.trace.ticks or self.harness.judge(first).failed:
             return failed
         if not has_time(run, failure):
             return passed
         is_event = failure.check is not None or run.outcome in HAS_EVENT
         when = happened(finding, run, failure) if is_event else headline(run, verdict)
         if not is_same_failure(finding, run, failure):
-            if is_hit:
-                return passed
-            return replace(passed, note=f"{PAST_END}: another failure, {when}")
+            return passed if is_hit else replace(passed, note=f"{PAST_END}: another failure, {when}")
         note = f"{PAST_END}: the same {'mistake' if finding.signature.mistake else 'failure'}, {when}"
         is_firm = finding.flaky is None and self._is_repeatable(saved, world, owner, run)
-        return replace(failed, facts=replace(failed.facts, is_unsteady=not is_firm), note=note)
+        return replace(failed, is_unsteady=not is_firm, note=note)
 
     def _is_repeatable(self, saved: Saved, world: BaseWorld, owner: str, run: Run) -> bool:
         """Return whether a run that was driven on is the same run, and fails, when it is made again."""
@@ -381,58 +324,65 @@ class Replays:
             return False
         return verdict.failed and is_same_run(run, again)
 
-    def labelled(self, saved: Saved, owner: str) -> Replayed:
-        """Replay a saved scenario, and return the result, with all that its label follows from.
+    def observed(self, saved: Saved, owner: str) -> Observed:
+        """Replay a saved scenario, and return all that its label follows from.
 
-        A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.finding.DRIVEN_ON`. If it
-        then fails as the file says, and once more in a third run, it is ``still failing``. Any other failure in that
-        time is only a text.
-
-        A file with a rate is run ten times more, and a note says how many of these runs fail. It fails if any of them
-        does, and is ``fixed`` only if none fails, unless it failed too rarely before.
-
-        With a reference, a failure is ``introduced`` if the reference passes, otherwise ``common``. A pass is ``fixed``
-        if the reference fails and the situation occurred; otherwise a label ``fixed`` becomes ``fixed before``. The
-        reference is driven on as well.
+        With a reference, it is known whether a failure is new with the policy, or shared with the reference, and
+        whether the reference fails where the policy passes. The reference is driven on as well.
 
         Raises:
-            ProcessLostError: if the process that ran the scenario died or hung.
             RequestError: if the scenario cannot be run, with the file, the line and the field; or if the reference
                 does not drive at all.
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
-        run, verdict = self.tried(saved, world, owner)
-        failure = verdict.failure if verdict.failed else None
-        # What the file's own run says, in the file's world.
-        shows = replay_label(finding, run, failure, self.harness.versions)
-        if finding.expect.is_crash:
-            # The process survived, whatever the run shows.
-            shows = Label.DRIFTED if verdict.failed else Label.FIXED
-        is_elsewhere = bool(self.world_changes(finding) or self.sight_change(finding))
-        now = Replayed(Observed(shows=shows, fails=verdict.failed, is_elsewhere=is_elsewhere), run, verdict)
-        if verdict.discarded:
+        now = self._driven(saved, world, owner)
+        if self.accepts(finding):
+            died = now.verdict.exception if now.verdict is not None else None
+            beyond = f"a process that {died.end}" if isinstance(died, ProcessLostError) and not now.is_same else ""
+            if now.run is not None and now.verdict is not None and now.verdict.failure is not None:
+                same_versions = not self.version_changes(finding)
+                beyond = beyond_acceptance(finding, now.run, now.verdict.failure, same_versions=same_versions)
+            now = replace(now, is_accepted=not beyond, beyond=beyond)
+        if now.is_unsteady or (now.verdict is not None and now.verdict.discarded):
             return now
-        # A pass is tried once more and past the end of the file, because a slower policy fails a little later.
-        if not verdict.failed and not (finding.rate and finding.flaky):
-            now = self._repeated(saved, world, owner, now)
-        if finding.rate is not None:
-            now = self._by_rate(saved, world, owner, now)
-        if now.facts.is_unsteady:
-            return now
-        # With a reference: is the failure, or its absence, new with the policy?
-        sought: Sought = partial(is_same_failure, finding)
-        if now.verdict.failed and now.verdict.failure is not None:
-            shown = of_failure(now.run, now.verdict.failure)
-            sought = lambda *its: of_failure(*its) == shown  # noqa: E731
-        reference, is_lost = self.of_reference(saved, world, owner, sought)
-        facts = replace(now.facts, reference_passes=None if reference is None else reference.passes)
-        now = replace(now, facts=facts, is_lost=now.is_lost or is_lost)
-        if now.verdict.failed:
-            return replace(now, verdict=replace(now.verdict, reference=reference))
-        return replace(now, facts=replace(facts, is_handled=not unhandled(finding, now.run)))
+        sought: Sought | None = partial(is_same_failure, finding)
+        if now.fails:
+            shown = _signature(now)
+            sought = None if now.run is None else lambda *its: of_failure(*its) == shown
+        return self._compared(saved, world, owner, now, sought)
 
-    def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Replayed) -> Replayed:
+    def _driven(self, saved: Saved, world: BaseWorld, owner: str) -> Observed:
+        """Replay a saved scenario without the reference, and return what is observed.
+
+        A replay that passes is run again, and driven on for :data:`~pytest_pafot.findings.finding.DRIVEN_ON`. If it
+        then fails as the file says, and once more in a third run, it is the failure of the file. Any other failure in
+        that time is only a text.
+
+        A file with a rate is run ten times more, and a note says how many of these runs fail. It fails if any of them
+        does. If none fails, the pass means something unless it failed too rarely before.
+        """
+        __tracebackhide__ = True
+        finding = _finding(saved)
+        changes = [] if finding.expect.is_crash else self.version_changes(finding)
+        now = Observed(is_elsewhere=bool(changes or self.world_changes(finding) or self.sight_change(finding)))
+        try:
+            run, verdict = self.tried(saved, world, owner)
+            is_handled = verdict.passes and handles(finding, run)
+            is_same = verdict.failed and is_same_event(finding.expect, run, verdict.failure)
+            now = replace(now, fails=verdict.failed, is_same=is_same, is_handled=is_handled, run=run, verdict=verdict)
+            # A pass is tried once more and past the end of the file, because a slower policy fails a little later.
+            if not verdict.failed and not verdict.discarded and not (finding.rate and finding.flaky):
+                now = self._repeated(saved, world, owner, now)
+            if finding.rate is not None and not verdict.discarded:
+                now = self._by_rate(saved, world, owner, now)
+        except ProcessLostError as error:
+            died = Verdict(kind="failed", exception=error)
+            note, is_same = "; ".join(getattr(error, "__notes__", ())), was_lost(finding, error)
+            return replace(now, fails=True, is_same=is_same, note=note, run=None, verdict=died)
+        return now
+
+    def _by_rate(self, saved: Saved, world: BaseWorld, owner: str, now: Observed) -> Observed:
         """Run the scenario of a file with a rate with ten other seeds, or ten times again, and count the failures.
 
         One of these runs must handle the situation of the file; the others may never come to it.
@@ -441,7 +391,7 @@ class Replays:
         finding, harness = _finding(saved), self.harness
         then, job = finding.rate, harness.job(world, owner)
         assert then is not None  # noqa: S101  (only of such files)
-        shown, failing = _by_chance(finding, now), 0
+        shown, failing = _by_chance(finding, now, *now.ran), 0
         with (
             harness.recording(job) as record,
             runner_for(job, record, isolate=self.is_apart(saved, owner)) as runner,
@@ -451,16 +401,20 @@ class Replays:
                 run = finding.expect.known_of(harness.run_of(runner.run(scenario), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
-                if verdict.failed and shown.facts.shows is not Label.STILL_FAILING:
-                    shown = _by_chance(finding, replace(now, run=run, verdict=verdict))
-                is_fixed = verdict.passes and replay_label(finding, run, None, harness.versions) is Label.FIXED
-                if is_fixed and shown.facts.shows is Label.DRIFTED and not shown.facts.fails:
-                    shown = replace(shown, facts=replace(shown.facts, shows=Label.FIXED))
+                if not (shown.fails and shown.is_same):
+                    shown = _by_chance(finding, shown, run, verdict)
+                if verdict.passes and handles(finding, run):
+                    shown = replace(shown, is_handled=True)
         rate = FailureRate(failing=failing)
-        facts = replace(shown.facts, is_rare=then.failing < ENOUGH)
         drawn = finding.drawn + ("" if failing or finding.flaky else none_text(RUNS, finding.drawn))
         note = "; ".join(filter(None, [now.note, f"fails in {rate} {drawn}, {then} when it was found"]))
-        return replace(shown, facts=facts, note=note, rate=rate)
+        return replace(shown, is_rare=then.failing < ENOUGH, note=note, rate=rate)
+
+    def version_changes(self, finding: Finding) -> list[str]:
+        """Return how the versions of packages in a file differ from those that are installed."""
+        then, now = finding.found.versions, self.harness.versions
+        other = (name for name in sorted(then) if now.get(name) != then[name])
+        return [f"{name} {then[name]} then, {now.get(name, 'none')} now" for name in other]
 
     def world_changes(self, finding: Finding) -> list[str]:
         """Return how the file's world differs from the test's world, or how the file's world cuts the run."""
@@ -487,19 +441,17 @@ class Replays:
 
     def changes(self, finding: Finding, now: str) -> str:
         """Return the differences between a file and its replay in words; ``now`` is what happened in the replay."""
-        versions = self.harness.versions
-        changed = [
-            f"{name} {version} then, {versions.get(name, 'none')} now"
-            for name, version in sorted(finding.found.versions.items())
-            if versions.get(name) != version
-        ]
-        changed += self.setting_changes(finding)
-        expect = finding.expect
-        then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
-        if expect.check is not None:
-            then = f"{expect.assertion} failed at {expect.time:.1f} s"
-        event = [] if then == now else [f"{then} in the file, {now} now"]
-        return "; ".join([*event, *changed]) or "a different run than before"
+        changed = [event_change(finding, now), *self.version_changes(finding), *self.setting_changes(finding)]
+        return "; ".join(filter(None, changed)) or "a different run than before"
+
+
+def event_change(finding: Finding, now: str) -> str:
+    """Return how what happened in a replay differs from the event of its file; empty if the words are the same."""
+    expect = finding.expect
+    then = "the process died" if expect.is_crash else _event(expect.outcome, expect.time)
+    if expect.check is not None:
+        then = f"{expect.assertion} failed at {expect.time:.1f} s"
+    return "" if then == now else f"{then} in the file, {now} now"
 
 
 def was_lost(finding: Finding, lost: LostRun) -> bool:
@@ -517,13 +469,21 @@ def happened(finding: Finding, run: Run, failure: Failure | None) -> str:
     return _event(run.outcome, run.event_time) if run.outcome is finding.expect.outcome else ending(run)
 
 
-def _by_chance(finding: Finding, now: Replayed) -> Replayed:
+def _signature(now: Observed) -> Signature | None:
+    """Return the failure that a replay shows; None if it passes."""
+    if now.verdict is not None and isinstance(now.verdict.exception, ProcessLostError):
+        return expectation(now.verdict.exception).signature
+    run, verdict = now.ran
+    return of_failure(run, verdict.failure) if now.fails and verdict.failure is not None else None
+
+
+def _by_chance(finding: Finding, now: Observed, run: Run, verdict: Verdict) -> Observed:
     """Return a replay with what a failure shows that occurs by chance, and so at no certain time."""
-    failure = now.verdict.failure if now.verdict.failed else None
+    failure = verdict.failure if verdict.failed else None
     if failure is None:
         return now
-    shows: RunLabel = Label.STILL_FAILING if is_same_failure(finding, now.run, failure) else Label.DRIFTED
-    return replace(now, facts=replace(now.facts, shows=shows, fails=True, is_unsteady=False))
+    is_same = is_same_failure(finding, run, failure)
+    return replace(now, fails=True, is_same=is_same, is_unsteady=False, run=run, verdict=verdict)
 
 
 def _is_hit_soon(finding: Finding, run: Run, longer: Run) -> bool:

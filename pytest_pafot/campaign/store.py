@@ -19,7 +19,6 @@ from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, portable
-from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.findings.verdict import Verdict
@@ -172,7 +171,7 @@ class Store:
     def dismiss(self, sighting: Sighting, why: str) -> Iterator[Sighting]:
         """Remove the file of a finding that does not count, and yield what is to be reported."""
         file = sighting.file
-        sighting = replace(sighting, label=Label.NO_WORSE, detail=why, unshrunk="", is_first=False)
+        sighting = replace(sighting, is_no_worse=True, detail=why, unshrunk="", is_first=False)
         if file is not None:
             with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
                 file.unlink(missing_ok=True)

@@ -20,7 +20,6 @@ from pytest_pafot.attribution.mistakes import Avoidance, Manoeuvre, manoeuvre_be
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.sentences import ANSWERS, AT_FAULT, sentences
 from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.labels import Label, RunLabel
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
     AT_ZONES,
@@ -39,7 +38,6 @@ from pytest_pafot.model.trace import Outcome, Side, Trace, Y
 from pytest_pafot.oracle.checks import Check, CheckFailed
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, with_avoidance
 from pytest_pafot.support.errors import plain_number
-from pytest_pafot.support.process import RULES
 from pytest_pafot.support.text import visible
 
 # Error texts are cleaned of everything that differs between processes, so that the same seed writes the same files.
@@ -561,7 +559,7 @@ def _statements(tb: TracebackType | None) -> Iterator[tuple[str, str]]:
         tb = tb.tb_next
 
 
-# The meaning of a replay: whether a saved finding is fixed, still fails or has drifted.
+# The meaning of a replay: whether a run shows the failure of a file, and what a pass says about it.
 
 SAME_PLACE = 0.5
 """Largest distance [m] between the positions of a vehicle in two runs without contact that count as the same run."""
@@ -582,47 +580,27 @@ HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outco
 """Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
 
 
-def replay_label(finding: Finding, run: Run, failure: Failure | None, versions: Mapping[str, str]) -> RunLabel:
-    """Return what the run of a replay says by itself, which is more than that it passes or fails.
+def handles(finding: Finding, run: Run) -> bool:
+    """Return whether a run that passes handled what a file was saved for, so that the pass means something.
 
-    ``still failing``: the run fails with the saved event.
-
-    ``drifted``: something other than the saved event happens, or the run passes under different versions, or it passes
-    without the situation from which the failure arose. The file may then no longer test what it was saved for.
-
-    ``judged otherwise``: the run passes with the saved collision, because rules of another version judge it otherwise.
-
-    ``fixed``: the run passes under the same versions, and the situation came up. If a collision that is no failure ends
-    the run, it must occur more than 2 s after the situation, and later after it than the saved failure did. For a file
-    about a collision, it must also be with a different NPC. For a file without a situation, no other event may end the
-    run.
-
-    A failed check is identified by its name and by its time if it has a time, whatever else happened. It is fixed if
-    the run continued beyond that time.
-
-    Args:
-        finding: the saved finding.
-        run: the run of the replay.
-        failure: the failure of this run; None if it passes.
-        versions: versions of the installed packages, which are compared with the versions in the file.
+    The situation from which the failure arose must have come up. If a collision that is no failure ends the run, it
+    must occur more than 2 s after the situation, and later after it than the saved failure did. For a file about a
+    collision, it must also be with a different NPC. For a file without a situation, no other event may end the run. A
+    failed check with a time is handled if the run continued beyond that time.
     """
-    expect, is_same = finding.expect, is_same_event(finding.expect, run, failure)
-    if failure is not None:
-        return Label.STILL_FAILING if is_same and failure.kind == expect.failure else Label.DRIFTED
-    has_other_rules = versions.get(RULES) != finding.found.versions.get(RULES)
-    if has_other_rules and is_same and run.collision is not None and run.responsibility != expect.responsibility:
-        return Label.JUDGED_OTHERWISE
-    if any(versions.get(name) != version for name, version in finding.found.versions.items()):
-        return Label.DRIFTED
+    expect = finding.expect
+    if expect.is_crash:  # The process survived, whatever the run shows.
+        return True
+    # If a different party is responsible for the same event, the policy has changed and not the test.
+    if is_same_event(expect, run) and (expect.situation is None or run.responsibility == expect.responsibility):
+        return True
     # A run that was cut short did not drive the rest of the scenario.
     is_whole = run.collision is None and run.ads_error is None and run.outcome not in ("invalid", "off_road")
     is_whole = is_whole or (expect.check is not None and run.duration > expect.time)
     if expect.situation is not None and run.collision is not None:
         after = seconds_after(expect.situation, run)
         is_whole = is_whole or (after is not None and after > max(expect.time - expect.situation.time, BEFORE))
-    # If a different party is responsible for the same event, the policy has changed and not the test.
-    is_same = is_same and (expect.situation is None or run.responsibility == expect.responsibility)
-    return Label.FIXED if is_same or (is_whole and not unhandled(finding, run)) else Label.DRIFTED
+    return is_whole and not unhandled(finding, run)
 
 
 def unhandled(finding: Finding, run: Run) -> str:
@@ -642,12 +620,17 @@ def unhandled(finding: Finding, run: Run) -> str:
 
 
 def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> bool:
-    """Return whether a run shows the event that a file expects, within 0.2 s: the same contact or failed check."""
+    """Return whether a run shows the event that a file expects, within 0.2 s: the same contact or failed check.
+
+    A collision that is a ``failure`` may be at another time: it is the same with the same vehicle on the same side.
+    """
+    if failure is not None and failure.kind != expect.failure:
+        return False
     now, side = event_of(run, failure), None if run.collision is None else run.collision.side
     is_then = abs(now.time - expect.time) <= SAME_TIME + 1e-9
     if expect.check is None:
-        then = (expect.outcome, expect.npc, expect.cell, expect.side)
-        return is_then and (run.outcome, now.npc, now.cell, side) == then
+        is_then = (is_then and now.cell == expect.cell) or (failure is not None and run.collision is not None)
+        return is_then and (run.outcome, now.npc, side) == (expect.outcome, expect.npc, expect.side)
     check = None if failure is None else failure.check
     return check is not None and check.name == expect.assertion and (is_then or check.time is None)
 

@@ -1,91 +1,108 @@
-"""The label of a replay, which follows from what was observed in its runs."""
+"""What the runs of a replay showed, and the label that follows from it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Literal, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal
 
+from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.finding import IN_MEMORY
+from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.oracle.run import Run
 
-class Label(StrEnum):
-    """The few words in which a session says what became of a finding: how its replay ended, or that it is new.
+Label = Literal["error", "still failing", "drifted", "flaky", "accepted", "passes", "fixed"]
+"""The word in which a session says what became of a saved scenario."""
 
-    Summaries group findings by it, in this order, the most urgent group first. ``group`` is the title of the group.
-    """
-
-    group: str
-
-    NEW = "new", "New"
-    INTRODUCED = "introduced", "Introduced by the change"
-    NO_WORSE = "no worse", "New, but no worse: the reference fails as often, elsewhere"
-    ERROR = "error", "Could not be read or run"
-    STILL_FAILING = "still failing", "Known, still failing"
-    ELSEWHERE = (
-        "still failing elsewhere",
-        "Still failing elsewhere: the saved scenario passes, the search found the same failure",
-    )
-    DRIFTED = "drifted", "Drifted: the run differs from the file, so this is no fix"
-    # It has the file's collision, and passes because rules of another version excuse the ego.
-    JUDGED_OTHERWISE = "judged otherwise", "Judged otherwise, by other rules than when it was saved: this is no fix"
-    FLAKY = "flaky", "Flaky"
-    COMMON = "common", "Known, and also failing in the reference"
-    # Only a group: the replay has another label, and its failure is accepted with ``xfail``.
-    ACCEPTED = "accepted", "Accepted for now"
-    # Only a result: the label is ``fixed``, and no search confirms it, see :attr:`.Sighting.result`.
-    PASSES = "passes", "Pass, and no search of this session looked for the same failure"
-    FIXED = "fixed", "Fixed"
-    FIXED_BEFORE = "fixed before", "Fixed before"
-
-    def __new__(cls, value: str, group: str) -> Self:
-        """Make a label, which is equal to its text."""
-        self = str.__new__(cls, value)
-        self._value_, self.group = value, group
-        return self
-
-
-PASSING = (Label.FIXED, Label.FIXED_BEFORE, Label.ELSEWHERE)
-"""The labels of replays that pass with the situation of the failure."""
-
-RunLabel = Literal[Label.FIXED, Label.STILL_FAILING, Label.DRIFTED, Label.JUDGED_OTHERWISE]
-"""What a run says by itself, see :func:`pytest_pafot.findings.finding.replay_label`."""
+GROUPS: Mapping[str, str] = MappingProxyType({
+    "new": "New",
+    "no worse": "New, but no worse: the reference fails as often, elsewhere",
+    "error": "Could not be read or run",
+    "still failing": "Known, still failing",
+    "drifted": "Drifted: the run differs from the file, so this is no fix",
+    "flaky": "Flaky",
+    "accepted": "Accepted for now",
+    "passes": "Pass, and no search of this session looked for the same failure",
+    "fixed": "Fixed",
+})  # fmt: skip
+"""The titles of the groups of findings in a summary, new ones and those with a label, the most urgent group first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """The observations in a replay.
+    """What the runs of a replay showed, and what its session knows besides.
 
     Attributes:
-        shows: what the saved scenario shows, in its own run, or in that of other runs which fails.
-        fails: True if it fails, or if its process dies.
-        is_elsewhere: True if it was run in another world than the test's, or with another sight.
+        is_error: True if the file could not be read, or its scenario not be run.
+        fails: True if a run fails, or its process dies.
+        is_same: True if it fails as the file says.
+        is_later: True if only the second run failed, which is driven on after the end of the file.
         is_unsteady: True if its runs differ, other than by the chance that a rate measures.
+        is_handled: True if a run passes, and the situation of the file came up in it.
+        is_elsewhere: True if it was run under other versions, in another world than the test's, or with another sight.
         is_rare: True if the failure of the file occurs by chance, and so rarely that ten passing runs show no fix.
-        is_hit: True if the NPC of the file's collision hits the ego soon after the end of a run that passes.
-        is_handled: True if the situation of the file came up, and the ego handled it.
+        is_accepted: True if the file accepts its failure today.
+        beyond: how it goes beyond the failure that the file would accept; empty if it does not.
         reference_passes: whether the reference passes the same scenario; None without a reference.
+        searched: number of runs of the search of its test that found no such failure, if it passes and that search ran
+            to its end in this session; otherwise 0.
+        drawn: number of random scenarios among these.
+        elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
+        rate: how often it fails now; None unless the file has a rate.
+        note: a text on the time after the file's end, or on the rate; empty if nothing is to be said.
+        is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
+            drive on in its own process, and die.
+        run: the run that shows the failure; the first run if all of them pass; None if the process died or hung.
+        verdict: the verdict on that run; None in another process than that of the item.
     """
 
-    shows: RunLabel = Label.DRIFTED
+    is_error: bool = False
     fails: bool = False
-    is_elsewhere: bool = False
+    is_same: bool = False
+    is_later: bool = False
     is_unsteady: bool = False
+    is_handled: bool = False
+    is_elsewhere: bool = False
     is_rare: bool = False
-    is_hit: bool = False
-    is_handled: bool = True
+    is_accepted: bool = False
+    beyond: str = ""
     reference_passes: bool | None = None
+    searched: int = 0
+    drawn: int = 0
+    elsewhere: str = ""
+    rate: FailureRate | None = None
+    note: str = ""
+    is_lost: bool = False
+    run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
+    verdict: Verdict | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     @property
-    def label(self) -> Label:
-        """The label of the replay."""
-        if self.is_unsteady:
-            return Label.FLAKY
-        if self.fails and self.reference_passes is not None:
-            return Label.INTRODUCED if self.reference_passes else Label.COMMON
-        if self.fails:
-            return self.shows
-        if self.reference_passes is False and self.is_handled and not self.is_hit:
-            # Also elsewhere, and in a run that does not show it: both policies drove the same scenario.
-            return Label.FIXED
-        if self.shows is Label.FIXED and (self.is_elsewhere or self.is_rare or self.is_hit):
-            return Label.DRIFTED
-        return Label.FIXED_BEFORE if self.shows is Label.FIXED and self.reference_passes else self.shows
+    def ran(self) -> tuple[Run, Verdict]:
+        """The run and the verdict on it.
+
+        Raises:
+            ValueError: if the process of the run died or hung, or in another process than that of the item.
+        """
+        if self.run is None or self.verdict is None:
+            raise ValueError(f"run: expected one that came to its end in this process, received {self!r:.100}")
+        return self.run, self.verdict
+
+
+def label(observed: Observed) -> Label:
+    """Return the label of a replay. Nothing else decides it."""
+    if observed.is_error:
+        return "error"
+    if observed.is_accepted and (observed.fails or observed.is_unsteady):
+        return "accepted"
+    if observed.is_unsteady:
+        return "flaky"
+    if observed.fails:
+        return "still failing" if observed.is_same else "drifted"
+    # If the reference fails, both policies drove the same scenario under the same conditions.
+    is_other = (observed.is_elsewhere or observed.is_rare) and observed.reference_passes is not False
+    if is_other or not observed.is_handled:
+        return "drifted"
+    if observed.elsewhere:
+        return "still failing"
+    return "fixed" if observed.searched else "passes"

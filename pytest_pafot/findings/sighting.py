@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from pytest_pafot.findings.decisions import Moment
-from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import IN_MEMORY, Finding
-from pytest_pafot.findings.labels import PASSING, Label
+from pytest_pafot.findings.labels import Label, Observed, label
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import none_text
@@ -20,12 +20,17 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 """How the difference begins of a policy that drives the same scenario in different ways."""
 
 
-def passing(searched: int, drawn: int) -> str:
-    """Say what passes: a saved scenario, and a number of runs of the search of its test, some of them random."""
-    runs = f"; no such failure in {plural(searched, 'run')} of the search" if searched else ""
-    if searched and drawn:
-        runs += ("" if drawn >= searched else f", nor in its {drawn} random ones") + none_text(drawn)
-    return f"{Label.PASSES}{runs}"
+def on_search(searched: int, drawn: int, elsewhere: str) -> str:
+    """Say where a search found the failure of a saved scenario that passes, or in how many runs it did not find it.
+
+    Some of the runs are random. The text is empty if there was no search.
+    """
+    if elsewhere or not searched:
+        return elsewhere and f"elsewhere: {elsewhere} fails in the same way"
+    if not drawn:
+        return f"no such failure in {plural(searched, 'run')}"
+    others = f"; nor in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
+    return f"no such failure in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,28 +44,20 @@ class Sighting:
         finding: the content of its file.
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         test: node id of the test of a replayed one, as it is in this session.
-        label: ``new``, or ``no worse`` if it is new and does not count in a comparison; of a replay ``fixed``, ``still
-            failing``, ``drifted``, ``flaky``; in a comparison with a reference also ``introduced``, ``common`` or
-            ``fixed before``. The search of the test may make it ``still failing
-            elsewhere``, see :func:`~pytest_pafot.campaign.events.concluded`.
+        observed: what the runs of a replay showed, from which its label follows; None for a new finding.
+        is_no_worse: True if it is new and does not count in a comparison.
         headline: how the run failed; empty if it passes.
         path: path of its file; empty if a new finding has none.
         detail: why a new finding has no file or does not count, or what differs from the file of a replayed one; may be
             empty.
         difference: what differed when the scenario of a new finding was run again; empty if nothing did.
-        rate_now: how often it fails in a replay; None for a new finding, and without a rate.
         is_timed: True if the failure depends on wall-clock time.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         moment: the last decision that could have avoided it; None if that was not examined, or none is known.
-        searched: number of runs of the search of its test that found no such failure, if a replay passes and that
-            search ran to its end in this session; otherwise 0.
-        drawn: number of random scenarios among these.
-        elsewhere: id of the finding that this search shows and that fails as the file says; empty if there is none.
         severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
         severity_before: severity with the reference of a replay; None if there is none.
         repeats: number of other runs of the search that failed in the same way.
         against: the reference that a replay is compared with; empty without one.
-        is_accepted: True if the file of a replay accepts its failure.
         sentences: who did what in a collision; empty without one, and until an item reports it.
         command: the command that runs it again; empty until an item reports it.
         is_first: True if it is reported for the first time.
@@ -76,23 +73,19 @@ class Sighting:
     finding: Finding
     node_id: str
     test: str = ""
-    label: Label = Label.NEW
+    observed: Observed | None = None
+    is_no_worse: bool = False
     headline: str = ""
     path: str = ""
     detail: str = ""
     difference: str = ""
-    rate_now: FailureRate | None = None
     is_timed: bool = False
     unshrunk: str = ""
     moment: Moment | None = None
-    searched: int = 0
-    drawn: int = 0
-    elsewhere: str = ""
     severity: Severity | None = None
     severity_before: Severity | None = None
     repeats: int = 0
     against: str = ""
-    is_accepted: bool = False
     sentences: tuple[str, ...] = ()
     command: str = ""
     is_first: bool = True
@@ -145,24 +138,27 @@ class Sighting:
         return (self.finding.rate is not None or has_drawn) and not self.is_timed
 
     @property
-    def result(self) -> Label:
-        """The label, but ``passes`` if no search of the session confirms that the failure is fixed.
-
-        With a reference the label compares two policies in one scenario, so no search has to confirm it.
-        """
-        return Label.PASSES if self.label is Label.FIXED and not (self.searched or self.against) else self.label
-
-    @property
-    def heading(self) -> str:
-        """The result of a replay in a few words that claim no more than what was driven."""
-        if self.result is Label.PASSES:
-            return self.driven
-        return f"{self.label}: {self.elsewhere}" if self.elsewhere else str(self.label)
+    def label(self) -> Label | Literal["new", "no worse"]:
+        """The label of a replay, ``new``, or ``no worse``."""
+        if self.observed is None:
+            return "no worse" if self.is_no_worse else "new"
+        return label(self.observed)
 
     @property
-    def driven(self) -> str:
-        """The runs of a replay that passes, and of the search of its test; empty for any other replay."""
-        return passing(self.searched, self.drawn) if self.label in PASSING else ""
+    def compared(self) -> Literal["", "introduced", "common", "fixed"]:
+        """How a replay compares with that of its reference; empty if that is not known, or nothing changed."""
+        now = self.observed
+        if now is None or now.reference_passes is None or now.is_unsteady:
+            return ""
+        if now.fails:
+            return "introduced" if now.reference_passes else "common"
+        return "" if now.reference_passes or self.label == "drifted" else "fixed"
+
+    @property
+    def on_search(self) -> str:
+        """What the search of its test says of a replay that passes; empty for any other, and without a search."""
+        now = self.observed or Observed()
+        return on_search(now.searched, now.drawn, now.elsewhere)
 
     @property
     def remark(self) -> str:

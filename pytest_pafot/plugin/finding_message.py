@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.options import Settings
-from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.plugin import messages
@@ -21,7 +20,7 @@ from pytest_pafot.support.errors import rerun
 
 def label_of(sighting: Sighting) -> str:
     """Return the label of a new finding on a page."""
-    return f"{Label.NEW} ({sighting.remark})" if sighting.remark else Label.NEW
+    return f"new ({sighting.remark})" if sighting.remark else "new"
 
 
 def send_sighting(
@@ -56,10 +55,11 @@ def send_sighting(
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415
 
         shown = sighting.node_id if sighting.path else item.nodeid
-        accepted = f", accepted: {sighting.finding.accepted}" if sighting.finding.accepted else ""
+        parts: list[str] = [sighting.label] if sighting.label != "accepted" else []
+        parts += [f"accepted: {sighting.finding.accepted}"] if sighting.finding.accepted else []
         view = replace(
             finding_view(sighting, note=note, check=check),
-            label=label_of(sighting) if sighting.label is Label.NEW else f"{sighting.label}{accepted}",
+            label=label_of(sighting) if sighting.label == "new" else ", ".join(parts),
             command=rerun(["pytest", shown], os.environ, *options, saved=saved),
         )
         data["view"] = messages.packed(view)

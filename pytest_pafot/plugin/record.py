@@ -46,10 +46,9 @@ class Record:
     def replays(self) -> list[Sighting]:
         """The replays, with what the searches of their tests say about them, in the order in which they ended."""
         from pytest_pafot.campaign.events import by_test, concluded  # noqa: PLC0415
-        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
 
         searches = by_test(self.searches.values())
-        replays = (each for each in self.sightings.values() if each.label not in (Label.NEW, Label.NO_WORSE))
+        replays = (each for each in self.sightings.values() if each.observed is not None)
         return [concluded(each, searches) for each in replays]
 
     @pytest.hookimpl(tryfirst=True)
@@ -63,7 +62,6 @@ class Record:
 
     def _take(self, node_id: str, message: Message) -> Sighting | None:
         from pytest_pafot.campaign.events import SearchSummary  # noqa: PLC0415
-        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
         from pytest_pafot.findings.sighting import Sighting  # noqa: PLC0415
 
         data = message.data
@@ -74,7 +72,7 @@ class Record:
                 sighting = messages.unpacked(Sighting, data["sighting"])
                 earlier = self.sightings.pop(sighting.node_id, None)
                 # A search whose new file this session replays as well may have left it unshrunk.
-                left = "" if earlier is None or sighting.label is Label.NEW else earlier.unshrunk
+                left = "" if earlier is None or sighting.observed is None else earlier.unshrunk
                 self.sightings[sighting.node_id] = replace(sighting, unshrunk=left) if left else sighting
                 return sighting
             case "search":

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass, replace
 from datetime import date
-from typing import Any, NoReturn
+from typing import Any
 
 import pytest
 
-from pytest_pafot.campaign.replays import Replayed, Replays, happened, was_lost
+from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
@@ -17,10 +17,9 @@ from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import LostRun
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
-from pytest_pafot.findings.finding import Finding, of_failure, unhandled
-from pytest_pafot.findings.labels import Label, Observed, RunLabel
+from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled
+from pytest_pafot.findings.labels import Observed, label
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.checks import CheckFailed
@@ -48,57 +47,69 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if finding is None:
         pytest.fail(saved.error, pytrace=False)
     harness = harness_of(item, request, writes=False)
-    today = date.fromisoformat(item.config.stash[SHARED].today)
-    replays = Replays(harness=harness, today=today)
+    replays = Replays(harness=harness, today=date.fromisoformat(item.config.stash[SHARED].today))
     watch_again(item, is_elsewhere=replays.is_apart(saved, item.nodeid))
     if request.settings.debug:
         stop_in_replay(item, replays, saved)
-    path, lost = relative(saved.path, harness.root), None
     if NOT_ACCEPTED in item.stash:  # left by the first try of an item that is tried again
         del item.stash[NOT_ACCEPTED]
-    try:
-        now = replays.labelled(saved, item.nodeid)
-    except ProcessLostError as error:
-        lost = error
-    facts = Observed()
-    if lost is not None:  # Outside of the handler, so that pytest does not print the error twice, once as a cause.
-        passes = replays.passes_reference(saved, replays.world_of(saved), item.nodeid)
-        shows: RunLabel = Label.STILL_FAILING if was_lost(finding, lost) else Label.DRIFTED
-        facts = Observed(shows=shows, fails=True, reference_passes=passes)
-    for leftover in harness.left_behind(item.nodeid) if lost is not None or not now.is_lost else ():
+    now = replays.observed(saved, item.nodeid)
+    for leftover in harness.left_behind(item.nodeid) if not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
-    if lost is not None:
-        _conclude_lost(item, replays, saved, finding, lost, facts)
-    label, run, verdict, note = now.label, now.run, now.verdict, now.note
-    _check_set_up(item, replays, saved, run, verdict)
-    worse = verdict.worsening if label is Label.COMMON else ""
+    if now.run is not None:
+        _check_set_up(item, replays, saved, *now.ran)
+    raised = None if now.verdict is None else now.verdict.exception
+    if isinstance(raised, ProcessLostError):
+        happening = f"the process {raised.end}"
+        line = f"the process (pid {raised.pid}) that ran this scenario {raised.end}"
+    else:
+        run, verdict = now.ran
+        line, happening = headline(run, verdict) if verdict.failed else "", happened(finding, run, verdict.failure)
     # The marker xfail of the item accepts every exception, so the report needs to know which one it must not accept.
-    beyond = "" if verdict.failure is None else replays.beyond_acceptance(finding, run, verdict.failure)
-    if beyond:
-        item.stash[NOT_ACCEPTED] = beyond
-    notes = [note, _against(replays), f"worse: {worse}" if worse else ""]
-    notes += replays.setting_changes(finding)
-    detail = "; ".join(filter(None, notes))
+    if now.beyond:
+        item.stash[NOT_ACCEPTED] = now.beyond
+    detail = _detail(replays, finding, now, happening)
     item.stash[REPLAYED] = True
-    if label in (Label.DRIFTED, Label.JUDGED_OTHERWISE, Label.FLAKY):
-        missed = unhandled(finding, run) if label is Label.DRIFTED and not verdict.failed else ""
-        notes = [missed, replays.changes(finding, happened(finding, run, verdict.failure)), note]
-        detail = "; ".join(filter(None, notes))
-    line = headline(run, verdict) if verdict.failed else ""
-    sighting = _send(item, replays, saved, label, now, headline=line, detail=detail)
-    item.stash[OF_ONE_RUN].show(run)  # the last call may have been for the reference
-    if finding.xfail is not None and not verdict.failed:
-        _explain_pass(item, finding, sighting, path, is_accepted=replays.accepts(finding))
-    more = [_beyond(finding, path, beyond)] if beyond else []
-    _conclude(item, run, verdict, label, detail, more, is_strict=request.settings.strict_drift)
+    sighting = _send(item, replays, saved, now, headline=line, detail=detail)
+    item.stash[OF_ONE_RUN].show(now.run)  # the last call may have been for the reference
+    if finding.xfail is not None and not now.fails:
+        # A flaky file stays accepted: it passes by chance.
+        if not now.is_unsteady:
+            _add_section(item, [f"{sighting.label}: remove the line `xfail:` from {sighting.path}"])
+        elif now.is_accepted:
+            pytest.xfail(f"{visible(finding.xfail)}; flaky: it passed this time")
+    if not now.fails or raised is None:
+        _conclude_pass(*now.ran, sighting.label, detail, is_strict=request.settings.strict_drift)
+        return
+    lines = [f"replay: {sighting.label}{f', {detail}' if detail else ''}"]
+    if now.run is not None and isinstance(raised, CheckFailed):  # others have the test function's own message
+        lines += explained(now.run, raised).splitlines()
+    if now.beyond:
+        lines.append(
+            f"not accepted: the line `xfail:` of {sighting.path} accepts {visible(finding.expect.brief)}, received "
+            f"{visible(now.beyond)}; correct the policy, or delete the file, search again and accept what is found then"
+        )
+    _add_section(item, lines)
+    if isinstance(raised, ProcessLostError):
+        pytest.fail(f"{line}: {cause(raised, 'delete the file')}", pytrace=False)
+    raise shown(raised)
 
 
-def _beyond(finding: Finding, path: str, how: str) -> str:
-    """Name the failure that a file accepts and the one that came, and say what can be done."""
-    return (
-        f"not accepted: the line `xfail:` of {path} accepts {visible(finding.expect.brief)}, received {visible(how)}; "
-        "correct the policy, or delete the file, search again and accept what is found then"
-    )
+def _detail(replays: Replays, finding: Finding, now: Observed, happening: str) -> str:
+    """Return what a replay shows beside its label: the reference's result, and what differs from the file."""
+    reference = "" if now.reference_passes is None else f", which {'passes' if now.reference_passes else 'fails'}"
+    name = replays.harness.against_name
+    notes = [f"against {name}{reference}" if name else ""]
+    if now.is_unsteady or (now.fails and not now.is_same) or label(now) == "drifted":
+        missed = "" if now.fails or now.is_unsteady or now.run is None else unhandled(finding, now.run)
+        return "; ".join(filter(None, [missed, replays.changes(finding, happening), *notes, now.note]))
+    if now.reference_passes is False and now.verdict is not None and now.verdict.worsening:
+        notes.append(f"worse: {now.verdict.worsening}")
+    # A collision with the same vehicle is the same failure at any time, so the text says when it is now.
+    is_first = now.fails and not now.is_later and now.rate is None
+    if is_first and now.run is not None and abs(now.run.event_time - finding.expect.time) > SAME_TIME:
+        notes.append(event_change(finding, happening))
+    return "; ".join(filter(None, [now.note, *notes, *replays.setting_changes(finding)]))
 
 
 def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Run, verdict: Verdict) -> None:
@@ -124,93 +135,40 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     raise error
 
 
-def _explain_pass(item: pytest.Function, finding: Finding, sighting: Sighting, path: str, *, is_accepted: bool) -> None:
-    """Ask to remove the line ``xfail`` of a file that passes. A flaky file stays accepted: it passes by chance."""
-    if sighting.label is not Label.FLAKY:
-        _add_section(item, [f"{sighting.result}: remove the line `xfail:` from {path}"])
-    elif is_accepted:
-        pytest.xfail(f"{visible(finding.xfail or '')}; flaky: it passed this time")
-
-
-def _conclude_lost(
-    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, lost: LostRun, facts: Observed
-) -> NoReturn:
-    """Report and fail the replay of a saved scenario whose process died or hung."""
-    __tracebackhide__ = True
-    beyond = "" if facts.shows is Label.STILL_FAILING or not replays.accepts(finding) else f"a process that {lost.end}"
-    if beyond:
-        item.stash[NOT_ACCEPTED] = beyond
-    note = "; ".join(getattr(lost, "__notes__", ()))
-    item.stash[REPLAYED] = True
-    label = facts.label
-    notes = [_against(replays), *replays.setting_changes(finding)]
-    if label is Label.DRIFTED:
-        notes = [replays.changes(finding, f"the process {lost.end}")]
-    detail = "; ".join(filter(None, [note, *notes]))
-    line = f"the process (pid {lost.pid}) that ran this scenario {lost.end}"
-    _send(item, replays, saved, label, None, headline=line, detail=detail)
-    lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
-    _add_section(
-        item, [*lines, _beyond(finding, relative(saved.path, replays.harness.root), beyond)] if beyond else lines
-    )
-    item.stash[OF_ONE_RUN].show(None)
-    pytest.fail(f"{line}: {cause(lost, 'delete the file')}", pytrace=False)
-
-
-def _against(replays: Replays) -> str:
-    name = replays.harness.against_name
-    return f"against {name}" if name else ""
-
-
 def _send(
-    item: pytest.Function,
-    replays: Replays,
-    saved: Saved,
-    label: Label,
-    now: Replayed | None,
-    *,
-    headline: str,
-    detail: str,
+    item: pytest.Function, replays: Replays, saved: Saved, now: Observed, *, headline: str, detail: str
 ) -> Sighting:
-    """Report a replay to the controller and return it; ``now`` is None if the process of the replay died or hung."""
-    finding, path = saved.finding, relative(saved.path, replays.harness.root)
+    """Report a replay to the controller and return it."""
+    finding, path, verdict = saved.finding, relative(saved.path, replays.harness.root), now.verdict
     if finding is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
-    verdict = None if now is None else now.verdict
-    today = date.fromisoformat(item.config.stash[SHARED].today)
-    failure = None if verdict is None else verdict.failure
     reference = None if verdict is None else verdict.reference
-    # What differs from the accepted failure is not accepted, see the caller.
-    is_accepted = finding.is_accepted(today) and NOT_ACCEPTED not in item.stash
     sighting = Sighting(
         finding=finding,
         node_id=item.nodeid,
         test=marks.base_id(item),
-        label=label,
+        observed=now,
         headline=headline,
         path=path,
         detail=detail,
         severity=None if verdict is None else verdict.severity,
         severity_before=None if reference is None else reference.severity,
         against=replays.harness.against_name,
-        is_accepted=is_accepted,
-        rate_now=None if now is None else now.rate,
-        run=None if now is None else now.run,
+        run=now.run,
         is_first=False,
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(sighting.severity))
     # The item fails again from that day on, and nobody may remember why it did not before.
-    if finding.xfail is not None and not finding.is_accepted(today):
+    if finding.xfail is not None and not replays.accepts(finding):
         over = (
             f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
             "or remove the line"
         )
         messages.send(item, "warning", {"text": over})
-    check = None if failure is None else failure.check
-    note = "" if now is None else now.note
-    send_sighting(item, replays.harness.request.settings, sighting, check=check, note=note)
-    item.user_properties.append(("pafot", sighting.heading))
+    check = None if verdict is None or verdict.failure is None else verdict.failure.check
+    send_sighting(item, replays.harness.request.settings, sighting, check=check, note=now.note)
+    item.user_properties.append(("pafot", sighting.label))
     set_properties(item.user_properties, detail=detail)
     return sighting
 
@@ -219,33 +177,17 @@ def _add_section(item: pytest.Item, lines: Iterable[str]) -> None:
     item.add_report_section("call", "pafot", "\n".join(fitted_lines(lines, item.config.stash[SHARED].width)))
 
 
-def _conclude(
-    item: pytest.Function,
-    run: Run,
-    verdict: Verdict,
-    label: Label,
-    detail: str,
-    more: Sequence[str],
-    *,
-    is_strict: bool,
-) -> None:
-    """Raise what the result of an item is; ``more`` are more lines for its section if it fails."""
+def _conclude_pass(run: Run, verdict: Verdict, label: str, detail: str, *, is_strict: bool) -> None:
+    """Raise what the result of an item is whose run did not fail."""
     __tracebackhide__ = True
-    if verdict.failed and verdict.exception is not None:
-        lines = [f"replay: {label}{f', {detail}' if detail else ''}"]
-        if isinstance(verdict.exception, CheckFailed):  # any other exception has the test function's own message
-            lines += explained(run, verdict.exception).splitlines()
-        lines += more
-        _add_section(item, lines)
-        raise shown(verdict.exception)
     if verdict.kind == "skipped" and verdict.exception is not None:
         raise verdict.exception
-    if label in (Label.DRIFTED, Label.JUDGED_OTHERWISE) and is_strict:
-        pytest.fail(
-            f"the saved scenario passes, but {label}: {visible(detail)} ({flag('strict_drift')})", pytrace=False
-        )
     if verdict.kind == "rejected":
         pytest.skip("the test function rejected the saved scenario with pafot.reject()")
+    if label == "drifted" and is_strict:
+        pytest.fail(
+            f"the saved scenario passes, but drifted: {visible(detail)} ({flag('strict_drift')})", pytrace=False
+        )
     if verdict.kind == "invalid":
         pytest.skip(f"drifted: two NPCs touched after {run.duration:.1f} s, which says nothing about the ADS")
 

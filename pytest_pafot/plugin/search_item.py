@@ -40,7 +40,6 @@ from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.scenario_pool import ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
-from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import marks, messages
@@ -315,7 +314,7 @@ class SearchMessages:
 
     def _send_finding(self, sighting: Sighting) -> None:
         config = self.item.config
-        if sighting.label is Label.NO_WORSE:  # it was sent as new before, and gets no item
+        if sighting.is_no_worse:  # it was sent as new before, and gets no item
             self.sent.pop(sighting.id, None)
             send_sighting(self.item, self.settings, sighting, note=sighting.detail)
             return

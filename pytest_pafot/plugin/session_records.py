@@ -63,12 +63,10 @@ class Records:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Write the JSON file again if a message says something new."""
-        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
-
         message, sighting = received(report), self._record.latest
         if message is None:
             return
-        if message.kind == "search" or (sighting is not None and sighting.label is Label.NEW):
+        if message.kind == "search" or (sighting is not None and sighting.label == "new"):
             self._write_json(None)
 
     @pytest.hookimpl(trylast=True)  # after the pages are written and the new findings are reported

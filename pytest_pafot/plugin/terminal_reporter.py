@@ -218,7 +218,6 @@ class Reporter:
     def _take(self, report: pytest.TestReport, message: Message) -> None:
         """Show at once what a reader wants to know before the summary."""
         from pytest_pafot.campaign.events import Progress  # noqa: PLC0415
-        from pytest_pafot.findings.labels import Label  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         sighting = self._record.latest
@@ -236,9 +235,9 @@ class Reporter:
             if self._live.rewrites or not progress.of or key not in self._worked_on:
                 self._live.show_progress(lambda width: terminal.progress_line(progress, width))
                 self._worked_on.add(key)
-        elif sighting is not None and sighting.label is Label.NEW:
+        elif sighting is not None and sighting.label == "new":
             self._take_new(report, sighting, message.data)
-        elif sighting is not None and sighting.label is Label.NO_WORSE:
+        elif sighting is not None and sighting.is_no_worse:
             self._pending.get(report.nodeid, {}).pop(sighting.node_id, None)
 
     def _take_new(self, report: pytest.TestReport, sighting: Sighting, data: dict[str, Any]) -> None:

@@ -27,7 +27,6 @@ from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.events import Ending, SearchSummary
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.findings.finding import IN_MEMORY
-from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.support.files import write_whole
@@ -521,7 +520,7 @@ def _asset(name: str) -> str:
 def rank(sighting: Sighting) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
     worst = Severity.worst_first(sighting.responsible, sighting.severity)
-    return sighting.label is not Label.NEW, *worst, -sighting.repeats, sighting.node_id
+    return sighting.label != "new", *worst, -sighting.repeats, sighting.node_id
 
 
 def by_test(findings: Sequence[RunView]) -> tuple[RunView, ...]:
@@ -536,14 +535,12 @@ def session_facts(searches: Iterable[SearchSummary], replays: Iterable[Sighting]
         yield "base seed" if len(seeds) == 1 else "base seeds", ", ".join(map(str, seeds))
     replays = sorted(replays, key=lambda each: each.node_id)
     if replays:
-        counts = sorted(Counter(each.result for each in replays).items())
+        counts = sorted(Counter(each.label for each in replays).items())
         results = ", ".join(f"{count} {result}" for result, count in counts)
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
-        if each.label in (Label.DRIFTED, Label.JUDGED_OTHERWISE):
-            yield Label.DRIFTED, f"{each.node_id}: {each.detail}"
-        elif each.elsewhere:
-            yield each.label, f"{each.node_id}: {each.elsewhere}"
+        if each.label == "drifted" or (each.label == "still failing" and each.on_search):
+            yield each.label, f"{each.node_id}: {each.on_search or each.detail}"
     yield from installed_versions().items()
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 

@@ -18,16 +18,16 @@ from typing import Any, NamedTuple
 from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.labels import PASSING, Label
+from pytest_pafot.findings.labels import GROUPS, Observed, label
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import Sighting, passing
+from pytest_pafot.findings.sighting import Sighting, on_search
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
-VERSION = 1
+VERSION = 2
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
 NOT_WRITTEN = ("outcomes", "responsibilities", "seconds", "process_notes")
@@ -51,13 +51,10 @@ def _data(value: Any) -> dict[str, Any] | None:
 
 
 def _rate_of(sighting: Sighting) -> dict[str, Any] | None:
-    finding, then, now = sighting.finding, sighting.finding.rate, sighting.rate_now
+    then, now = sighting.finding.rate, sighting.observed
     if then is None:
         return None
-    return asdict(then) | {
-        "of": finding.drawn,
-        "now": None if now is None else asdict(now),
-    }
+    return asdict(then) | {"of": sighting.finding.drawn, "now": None if now is None else _data(now.rate)}
 
 
 def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
@@ -66,23 +63,16 @@ def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
 
 
 FINDING: Mapping[str, Key] = MappingProxyType({
-    "node_id": Key(
-        "of the item that replays it, if new from the next session on.",
-        "", lambda seen: seen.node_id,
-    ),
+    "node_id": Key("of the item that replays it, if new from the next session on.", "", lambda seen: seen.node_id),
     "id": Key("name of its file without the suffix.", "", lambda seen: seen.id),
     "test": Key("node id of its test.", "", lambda seen: seen.finding.test),
     "status": Key(
         "`new`; `no worse`, if new but not counted in a comparison with a reference; the label of its replay; or "
         "`error`, with which only ids, `test`, `result`, `file`, `replay` and `detail` are known.",
-        str(Label.ERROR), lambda seen: str(seen.result),
+        str(label(Observed(is_error=True))), lambda seen: str(seen.label),
     ),
-    "result": Key(
-        "`passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.", "",
-    ),
-    "file": Key(
-        "path relative to the rootdir; null if not saved.", None, lambda seen: seen.path or None,
-    ),
+    "result": Key("`passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.", ""),
+    "file": Key("path relative to the rootdir; null if not saved.", None, lambda seen: seen.path or None),
     "replay": Key("the command that replays it.", "", lambda seen: seen.command),
     "scenario": Key(
         "as in its file, for `pafot.Scenario.from_canonical`; null with `error`.",
@@ -90,24 +80,12 @@ FINDING: Mapping[str, Key] = MappingProxyType({
     ),
     "world": Key("as in its file; null likewise.", None, lambda seen: dict(seen.finding.world)),
     "headline": Key("how the run ended; empty if it passes.", "", lambda seen: seen.headline),
-    "sentences": Key(
-        "the sentences of the verdict on a collision.",
-        [], lambda seen: list(seen.sentences),
-    ),
-    "detail": Key(
-        "what differs from the file, why there is no file, or the error.", "", lambda seen: seen.detail,
-    ),
-    "signature": Key(
-        "what makes two failures the same.",
-        "", lambda seen: seen.finding.signature.text,
-    ),
-    "kind": Key(
-        "short name of the signature, with which ids begin.", "", lambda seen: seen.finding.signature.slug,
-    ),
+    "sentences": Key("the sentences of the verdict on a collision.", [], lambda seen: list(seen.sentences)),
+    "detail": Key("what differs from the file, why there is no file, or the error.", "", lambda seen: seen.detail),
+    "signature": Key("what makes two failures the same.", "", lambda seen: seen.finding.signature.text),
+    "kind": Key("short name of the signature, with which ids begin.", "", lambda seen: seen.finding.signature.slug),
     "failure": Key("as in `expect` of its file.", "", lambda seen: seen.finding.expect.failure),
-    "assertion": Key(
-        "as in `expect` of its file.", "", lambda seen: seen.finding.expect.assertion,
-    ),
+    "assertion": Key("as in `expect` of its file.", "", lambda seen: seen.finding.expect.assertion),
     "outcome": Key("as in `expect` of its file.", "", lambda seen: str(seen.finding.expect.outcome)),
     "time": Key("as in `expect` of its file.", None, lambda seen: seen.finding.expect.time),
     "responsible": Key("`ego`, `npc`, `both` or `none`.", "none", lambda seen: seen.responsible),
@@ -121,30 +99,17 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         "how the NPCs drive, in words; empty for the paper's.",
         "", lambda seen: STYLES[seen.finding.scenario.traffic].described,
     ),
-    "runs": Key(
-        "number of runs that failed so; 0 for a saved scenario (see `known` of the search).", 0,
-    ),
-    "seed": Key(
-        "as in `found` of its file.", None, lambda seen: seen.finding.found.seed,
-    ),
+    "runs": Key("number of runs that failed so; 0 for a saved scenario (see `known` of the search).", 0),
+    "seed": Key("as in `found` of its file.", None, lambda seen: seen.finding.found.seed),
     "algorithm": Key("as in `found` of its file.", "", lambda seen: seen.finding.found.algorithm),
-    "against": Key(
-        "the reference that passed then; empty without one.",
-        "", lambda seen: seen.finding.expect.against,
-    ),
+    "against": Key("the reference that passed then; empty without one.", "", lambda seen: seen.finding.expect.against),
     "rate": Key(
         "of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of a "
         "replay also `now`, with `failing` and `runs`.",
         None, _rate_of,
     ),
-    "flaky": Key(
-        "what differed when it was run again, or null.",
-        None, lambda seen: seen.finding.flaky,
-    ),
-    "unshrunk": Key(
-        "that no time was left to confirm it, or to shrink it fully.",
-        "", lambda seen: seen.unshrunk,
-    ),
+    "flaky": Key("what differed when it was run again, or null.", None, lambda seen: seen.finding.flaky),
+    "unshrunk": Key("that no time was left to confirm it, or to shrink it fully.", "", lambda seen: seen.unshrunk),
     "moment": Key(
         "the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy saw "
         "the NPC; `action`, its answer; `hidden`, the answer with the NPC hidden (empty for the same, null if "
@@ -155,16 +120,20 @@ FINDING: Mapping[str, Key] = MappingProxyType({
         None, lambda seen: _data(seen.moment),
     ),
     "searched": Key(
-        "number of runs of its test's search without such a failure, if `fixed` or `fixed before`.",
-        0, lambda seen: seen.searched,
+        "number of runs of its test's search without such a failure, if `fixed`.",
+        0, lambda seen: seen.observed.searched if seen.observed else 0,
     ),
     "drawn": Key(
         "number of these whose scenarios are random.",
-        0, lambda seen: seen.drawn,
+        0, lambda seen: seen.observed.drawn if seen.observed else 0,
     ),
     "elsewhere": Key(
-        "id of the finding with the same failure, if `still failing elsewhere`.",
-        "", lambda seen: seen.elsewhere,
+        "id of the finding with the same failure, if its scenario passes and it is still failing elsewhere.",
+        "", lambda seen: seen.observed.elsewhere if seen.observed else "",
+    ),
+    "reference_passes": Key(
+        "whether the reference passes the scenario of a replay, or null.",
+        None, lambda seen: seen.observed.reference_passes if seen.observed else None,
     ),
     "severity": Key(
         "`kind`, `collision` or `check`; `value`, the closing speed [m/s] or by how much the check is broken [`unit`]; "
@@ -271,18 +240,18 @@ def markdown(record: SessionRecord, page: str = "") -> str:
 
 
 def _lines(record: SessionRecord, rest: str) -> Iterator[str]:
-    groups: dict[Label, list[dict[str, Any]]] = {label: [] for label in Label}
+    groups: dict[str, list[dict[str, Any]]] = {status: [] for status in GROUPS}
     for entry in record.findings:
-        groups[Label.ACCEPTED if entry["result"] == "xfailed" else entry["status"]].append(entry)
-    counts = [f"{len(group)} {label}" for label, group in groups.items() if group]
-    yield f"### pafot: {', '.join([*([] if groups[Label.NEW] else ['nothing new']), *counts])}"
+        groups[entry["status"]].append(entry)
+    counts = [f"{len(group)} {status}" for status, group in groups.items() if group]
+    yield f"### pafot: {', '.join([*([] if groups['new'] else ['nothing new']), *counts])}"
     yield ""
     yield from _search_lines(record)
     left = MAX_TOLD
-    for label, group in groups.items():
+    for status, group in groups.items():
         if group:
-            yield from ("", f"**{label.group}**", "")
-            is_failure = label not in (Label.ACCEPTED, Label.PASSES, *PASSING)
+            yield from ("", f"**{GROUPS[status]}**", "")
+            is_failure = status not in ("accepted", "passes", "fixed")
             most = left if is_failure else MAX_LISTED
             left -= min(most, len(group)) if is_failure else 0
             for entry in sorted(group, key=_rank)[:most]:
@@ -334,17 +303,18 @@ def _rank(entry: Mapping[str, Any]) -> tuple[Any, ...]:
 
 def _finding_lines(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield two lines on a finding: its test and its description, then the command that replays it."""
-    elsewhere = f"{plain(entry['elsewhere'])} fails in the same way" if entry["elsewhere"] else ""
-    is_pass = entry["status"] in (Label.PASSES, *PASSING)
-    passes = passing(entry["searched"], entry["drawn"]) if is_pass else ""
-    parts = [passes, plain(entry["headline"] or elsewhere or entry["detail"])]
+    is_pass = entry["status"] in ("passes", "fixed")
+    searched = on_search(entry["searched"], entry["drawn"], entry["elsewhere"])
+    parts = [plain(searched), plain(entry["headline"] or ("" if entry["elsewhere"] else entry["detail"]))]
+    if entry["headline"] and entry["reference_passes"] is not None:
+        parts.append("the reference passes" if entry["reference_passes"] else "the reference fails, too")
     if entry["severity"] is not None and entry["severity_before"] is not None:
         worse = worsening(Severity(**entry["severity"]), Severity(**entry["severity_before"]))
         parts += [f"worse: {plain(worse)}"] if worse else []
     parts += [f"flaky: {plain(entry['flaky'])}"] if entry["flaky"] else []
     parts += [plain(entry["unshrunk"])] if entry["unshrunk"] else []
     xfail = entry["xfail"]
-    if xfail is not None and entry["result"] == "xfailed":
+    if xfail is not None and entry["status"] == "accepted":
         parts.append(f"accepted until {xfail['until']}: {plain(xfail['reason'])}")
     yield f"- {': '.join(filter(None, [code(entry['test'] or entry['node_id']), '; '.join(filter(None, parts))]))}"
     moment = None if entry["moment"] is None else Moment(**entry["moment"])

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 from pytest_pafot.campaign.events import Ending, Progress, SearchSummary
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.labels import Label
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Sighting
@@ -324,13 +323,15 @@ def replay_lines(replays: Sequence[Sighting], width: int = WIDTH) -> list[str]:
     """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
     if not replays:
         return []
-    counts = sorted(Counter(replay.result for replay in replays).items())
+    counts = sorted(Counter(replay.label for replay in replays).items())
     figures = ", ".join(f"{count} {result}" for result, count in counts)
     lines = wrapped_to(f"replayed {plural(len(replays), 'saved scenario')}: {figures}", width)
-    shown = [replay for replay in replays if replay.label not in (Label.STILL_FAILING, Label.COMMON)]
+    shown = [
+        each for each in replays if each.label != "still failing" or each.on_search or each.compared == "introduced"
+    ]
     for replay in shown[:MAX_REPLAYS]:
-        lines.append(f"  {replay.heading}: {replay.node_id}")
-        remarks = "; ".join(filter(None, ["" if replay.driven == replay.heading else replay.driven, replay.detail]))
+        lines.append(f"  {replay.label}: {replay.node_id}")
+        remarks = "; ".join(filter(None, [replay.on_search, replay.detail]))
         lines += [f"  {line}" for line in _wrapped(remarks, width - 2)] if remarks else []
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
@@ -345,18 +346,18 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
         return lines
     names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
     for name in filter(None, dict.fromkeys(names)):
-        labels = Counter(replay.label for replay in session.replays if replay.against == name)
+        counts = Counter(replay.compared for replay in session.replays if replay.against == name)
         found = sum(len(each.finds) for each in session.searches if each.against == name)
-        introduced = plural(found + labels[Label.INTRODUCED], "failure")
-        text = f"against {name}: introduces {introduced}, fixes {labels[Label.FIXED]}, {labels[Label.COMMON]} as before"
+        introduced = plural(found + counts["introduced"], "failure")
+        text = f"against {name}: introduces {introduced}, fixes {counts['fixed']}, {counts['common']} as before"
         elsewhere = sum(len(each.no_worse) for each in session.searches if each.against == name)
         text += f", {elsewhere} elsewhere" if elsewhere else ""
         lines += wrapped_to(text, width)
-        common = [each for each in session.replays if each.against == name and each.label is Label.COMMON]
+        common = [each for each in session.replays if each.against == name and each.compared == "common"]
         changes = [(each.id, worsening(each.severity, each.severity_before)) for each in common]
         worse = [f"{id_} {change}" for id_, change in changes if change]
         if worse:
-            count = f"{len(worse)} of {plural(labels[Label.COMMON], 'failure')} in common became worse"
+            count = f"{len(worse)} of {plural(len(common), 'failure')} in common became worse"
             lines += wrapped_to(f"{count}: {'; '.join(worse[:MAX_REPLAYS])}", width)
     return lines
 
@@ -366,10 +367,10 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
 
     New failures are before known failures. Within both groups, failures for which the ego is responsible are first.
     """
-    failing = [each for each in session.replays if each.headline and not each.is_accepted]
+    failing = [each for each in session.replays if each.headline and each.label != "accepted"]
     listed = sorted(
         (
-            each.label not in (Label.NEW, Label.INTRODUCED),
+            each.label != "new" and each.compared != "introduced",
             *Severity.worst_first(each.responsible, each.severity),
             -each.repeats,
             each.node_id,

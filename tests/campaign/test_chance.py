@@ -12,6 +12,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import saved_in
 from pytest_pafot.corpus.writer import rewrite
 from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.labels import label
 
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22}
 NODE_ID = "test_it.py::test_brakes"
@@ -60,7 +61,7 @@ def saved_with(ads, folder, **settings):
 
 def replayed(ads, folder, **settings):
     replays, saved = saved_with(ads, folder, **settings)
-    return replays.labelled(saved, "owner")
+    return replays.observed(saved, "owner")
 
 
 def test_a_finding_that_draws_repeats_at_its_seed_and_says_in_how_many_others_it_fails(tmp_path):
@@ -98,17 +99,17 @@ def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_r
 
 @pytest.mark.parametrize("ads", [Brakes, Unrepeatable])
 @pytest.mark.parametrize(
-    ("then", "share", "label", "failing"),
-    [(6, 0.6, "still failing", "[2-9]"), (6, 0.0, "fixed", "none"), (2, 0.0, "drifted", "none")],
+    ("then", "share", "expected", "failing"),
+    [(6, 0.6, "still failing", "[2-9]"), (6, 0.0, "passes", "none"), (2, 0.0, "drifted", "none")],
 )
-def test_a_replay_counts_failures(tmp_path, ads, then, share, label, failing):
+def test_a_replay_counts_failures(tmp_path, ads, then, share, expected, failing):
     told = found(ads, tmp_path, shrink_rollouts=0)
     rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=then)))
     now = replayed(type("Changed", (ads,), {"share": share}), tmp_path)
-    assert now.label == label
+    assert label(now) == expected
     bound = "(, so in at most 26 % of such seeds, with 95 % confidence)?"
     assert re.fullmatch(rf"fails in {failing} of 10 (seeds|runs){bound}, {then} of 10 when it was found", now.note)
-    assert now.verdict.failed == (label == "still failing")
+    assert now.verdict.failed == (expected == "still failing")
 
 
 @pytest.mark.processes
@@ -117,5 +118,5 @@ def test_isolation_and_workers_do_not_change_what_is_found(tmp_path):
     for number, options in enumerate(({}, {"isolate": True}, {"workers": 2}, {"workers": 2, "isolate": True})):
         told = found(Brakes, tmp_path / str(number), shrink_rollouts=3, **options)
         contents.add(told.file.read_text())
-        assert replayed(Brakes, tmp_path / str(number), **options).label == "still failing"
+        assert label(replayed(Brakes, tmp_path / str(number), **options)) == "still failing"
     assert len(contents) == 1

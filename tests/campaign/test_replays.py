@@ -1,5 +1,6 @@
 """The failures that saved scenarios make known; nothing is run here."""
 
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,14 +59,15 @@ class Told(Replays):
             raise RequestError(saved.error)
         return self.harness.ends[f"{saved.id}+" if isinstance(world.given, Longer) else saved.id][:2]
 
-    def passes_reference(self, saved, world, owner, sought=None):
+    def _compared(self, saved, world, owner, now, sought=None):
         assert (sought is None) == self.harness.ends[saved.id][1].failed, "the reference is driven on if the ADS was"
-        return (*self.harness.ends[saved.id], None)[2]
+        return replace(now, reference_passes=(*self.harness.ends[saved.id], None)[2])
 
 
 def harness_of(ends):
-    request = SimpleNamespace(settings=SimpleNamespace(isolate=True))
-    return SimpleNamespace(saved_node_id=str, ends=ends, judge=lambda run: PASSED, request=request)
+    request, own = SimpleNamespace(settings=SimpleNamespace(isolate=True)), SimpleNamespace(sight=None)
+    same = {"saved_node_id": str, "judge": lambda run: PASSED, "versions": {}, "policy": own}
+    return SimpleNamespace(ends=ends, request=request, world=plain_finding().world, **same)
 
 
 def shown(xfail=None, **ends):

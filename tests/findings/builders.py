@@ -1,6 +1,6 @@
 """Findings for tests: a plain one, and a strategy for nasty ones."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from typing import get_args
 
@@ -10,7 +10,7 @@ from pytest_pafot.attribution.mistakes import LANE_CHANGES, Avoidance, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
-from pytest_pafot.findings.labels import Label
+from pytest_pafot.findings.labels import Observed
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import ZONES
@@ -64,8 +64,20 @@ def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, **seen):
     made = plain_finding(id=id_, **finding or {})
     if responsible is not None:
         made = replace(made, expect=replace(made.expect, responsibility=responsible))
-    label = Label(seen.pop("label", Label.NEW))
-    return Sighting(finding=made, label=label, **{"node_id": f"t[{id_}]"} | seen)
+    shown = OBSERVED.get(seen.pop("label", "new"))
+    more = {name: seen.pop(name) for name in list(seen) if name in {each.name for each in fields(Observed)} - {"run"}}
+    observed = None if shown is None else Observed(**shown | more)
+    return Sighting(finding=made, observed=observed, **{"node_id": f"t[{id_}]"} | seen)
+
+
+OBSERVED = {
+    "still failing": {"fails": True, "is_same": True},
+    "introduced": {"fails": True, "is_same": True, "reference_passes": True},
+    "drifted": {},
+    "passes": {"is_handled": True},
+    "fixed": {"is_handled": True, "searched": 40},
+}
+"""What replays with these labels showed."""
 
 
 @cache  # hypothesis then examines a strategy only once

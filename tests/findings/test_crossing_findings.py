@@ -2,7 +2,7 @@
 
 import pytest
 
-from pytest_pafot.findings.finding import Expect, Finding, Found, of_failure, replay_label
+from pytest_pafot.findings.finding import Expect, Finding, Found, handles, is_same_event, of_failure
 from pytest_pafot.findings.severity import severity_of
 from pytest_pafot.findings.signature import ZONES, Failure, Signature
 from pytest_pafot.findings.situation import ZoneSituation, missed, seconds_after
@@ -26,10 +26,6 @@ def crash(npc="north straight", *, enters=8.0, speed=9.0, ego=STRAIGHT, changes=
 def passes(npc="north straight", *, enters=8.0, speed=9.0, changes=((4.0, 3.0, 0.0),)):
     """Return the same run with an ego that brakes from 4 s on and so gives way."""
     return Run(driven(plan(STRAIGHT, 8.0, 10.0, *changes), plan(npc, enters, speed)))
-
-
-def label(finding, run, failure=None):
-    return replay_label(finding, run, failure, VERSIONS)
 
 
 def saved(run, failure=FAILS):
@@ -132,10 +128,9 @@ def test_situation_comes_up_if_both_reach_zone_alike(run, comes_up):
 
 def test_giving_way_is_fixed_but_not_meeting_drifted():
     finding = saved(crash())
-    assert label(finding, passes()) == "fixed"
-    assert label(finding, passes(enters=12.0)) == "drifted"
-    assert label(finding, crash(), FAILS) == "still failing"
-    assert label(finding, crash(enters=7.4), FAILS) == "drifted"
+    assert handles(finding, passes())
+    assert not handles(finding, passes(enters=12.0))
+    assert is_same_event(finding.expect, crash(), FAILS)
 
 
 def test_missed_situation_names_both_moments():

@@ -1,45 +1,51 @@
 """What was observed in a replay, and its label."""
 
 from itertools import product
+from typing import get_args
 
 import pytest
 
-from pytest_pafot.findings.labels import Label, Observed
+from pytest_pafot.findings.labels import GROUPS, Label, Observed, label
 from tests.helpers.tables import table
 
-PASSES, FAILS = {"shows": Label.FIXED}, {"shows": Label.STILL_FAILING, "fails": True}
+PASSES, FAILS = {"is_handled": True}, {"fails": True, "is_same": True}
 
 
-@table(
-    ("label", "facts"),
-    [
-        ("fixed", PASSES),
-        ("drifted", PASSES | {"is_elsewhere": True}),
-        ("drifted", PASSES | {"is_hit": True}),
-        ("drifted", PASSES | {"is_rare": True}),
-        ("drifted", {"shows": "drifted"}),
-        (Label.JUDGED_OTHERWISE, {"shows": Label.JUDGED_OTHERWISE}),
-        ("still failing", FAILS),
-        ("drifted", {"shows": "drifted", "fails": True}),
-        # Beside a reference, a pass is new only if the reference fails.
-        ("fixed before", PASSES | {"reference_passes": True}),
-        ("drifted", PASSES | {"is_hit": True, "reference_passes": True}),
-        ("drifted", {"shows": "drifted", "reference_passes": True}),
-        (Label.JUDGED_OTHERWISE, {"shows": Label.JUDGED_OTHERWISE, "reference_passes": True}),
-        ("fixed", PASSES | {"is_elsewhere": True, "reference_passes": False}),
-        ("fixed", {"shows": "drifted", "reference_passes": False}),
-        ("drifted", {"shows": "drifted", "reference_passes": False, "is_handled": False}),
-        ("drifted", PASSES | {"reference_passes": False, "is_hit": True}),
-        ("introduced", FAILS | {"reference_passes": True}),
-        ("introduced", {"shows": "drifted", "fails": True, "reference_passes": True}),
-        (Label.COMMON, FAILS | {"reference_passes": False}),
-    ],
-)
-def test_each_label_follows_from_the_facts(label, facts):
-    assert Observed(**facts).label == label
+@table(("expected", "facts"), [
+    ("error", {"is_error": True}),
+    ("still failing", FAILS),
+    ("still failing", FAILS | {"is_elsewhere": True, "reference_passes": True}),
+    ("still failing", FAILS | {"reference_passes": False}),
+    ("still failing", PASSES | {"elsewhere": "hit-2"}),  # the search of the session found it
+    ("drifted", {}),
+    ("drifted", {"fails": True}),
+    ("drifted", {"searched": 40}),
+    ("drifted", {"elsewhere": "hit-2"}),
+    ("drifted", PASSES | {"is_elsewhere": True, "searched": 40}),
+    ("drifted", PASSES | {"is_rare": True, "searched": 40}),
+    ("drifted", PASSES | {"is_elsewhere": True, "reference_passes": True}),
+    ("drifted", {"reference_passes": False}),
+    ("accepted", FAILS | {"is_accepted": True}),
+    ("accepted", {"fails": True, "is_accepted": True}),
+    ("accepted", {"is_unsteady": True, "is_accepted": True}),  # it passes by chance
+    ("passes", PASSES),
+    ("passes", PASSES | {"is_accepted": True}),
+    ("passes", PASSES | {"reference_passes": True}),
+    ("passes", PASSES | {"reference_passes": False, "is_elsewhere": True}),  # both drove the same scenario
+    ("fixed", PASSES | {"searched": 40}),
+    ("fixed", PASSES | {"searched": 40, "reference_passes": False, "is_rare": True}),
+])  # fmt: skip
+def test_each_label_follows_from_the_facts(expected, facts):
+    assert label(Observed(**facts)) == expected
 
 
 @pytest.mark.parametrize("others", list(product((False, True), repeat=3)))
 def test_nothing_is_said_of_a_policy_that_drives_a_scenario_in_different_ways(others):
-    names = ("fails", "is_hit", "reference_passes")
-    assert Observed(shows=Label.FIXED, is_unsteady=True, **dict(zip(names, others, strict=True))).label == Label.FLAKY
+    names = ("fails", "is_same", "reference_passes")
+    facts = dict(zip(names, others, strict=True))
+    assert label(Observed(is_unsteady=True, is_handled=True, searched=40, **facts)) == "flaky"
+
+
+def test_there_are_seven_labels_and_two_words_for_new_findings():
+    assert {*GROUPS} - {*get_args(Label)} == {"new", "no worse"}
+    assert len(get_args(Label)) == 7

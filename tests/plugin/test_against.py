@@ -99,10 +99,10 @@ def test_policy_that_fails_as_often_elsewhere_passes(project, monkeypatch):
 
 def test_saved_scenario_label_compares_policy_and_reference(changed):
     for now, before, label, told in (
-        (SPEEDS, KEEPS, "introduced", "introduces 1 failure, fixes 0, 0 as before"),
-        (SPEEDS, BREAKS, "common", "introduces 0 failures, fixes 0, 1 as before"),
-        (KEEPS, SPEEDS, "fixed", "introduces 0 failures, fixes 1, 0 as before"),
-        (KEEPS, f"{KEEPS}# as now\n", "fixed before", "introduces 0 failures, fixes 0, 0 as before"),
+        (SPEEDS, KEEPS, "still failing", "introduces 1 failure, fixes 0, 0 as before"),
+        (SPEEDS, BREAKS, "still failing", "introduces 0 failures, fixes 0, 1 as before"),
+        (KEEPS, SPEEDS, "passes", "introduces 0 failures, fixes 1, 0 as before"),
+        (KEEPS, f"{KEEPS}# as now\n", "passes", "introduces 0 failures, fixes 0, 0 as before"),
     ):
         policies(changed, now, before)
         result = changed.run(AGAINST, runs=0)
@@ -143,7 +143,9 @@ def test_common_failure_hides_no_regression_of_same_kind(changed):
     others = len(load(changed.only_file).scenario.npcs)
     policies(changed, SPEEDS, SPEEDS.replace("1.25", f"1.25 * (len(observation.others) == {others})"))
     result = changed.run(AGAINST)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 common", "*introduces 1 failure, fixes 0, 1 as before"])
+    result.stdout.fnmatch_lines(
+        ["replayed 1 saved scenario: 1 still failing", "*introduces 1 failure, fixes 0, 1 as before"]
+    )
     assert len(changed.files) == 2
 
 
@@ -179,7 +181,7 @@ def test_replay_with_a_reference_that_never_drives_is_an_error(changed):
     changed.write(TEST.replace("MORE", "").replace("SHORT", "genes=2"))  # other scenarios have other numbers of NPCs
     result = changed.run(AGAINST, runs=0)
     result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 fixed"])
+    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
 
 
 def test_next_session_names_reference_that_ended_the_last(project):

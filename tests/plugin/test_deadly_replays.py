@@ -161,10 +161,14 @@ def test_crash_against_a_reference_is_introduced_or_common(crash):
     drives, keeps = "def make():\n    return drive\n", "def make():\n    return lambda seen: (0.0, 0.0)\n"
     # The saved scenario has one other vehicle, those of the search have two.
     once = "def make():\n    return lambda seen: drive(seen) if len(seen.others) == 1 else (0.0, 0.0)\n"
-    for before, runs, label, found in ((keeps, 0, "introduced", 0), (drives, 0, "common", 0), (once, 1, "common", 1)):
+    for before, runs, told, found in (
+        (keeps, 0, "introduces 1 failure, fixes 0, 0 as before", 0),
+        (drives, 0, "introduces 0 failures, fixes 0, 1 as before", 0),
+        (once, 1, "introduces 1 failure, fixes 0, 1 as before", 1),
+    ):
         crash.pytester.makepyfile(planner_before=f"from conftest import drive\n\n{before}")
         result = replayed(crash, "--pafot-against=planner_before:make", runs=runs)
-        result.stdout.fnmatch_lines([f"*1 saved scenario: 1 {label}*"])
+        result.stdout.fnmatch_lines(["*1 saved scenario: 1 still failing*", f"*{told}"])
         assert len(crash.files) == 1 + found
 
 

@@ -90,7 +90,7 @@ def test_finding_names_the_traffic_it_was_driven_in():
 def test_keys_are_sorted_and_include_the_version():
     text = to_text(SessionRecord(searches=[SearchSummary(node_id="a")], exit=1))
     plain = json.loads(text)
-    assert plain["pafot_json"] == 1
+    assert plain["pafot_json"] == 2
     assert text == json.dumps(plain, indent=2, sort_keys=True) + "\n"
 
 
@@ -108,7 +108,7 @@ def test_a_finding_tells_how_often_it_fails_then_and_now():
     then, now = FailureRate(failing=7), FailureRate(failing=2)
     entry = finding_entry(sighting(finding={"rate": then}))
     assert entry["rate"] == {"failing": 7, "runs": 10, "of": "seeds", "now": None}
-    entry = finding_entry(sighting(finding={"rate": then, "flaky": "it differs"}, rate_now=now))
+    entry = finding_entry(sighting(finding={"rate": then, "flaky": "it differs"}, label="drifted", rate=now))
     assert entry["rate"] == {"failing": 7, "runs": 10, "of": "runs", "now": {"failing": 2, "runs": 10}}
     assert finding_entry(sighting())["rate"] is None
 

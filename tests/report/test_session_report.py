@@ -39,7 +39,7 @@ def test_findings_of_each_test_are_together_the_worst_test_first():
 def test_facts_include_replay_labels_and_versions():
     replays = [sighting(f"t{number}", label=label) for number, label in enumerate(("fixed", "still failing", "fixed"))]
     facts = dict(session_facts([], replays))
-    assert facts["replayed"] == "3 saved scenarios: 2 passes, 1 still failing"
+    assert facts["replayed"] == "3 saved scenarios: 2 fixed, 1 still failing"
     assert {"pytest-pafot", "highway-env", "numpy", "written"} <= set(facts)
     assert "base seed" not in facts
 
