@@ -197,6 +197,7 @@ WRONG = [
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("population=1", "*(population=...): expected a whole number, at least 2, received 1*"),
+    ("algorithm='pytest:Nobody'", "*algorithm: expected a name in the module pytest, received 'pytest:Nobody'*"),
     ("algorithm='magic'", "*(algorithm=...): expected random, pafot, * or random-manoeuvre, received 'magic'*"),
 ]
 """Arguments that are an error of their item before any fixture, and the error's text."""
@@ -224,6 +225,7 @@ REFUSED = [
     ("lanes=40", "*(lanes=...): lanes: expected *received 40*"),
     ("npcs=9", "*npcs: expected 1 to 8 NPCs*received 9*"),
     ("gene_seconds=0", "*gene_seconds: expected seconds, more than 0 and at most 86400, received 0*"),
+    ("SHORT, instructions='cell'", "*instructions: expected one of cells, lanes, both, received 'cell'*"),
     ("ego_lane=7", "*ego_lane*"),
     ("world=pafot.World('highway-v0', config={'colour': 1})", "*(world=...): config: expected *received colour*"),
     ("fitness='best'", "*(fitness=...): *'best'*"),
