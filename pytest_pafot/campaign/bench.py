@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -48,6 +49,9 @@ class Bench:
     clock: Callable[[], float] = monotonic  # returns the seconds since some fixed moment
     counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
     refining_end: float = math.inf  # the time at which the work on findings ends [s]
+    refining_most: float = math.inf  # the most decisions of the ADS for which the work on findings may ask
+    asked: int = 0  # the number of decisions for which it has asked; the same for any number of processes
+    is_at_limit: bool = False  # True if that work would have asked for more
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
@@ -106,6 +110,7 @@ class Bench:
         __tracebackhide__ = True
         with self._recorded(), refusals():
             trace = self.runner.run(scenario, announced=announced, most=most)
+        self.asked += min(len(trace.actions), most or sys.maxsize)
         return self.harness.run_of(trace)
 
     def finish(self, run: Run, scenario: Scenario | None = None) -> Verdict:
@@ -160,6 +165,7 @@ class Bench:
                 self.record.write(scenario)
                 trace = GENERATORS.run(world.rollout_in_gym, scenario, policy.factory)
         self.runner.decisions += len(trace.actions)
+        self.asked += len(trace.actions)
         self.record.clear()
         return Run(trace)
 

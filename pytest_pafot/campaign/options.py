@@ -173,7 +173,7 @@ class Settings:
         "integer",
         "Shrink each new finding with at most N runs.",
         "0 leaves findings as they were found. By default 3000 if the ADS is a vehicle class that the kernel drives, "
-        "otherwise 300.",
+        "otherwise 300; and all work on findings asks the policy for at most as many decisions as the search, or 2000.",
     )
     corpus: str = option(
         "text",

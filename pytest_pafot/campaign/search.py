@@ -87,7 +87,7 @@ def search(
         if isinstance(scenarios, Numbers) and scenarios.number >= FIRST and first.is_alike:
             first.end(" at the beginning")
     if isinstance(scenarios, Numbers) and first.is_alike and reason == "runs":
-        first.end()
+        first.end("")
     yield from _counted(scenarios.finished(reason or "generations", state.clock() - began), state, watch)
 
 

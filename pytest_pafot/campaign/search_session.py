@@ -651,7 +651,7 @@ class SearchSession:
         is_broken_off = reason.is_broken_off
         firm = [each for each in store.findings.values() if each.is_firm]
         left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
-        if left and settings.shrink_rollouts != 0:
+        if left and (is_broken_off or not self.bench.is_at_limit) and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
             first = "delete its files and " if any(each.file for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
@@ -659,6 +659,8 @@ class SearchSession:
                 yield f"ended before {what} shrunk: {again}"
             else:
                 yield f"{Ending.MAX_TIME} ended before {what} shrunk: {again} and more time"
+        if self.bench.is_at_limit:
+            yield f"simplifying stopped at its limit; {flag('shrink_rollouts')}=N lets it go on"
         is_short = settings.runs == RUNS
         if is_short and reason is Ending.RUNS and not self.state.counts.kinds["failed"] and not store.count:
             yield f"{RUNS} runs are a short search; use {request.option('runs', 10 * RUNS)} for a longer one"

@@ -15,7 +15,6 @@ from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.campaign.verdict import FAILING, Counts, fails_by_ego
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Manner
-from pytest_pafot.findings.shrink import Shown
 from pytest_pafot.findings.signature import CHECK_FAILED, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -28,9 +27,6 @@ from pytest_pafot.support.text import plural
 
 COUNTED_AT_ONCE = 16
 """The number of evaluations after which their health is counted: then it takes less time than for each alone."""
-
-Answered = tuple[str, Shown]
-"""An attempt to shrink a finding: the id of the candidate, and the result of its run."""
 
 
 @dataclass(slots=True)
@@ -114,8 +110,6 @@ class State:
     # for each failure that a saved scenario shows and each manner of it, the id of the first scenario of this session
     manners: dict[Signature, dict[Manner, str]] = field(init=False, default_factory=dict)
     failures: dict[Signature, str] = field(init=False, default_factory=dict)  # ids by failures that this session showed
-    # results of the attempts to shrink each finding so far, by the id of the finding
-    answers: dict[str, list[Answered]] = field(init=False, default_factory=dict)
     shrink_runs: int = field(init=False, default=0)  # number of attempts to shrink findings, and of runs for rates
     shrink_decisions: int = field(init=False, default=0)  # that the ADS made in these
     moment_runs: int = field(init=False, default=0)  # number of runs in which the ADS is asked again beside a run

@@ -41,7 +41,7 @@ def found(corpus):
 
 def test_search_finds_collisions_from_several_sides(found):
     ids = [each.id for each in found.findings]
-    assert {each.expect.zone for each in found.findings} >= {"crossing from the left", "oncoming from ahead"}
+    assert len({each.expect.zone for each in found.findings} - {None}) > 1
     assert any(each.startswith("did-not-give-way-left-") for each in ids)
     assert found.summary.drawn.startswith("1 to 3 NPCs with Position- or Lane-Instructions in hostile traffic (NPCs")
     assert found.summary.notes == ()

@@ -288,11 +288,11 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
 
 
 def test_time_is_kept_for_a_run_that_another_process_made_in_advance():
-    turn = Turn(end=100.0)
+    turn, bench = Turn(end=100.0, most=math.inf, to_confirm=0), SimpleNamespace(asked=0, is_at_limit=False)
     turn.took(0.0, confirming=10.0)
-    turn.check(74.0)
+    turn.check(74.0, bench)
     with pytest.raises(OutOfBudget):
-        turn.check(75.0)
+        turn.check(75.0, bench)
 
 
 def test_shrinking_that_is_cut_leaves_the_finding_as_it_was(clock, tmp_path):

@@ -29,7 +29,7 @@ def explored(**arguments):
 def test_random_search_counts_all_valid_scenarios():
     judged = []
     found = explored(
-        runs=20, algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None
+        runs=40, algorithm="random", on_event=lambda event: judged.append(event) if isinstance(event, Judged) else None
     )
     last = {each.run.trace.scenario.id: each for each in judged}.values()
     valid = [each for each in last if each.verdict.kind != "invalid"]

@@ -202,8 +202,8 @@ def never_collides(run):
 @pytest.mark.parametrize(
     ("name", "seed", "fault", "npcs"),
     [
-        ("brakes-for-ghosts", 1, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 7, "stopped-for-nothing", 1),
+        ("brakes-for-ghosts", 8, "braked-for-nothing", 1),
+        ("stops-in-its-lane", 8, "stopped-for-nothing", 1),
         ("trusts-any-gap-behind", 1, "entered-lane", 2),
     ],
 )

@@ -9,7 +9,7 @@ import os
 
 SESSION = os.getpid()
 
-@pafot.search(SHORT, population=2)
+@pafot.search(SHORT)
 def test_dies(run):
     if os.environ.get("DIE") or (os.getpid() != SESSION and not os.environ.get("MENDED")):
         os._exit(9)

@@ -65,9 +65,8 @@ class TestWhatAnAdsRaisesIsAFinding:
     def test_any_exception_of_ads_is_saved_and_replayed(self, project, in_highway_env):
         for number, statement in enumerate(RAISED):
             source = RAISING.replace("RAISE", statement).replace("test_drive", f"test_drive_{number}")
-            source = source.replace("SHORT", "SHORT, population=2")
             project.write(source, name=f"test_{number}")
-        result = project.run()
+        result = project.run(runs=2)
         result.assert_outcomes(failed=2 * len(RAISED))
         for number, failure in enumerate(RAISED.values()):
             (name,) = [name for name in project.files if f"/test_drive_{number}/" in name]

@@ -169,7 +169,7 @@ def test_killed_session_records_findings_without_exit_code(project):
     cut = IS_CUT.replace("raise KeyboardInterrupt", "import os; os._exit(9)")
     project.write(cut)
     (project.path / "pafot.json").write_text("of an earlier session")
-    project.run("--pafot-json=pafot.json", apart=True)
+    project.run("--pafot-json=pafot.json", apart=True, runs=20)
     record = record_of(project)
     assert (record.exit, record.searches[0].reason, len(record.findings)) == (None, "", 2)
     assert record.searches[0].result == ""
@@ -333,7 +333,7 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
         "@pafot.search(SHORT, ads=broken)  # stop_after=1\ndef test_b(run):\n    pass\n",
         name="test_50%,x",
     )
-    result = project.run("--pafot-report=out.html")
+    result = project.run("--pafot-report=out.html", runs=12)
     lines = [line for line in result.outlines if line.startswith("::")]
     assert len(lines) == 6
     for line in lines[:5]:

@@ -11,6 +11,7 @@ import pytest_pafot as pafot
 import pytest_pafot.campaign.refine.simplest
 import pytest_pafot.world.engines.gym_replay  # pytester forgets modules that a run imports; reading them is slow
 from example_ads import constant_speed
+from pytest_pafot.campaign.refine import steps
 from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.failure_rate import FailureRate
@@ -150,7 +151,7 @@ def test_process_death_while_shrinking_preserves_the_finding(project):
 
 
 def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
-    def check(turn, now):
+    def check(turn, now, bench):
         turn.is_over = True
         raise OutOfBudget
 
@@ -164,6 +165,27 @@ def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
     assert finding["unshrunk"] == told
     assert f"new ({told})" in (project.path / "page.html").read_text()
     assert load(project.only_file).original is None
+
+
+def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monkeypatch):
+    monkeypatch.setattr(steps, "LEAST_DECISIONS", 300)
+    project.write("@pafot.search(npcs=4)\ndef test_fails(run):\n    assert len(run.scenario.npcs) < 3\n")
+
+    def session(*options):
+        project.forget()
+        result = project.run_once("--pafot-json=out.json", *options, runs=2)
+        (search,) = json.loads((project.path / "out.json").read_text())["searches"]
+        asked = [search[f"{what}decisions"] for what in ("", "confirm_", "shrink_", "moment_")]
+        return asked[0], sum(asked[1:]), project.contents, "*note: simplifying stopped at its limit;*", result
+
+    first, refining, files, note, result = session()
+    assert 0 < refining <= max(first, 300) + 300  # and what confirms the finding, before its simplification
+    result.stdout.fnmatch_lines([note])
+    assert session("--pafot-workers=2")[1:3] == (refining, files)
+    first, refining, other, note, result = session("--pafot-shrink-rollouts=300")
+    assert refining > 2 * first
+    assert other != files
+    result.stdout.no_fnmatch_line(note)
 
 
 def test_simplification_unfit_for_the_road_is_skipped(monkeypatch):
@@ -292,8 +314,8 @@ def test_log_has_one_line_for_each_finding(project):
     project.write(COLLIDES.replace("# stop_after=1", "") + gap)
     result = run(project)
     told = [line.partition("[search] shrinking ")[2] for line in result.outlines if "[search] shrinking " in line]
-    assert len(project.files) == len(told) == 2
-    assert [f"{line.partition(',')[0]}.pafot.yaml" in "".join(project.files) for line in told] == [True, True]
+    assert len(project.files) == len(told) > 1
+    assert all(f"{line.partition(',')[0]}.pafot.yaml" in "".join(project.files) for line in told)
 
 
 def test_terminal_rewrites_the_line_with_each_run(collides):

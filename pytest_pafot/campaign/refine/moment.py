@@ -14,7 +14,7 @@ import numpy as np
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
-from pytest_pafot.campaign.refine.runs import check_time
+from pytest_pafot.campaign.refine.runs import check_limits
 from pytest_pafot.campaign.state import State
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
@@ -30,6 +30,7 @@ from pytest_pafot.findings.decisions import (
     told_parts,
     vehicle_of,
 )
+from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import RequestError
@@ -159,7 +160,7 @@ def _compared(moment: Moment, changes: Sequence[Change]) -> Change:
 def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None:
     """Return the first decision that differs from the one of the reference in the same scenario."""
     harness, isolate = bench.harness, bench.harness.request.settings.isolate
-    check_time(bench)
+    check_limits(bench)
     state.moment_runs += 1
     with harness.reference_runner(harness.job(), bench.record, isolate=isolate) or nullcontext() as runner:
         run = None if runner is None else harness.run_reference(runner, trace.scenario)[0]
@@ -176,7 +177,7 @@ def _decided_aside(
     sighting: Sighting, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
 ) -> Refining[Aside | None]:
     """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
-    check_time(bench)
+    check_limits(bench)
     yield Phase(f"asking the policy of {trace.executed.id} again", sighting.id)
     state.moment_runs += 1
     from pytest_pafot.world.driving.environment import checked_action  # noqa: PLC0415  (it needs highway-env, helps do not)
@@ -199,6 +200,7 @@ def _decided_aside(
         return None
     finally:
         bench.counted_decisions += aside.asked  # not by the runner of the search
+        bench.asked += aside.asked
         record.clear()
 
 
@@ -223,7 +225,11 @@ def _moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: As
     if is_planner and npc in seen.ids:
         tries = [(words, changed(seen, npc, by)) for words, by in _changes(seen, npc)]
     for words, instead in tries:
-        aside = yield from ask(None, Question(number=number, instead=instead))
+        try:
+            aside = yield from ask(None, Question(number=number, instead=instead))
+        except OutOfBudget:  # Nothing is said of what was not tried.
+            otherwise = None
+            break
         # Only a policy that decides as the run's until there says what the run's would answer: one that keeps state
         # in a module or a class still has that of other runs.
         if aside is None or any(differ(each, aside.of(before)) for before, each in enumerate(trace.actions[:number])):

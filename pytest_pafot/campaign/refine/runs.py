@@ -11,7 +11,7 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.failure_rate import RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.shrink import Ahead
+from pytest_pafot.findings.shrink import Ahead, OutOfBudget
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
@@ -78,10 +78,13 @@ def announce(ahead: Ahead, state: State, bench: Bench) -> None:
     bench.runner.announce([each for each in fitting if each not in state.fatal], more=ahead.more)
 
 
-def check_time(bench: Bench) -> None:
-    """Raise OutOfTime if the time for the work on findings is over."""
+def check_limits(bench: Bench) -> None:
+    """Raise OutOfTime if the time for the work on findings is over, and OutOfBudget if its decisions are used up."""
     if bench.clock() >= bench.refining_end:
         raise OutOfTime
+    if bench.asked >= bench.refining_most:
+        bench.is_at_limit = True
+        raise OutOfBudget
 
 
 def failure_rate(sighting: Sighting, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
@@ -89,7 +92,7 @@ def failure_rate(sighting: Sighting, scenario: Scenario, state: State, bench: Be
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     failing = 0
     for number in range(1, RUNS + 1):
-        check_time(bench)
+        check_limits(bench)
         state.shrink_runs += 1
         failing += bench.finish(bench.run(scenario if sighting.is_flaky else with_other_seed(scenario, number))).failed
     return FailureRate(failing=failing)

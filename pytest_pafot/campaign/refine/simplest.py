@@ -11,7 +11,7 @@ from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.refine.runs import announce, driven, is_same, showing, signature_of
-from pytest_pafot.campaign.state import Answered, State
+from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import of_failure
@@ -50,26 +50,33 @@ is not called.
 
 @dataclass(slots=True, kw_only=True)
 class Turn:
-    """The share of the remaining time in which one finding is shrunk.
+    """The share of the remaining time and decisions in which one finding is shrunk.
 
     Attributes:
         end: the time at which the share ends [s], or infinity.
+        most: the number of decisions, of all work on findings, at which the share ends.
+        to_confirm: the number of decisions in a run of the simplest failing scenario so far.
         to_conclude: the estimated time of the work after shrinking [s].
         attempts: the number of attempts to shrink so far.
         seconds: the time that the attempts have taken [s].
-        is_over: True if shrinking was stopped because no time was left.
+        is_over: True if shrinking was stopped because no time, or no decision, was left.
     """
 
     end: float
+    most: float
+    to_confirm: int = 0
     to_conclude: float = 0.0
     attempts: int = 0
     seconds: float = 0.0
     is_over: bool = False
 
-    def check(self, now: float) -> None:
-        """Raise OutOfBudget if no time is left for another attempt and the work after it, and in all later calls."""
+    def check(self, now: float, bench: Bench) -> None:
+        """Raise OutOfBudget if too little is left for another attempt and the work after it, and in all later calls."""
         mean = self.seconds / max(self.attempts, 1)
-        self.is_over = self.is_over or now + mean + self.to_conclude >= self.end
+        # An attempt is hardly longer than the simplest failing run, which is then judged, and confirmed by two others.
+        is_at_limit = bench.asked + (1 + RUNS_TO_CONCLUDE) * self.to_confirm > self.most
+        bench.is_at_limit |= is_at_limit
+        self.is_over = self.is_over or is_at_limit or now + mean + self.to_conclude >= self.end
         if self.is_over:
             raise OutOfBudget
 
@@ -92,64 +99,54 @@ class Simplest:
     Attributes:
         scenario, shrunk: the scenario as driven, and the statistics of shrinking.
         rate: how often the scenario itself fails; None if that is not by chance, or not known yet.
-        attempts: the number of attempts, without those of earlier turns.
-        is_cut: True if no time was left for further attempts.
+        is_cut: True if no time, or no decision, was left for further attempts.
     """
 
     scenario: Scenario
     shrunk: Shrunk
     rate: FailureRate | None = None
-    attempts: int = 0
     is_cut: bool = False
 
 
 def simplest_of(
-    sighting: Sighting, original: Scenario, state: State, bench: Bench, store: Store, turn_ends: float
+    sighting: Sighting, original: Scenario, state: State, bench: Bench, store: Store, turn: Turn
 ) -> Refining[Simplest]:
-    """Shrink the scenario of a finding as it was found, until a time at which the turn of the finding ends [s]."""
+    """Shrink the scenario of a finding as it was found, in its turn."""
     __tracebackhide__ = True
     harness, space, id_ = bench.harness, state.space, sighting.id
-    turn = Turn(end=turn_ends)
-    answers = state.answers.setdefault(id_, [])
-    asked, rollouts, top_speed = 0, rollouts_for(harness), harness.world.speed_limit
+    rollouts, top_speed = rollouts_for(harness), harness.world.speed_limit
     repeats = _repeats_collision(sighting, harness)
-    # What the ego did in failing scenarios. One that an earlier turn has driven is driven again.
+    # What the ego did in failing scenarios.
     actions = {} if sighting.run is None else {driven(sighting.run): sighting.run.trace.actions}
+    turn.to_confirm = max(map(len, actions.values()), default=0)
 
     def actions_in(scenario: Scenario) -> tuple[Any, ...]:
         if scenario not in actions:
             actions[scenario] = bench.rerun(scenario).trace.actions
         return actions[scenario]
 
-    def answered(work: Refining[Answered]) -> Refining[Answered]:
-        nonlocal asked
-        # Shrinking asks the same questions in the same order, so the answers of an earlier turn serve as a prefix.
-        if asked == len(answers):
-            began = bench.clock()
-            turn.check(began)
-            try:
-                with runs_end_in(turn.end - turn.to_conclude - began):
-                    _, shown = given = yield from work
-            except OutOfTime:
-                turn.is_over = True
-                raise OutOfBudget from None
-            answers.append(given)
-            seconds = 0.0 if shown is None else min(shown[0].seconds, harness.world.longest_run)
-            turn.took(bench.clock() - began, None if shown is None else bench.pace * seconds)
-        asked += 1
-        return answers[asked - 1]
-
-    def attempt(candidate: Scenario, best: Scenario) -> Refining[Answered]:
-        yield Phase(f"shrinking {id_}, run {asked + 1} of {rollouts}", id_)
+    def attempt(candidate: Scenario, best: Scenario) -> Refining[Shown]:
+        began = bench.clock()
+        turn.check(began, bench)
+        yield Phase(f"shrinking {id_}, run {turn.attempts + 1} of {rollouts}", id_)
         most = None
-        if repeats is not None:  # in how many decisions it must fail
-            most = len(actions_in(best)) + round(LATER * repeats.ads_hz)
-        run = yield from showing(sighting, candidate, state, bench, store, most)
+        try:
+            with runs_end_in(turn.end - turn.to_conclude - began):
+                if repeats is not None:  # in how many decisions it must fail
+                    most = len(actions_in(best)) + round(LATER * repeats.ads_hz)
+                run = yield from showing(sighting, candidate, state, bench, store, most)
+        except OutOfTime:
+            turn.is_over = True
+            raise OutOfBudget from None
+        state.shrink_runs += 1
         if run is None:
-            return candidate.id, None
+            turn.took(bench.clock() - began, None)
+            return None
         scenario = driven(run)
         actions[scenario] = run.trace.actions
-        return candidate.id, (scenario, starts_of(run, top_speed))
+        turn.to_confirm = len(run.trace.actions)
+        turn.took(bench.clock() - began, bench.pace * min(scenario.seconds, harness.world.longest_run))
+        return scenario, starts_of(run, top_speed)
 
     scenario, shrunk = original, Shrunk(rollouts=0, is_minimal=False)
     if rollouts:
@@ -170,10 +167,10 @@ def simplest_of(
                 try:
                     match question:
                         case Attempt(candidate, best):
-                            _, reply = yield from answered(attempt(candidate, best))
+                            reply = yield from attempt(candidate, best)
                         case Likely(candidate, simplest) if is_likely is not None:
                             reply = is_likely(candidate, simplest)
-                        case Ahead() if asked == len(answers):  # What is answered is not run again.
+                        case Ahead():
                             announce(question, state, bench)
                 except OutOfBudget as over:
                     question = asking.throw(over)
@@ -181,7 +178,7 @@ def simplest_of(
                     question = asking.send(reply)
         except StopIteration as done:
             scenario, shrunk = done.value
-    return Simplest(scenario=scenario, shrunk=shrunk, attempts=turn.attempts, is_cut=turn.is_over)
+    return Simplest(scenario=scenario, shrunk=shrunk, is_cut=turn.is_over)
 
 
 def _repeats_collision(sighting: Sighting, harness: Harness) -> Trace | None:

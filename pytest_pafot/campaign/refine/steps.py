@@ -12,19 +12,25 @@ from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Refining
 from pytest_pafot.campaign.refine.drivers import with_reference_drivers
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
-from pytest_pafot.campaign.refine.runs import check_time, failure_rate, shows
-from pytest_pafot.campaign.refine.simplest import Simplest, simplest_of
+from pytest_pafot.campaign.refine.runs import check_limits, failure_rate, shows
+from pytest_pafot.campaign.refine.simplest import Simplest, Turn, simplest_of
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import ending
-from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Sighting
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
+
+LEAST_DECISIONS = 2000
+"""The number of decisions for which the work on findings may ask even after a short search."""
+
+FOR_SHRINKING = 0.75
+"""The share of these decisions that shrinking may use; the rest, and what it leaves, is to examine findings."""
 
 EXAMINATIONS = {"decisions": with_moment, "conditions": with_conditions}
 """The steps that examine the simplest scenario of a finding, by what they are about. The first one that finds no time,
@@ -43,10 +49,12 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
         until: the time at which all this must end [s].
     """
     __tracebackhide__ = True
-    bench.refining_end = until
+    bench.refining_end, before = until, bench.decisions
+    # Without a limit of the user's, all this may ask the policy for as many decisions as the search did.
+    bench.asked = 0
+    bench.refining_most = math.inf if bench.harness.request.settings.shrink_rollouts else max(before, LEAST_DECISIONS)
     # Candidates are judged by the failure of one finding, which no other process knows.
     bench.runner.read_here()
-    before = bench.decisions
     with bench.runner:
         try:
             refined = yield from _in_turns(state, bench, store)
@@ -54,55 +62,45 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
             state.shrink_decisions = bench.decisions - before
         try:
             for sighting in list(store.findings.values()):
-                if sighting.is_firm and sighting.id in refined:
+                if sighting.is_firm and (sighting.id in refined or bench.is_at_limit):
                     yield from _examined(sighting, state, bench, store)
         finally:
             state.moment_decisions = bench.decisions - before - state.shrink_decisions
 
 
 def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
-    """Give each finding its turns; return the ids of those for which none is left to do.
+    """Give each finding its turn; return the ids of those that are simplified.
 
-    Each turn is an equal share of the time that is left. Unused time goes to the next findings, then to findings that
-    were cut.
+    A turn is an equal share of the time and the decisions that are left. What is unused goes to the next findings.
     """
-    done, runs_before = set[str](), -1
+    __tracebackhide__ = True
+    done = set[str]()
     waiting = [id_ for id_, each in store.findings.items() if each.is_firm or each.is_random]
-    while waiting and state.shrink_runs > runs_before:  # After a round without runs there is no time left.
-        runs_before, round_ = state.shrink_runs, waiting
-        for number, id_ in enumerate(round_):
-            if (yield from _turn(store.findings[id_], state, bench, store, sharing=len(round_) - number)):
-                done.add(id_)
-        waiting = [id_ for id_ in round_ if id_ not in done]
-    for sighting in [store.findings[id_] for id_ in waiting]:
-        cut = "not shrunk: out of time" if sighting.finding.shrunk is None else "shrunk in part: out of time"
-        yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut, is_first=False))
+    for sharing, id_ in zip(range(len(waiting), 0, -1), waiting, strict=True):
+        bench.is_at_limit, was_at_limit = False, bench.is_at_limit
+        now, is_done = bench.clock(), False
+        left, most = bench.refining_end - now, FOR_SHRINKING * bench.refining_most - bench.asked
+        try:
+            with runs_end_in(max(left, 0.0)):
+                turn = Turn(end=now + left / sharing, most=bench.asked + most / sharing)
+                is_done = yield from _simplified(store.findings[id_], state, bench, store, turn)
+        except (OutOfTime, OutOfBudget):  # It stays as it is, or as far as it was shrunk.
+            pass
+        except ProcessLostError as error:
+            store.call_flaky(store.findings[id_], f"the process that ran it again {error.end}")
+            yield from lose(error, state, bench, store)
+            is_done = True
+        if is_done:
+            done.add(id_)
+        else:
+            sighting, why = store.findings[id_], "at the limit of decisions" if bench.is_at_limit else "out of time"
+            cut = f"not shrunk: {why}" if sighting.finding.shrunk is None else f"shrunk in part: {why}"
+            yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut, is_first=False))
+        bench.is_at_limit |= was_at_limit
     return done
 
 
-def _turn(sighting: Sighting, state: State, bench: Bench, store: Store, *, sharing: int) -> Refining[bool]:
-    """Simplify a finding in one of ``sharing`` equal shares of the time that is left; return True if it is done.
-
-    If time ends, the finding stays as it is. A later turn makes the same attempts to shrink it in the same order,
-    and begins with their answers, which the state has. So it has the same result.
-    """
-    __tracebackhide__ = True
-    now = bench.clock()
-    left = bench.refining_end - now
-    if left <= 0:
-        return False
-    try:
-        with runs_end_in(left):
-            return (yield from _simplified(sighting, state, bench, store, now + left / sharing))
-    except OutOfTime:
-        return False
-    except ProcessLostError as error:
-        store.call_flaky(sighting, f"the process that ran it again {error.end}")
-        yield from lose(error, state, bench, store)
-        return True
-
-
-def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, turn_ends: float) -> Refining[bool]:
+def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
     """Shrink a finding, run the result again, and try reference drivers in it; return True if nothing is left to do."""
     __tracebackhide__ = True
     original = sighting.finding.original or sighting.finding.scenario
@@ -117,12 +115,10 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
     if sighting.is_flaky:
         return True
     # The simplest scenario that fails in the same way, and still does when it is run again.
-    simplest = yield from simplest_of(sighting, original, state, bench, store, turn_ends)
-    state.shrink_runs += simplest.attempts
-    if simplest.is_cut and simplest.scenario == sighting.finding.scenario:
+    simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
+    if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not bench.is_at_limit:
         return False
     simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
-    answers = state.answers[sighting.id]
     if differs and simplest.scenario != original:
         # The simplified scenario does not repeat, so fall back to the scenario as found, which may be flaky, too.
         shrunk = Shrunk(rollouts=simplest.shrunk.rollouts, is_minimal=False)
@@ -132,8 +128,7 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
         sighting = replace(store.call_flaky(sighting, differs), is_first=False)
         yield from store.publish(sighting)
         if sighting.is_random:  # the runs that confirmed it were the same by chance
-            answers.clear()
-            return (yield from _simplified(sighting, state, bench, store, turn_ends))
+            return (yield from _simplified(sighting, state, bench, store, turn))
     else:
         # Drivers in the ego's place say who could have prevented the failure, and how. With that, the simplest scenario
         # replaces the one in the file.
@@ -175,10 +170,12 @@ def _examined(sighting: Sighting, state: State, bench: Bench, store: Store) -> R
     sighting = replace(sighting, is_first=False)
     for about, step in EXAMINATIONS.items():
         try:
-            check_time(bench)
+            check_limits(bench)
             with runs_end_in(bench.refining_end - bench.clock()):
                 sighting = yield from step(sighting, state, bench)
                 yield from store.publish(sighting)
+        except OutOfBudget:  # the summary says so
+            return
         except OutOfTime:
             yield Note(f"no {about} of saved-{sighting.id}: out of time")
             return

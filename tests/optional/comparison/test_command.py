@@ -204,8 +204,8 @@ def test_algorithms_use_test_scenarios_unless_paper_is_requested(tmp_path, capsy
         )
     runs, npcs, speeds = drawn.pop("random")
     assert drawn == {"random@paper": (4, {2}, 1), "pafot": (4, {2}, 1)}
-    assert (runs, npcs) == (16, {3, 4, 5, 6})
-    assert speeds > 8, "of the ego at first"
+    assert (runs, speeds) == (4, 4), "speeds of the ego at first"
+    assert npcs <= {3, 4, 5, 6}
     report, told = (tmp_path / "report.md").read_text(), capsys.readouterr().err
     assert "; of random with `{" in report
     of_test, papers = (
