@@ -106,8 +106,8 @@ class AlgorithmClass:
         known = [parameter for parameter in inspect.signature(self.made_by).parameters if parameter != "space"]
         for parameter in parameters:
             if parameter not in known:
-                those = ", ".join(known) or "none"
-                raise ValueError(f"{parameter}: expected a parameter of the algorithm {self.name!r}, which takes {those}")
+                own = ", ".join(known) or "none"
+                raise ValueError(f"{parameter}: expected a parameter of the algorithm {self.name!r}, which takes {own}")
         made: Algorithm[Any] | RandomSearch = self.made_by(space, **parameters)
         return made
 
