@@ -11,8 +11,8 @@ from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
+from pytest_pafot.campaign.judging import evaluated
 from pytest_pafot.campaign.tallies import Driver, Tally
-from pytest_pafot.campaign.verdict import evaluated
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated, Runner

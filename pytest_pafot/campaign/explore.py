@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal, NoReturn, Unpack
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
 from pytest_pafot.campaign.harness import Harness, reference_of
+from pytest_pafot.campaign.judging import source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import (
@@ -29,7 +30,6 @@ from pytest_pafot.campaign.request import (
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import source_file
 from pytest_pafot.corpus.layout import folder_of_test, link_below, refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
 from pytest_pafot.findings.sighting import Sighting

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_pafot.attribution.mistakes import Avoidance, avoidance, keeping_lane
+from pytest_pafot.campaign.judging import Test, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.campaign.request import AgainstError, Request
-from pytest_pafot.campaign.verdict import Test, judge, no_skip, reference_outcomes, skips
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for

@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 
 from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
+from pytest_pafot.campaign.judging import headline
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
-from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution import scenario_pool

@@ -10,12 +10,12 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Judged, SearchEvent
+from pytest_pafot.campaign.judging import caught_in, unknown
 from pytest_pafot.campaign.scenarios import FIRST, Bred, Numbers, PendingFailure
 from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import caught_in, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation

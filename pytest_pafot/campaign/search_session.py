@@ -25,6 +25,7 @@ from pytest_pafot.campaign.events import (
     SearchSummary,
 )
 from pytest_pafot.campaign.harness import Harness, refusals
+from pytest_pafot.campaign.judging import no_skip, skips
 from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.campaign.options import RUNS
 from pytest_pafot.campaign.refine.steps import refine
@@ -36,7 +37,6 @@ from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.campaign.state import State
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Driver, Reader
-from pytest_pafot.campaign.verdict import no_skip, skips
 from pytest_pafot.campaign.watch import LEAST, TimedWatch, Watch
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool

@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_pafot.campaign.verdict import PlainFailure, assertions
+from pytest_pafot.campaign.judging import PlainFailure, assertions
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run

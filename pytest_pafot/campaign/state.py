@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Judged, SearchEvent
 from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.judging import FAILING, Counts, fails_by_ego
 from pytest_pafot.campaign.setup_fault import FirstGeneration
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.verdict import FAILING, Counts, fails_by_ego
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.signature import CHECK_FAILED, Signature

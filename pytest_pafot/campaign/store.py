@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.judging import PlainFailure, headline
 from pytest_pafot.campaign.scenarios import PendingFailure
-from pytest_pafot.campaign.verdict import PlainFailure, headline
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write

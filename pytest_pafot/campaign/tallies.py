@@ -11,15 +11,15 @@ from typing import Any
 
 from pytest_pafot.campaign.events import Judged
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.run_table import columns_of, row_of
-from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.campaign.verdict import (
+from pytest_pafot.campaign.judging import (
     FAILING,
     Counts,
     caught_in,
     evaluated,
     fails_by_ego,
 )
+from pytest_pafot.campaign.run_table import columns_of, row_of
+from pytest_pafot.campaign.setup_fault import unit_doubt
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.scenario_pool import (
     CapturedOutput,

@@ -195,7 +195,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     The function fails the test if the ADS raises, hangs or returns no action, and warns of an invalid run. It is warmed
     up: its first call is not slower than the others.
     """
-    from pytest_pafot.campaign.verdict import ads_text  # noqa: PLC0415
+    from pytest_pafot.campaign.judging import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
     from pytest_pafot.execution.runner import driving  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415

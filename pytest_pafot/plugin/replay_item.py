@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.judging import headline
 from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
-from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError

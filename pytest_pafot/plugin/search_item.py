@@ -24,6 +24,7 @@ from pytest_pafot.campaign.events import (
     SearchSummary,
 )
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of
+from pytest_pafot.campaign.judging import PlainFailure, Test, source_file
 from pytest_pafot.campaign.options import BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
@@ -34,7 +35,6 @@ from pytest_pafot.campaign.search_session import (
     isolated_after_a_death,
     prepared,
 )
-from pytest_pafot.campaign.verdict import PlainFailure, Test, source_file
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.scenario_pool import ExecutionError

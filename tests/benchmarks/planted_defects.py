@@ -36,7 +36,7 @@ from matplotlib.figure import Figure
 import pytest_pafot as pafot
 from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import Judged, SearchStarted
-from pytest_pafot.campaign.verdict import judge
+from pytest_pafot.campaign.judging import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch
 from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from pytest_pafot.campaign.judging import evaluated, unknown
 from pytest_pafot.campaign.run_table import row_of
 from pytest_pafot.campaign.scenarios import Bred
 from pytest_pafot.campaign.search import search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.verdict import evaluated, unknown
 from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation

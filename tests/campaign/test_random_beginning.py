@@ -5,9 +5,9 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.events import Judged
+from pytest_pafot.campaign.judging import evaluated
 from pytest_pafot.campaign.state import RandomRuns
 from pytest_pafot.campaign.tallies import Digested, Tally
-from pytest_pafot.campaign.verdict import evaluated
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.trace import Outcome

@@ -7,8 +7,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
+from pytest_pafot.campaign.judging import evaluated
 from pytest_pafot.campaign.tallies import Reader
-from pytest_pafot.campaign.verdict import evaluated
 from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle import run as oracle_run

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Phase, Refining
+from pytest_pafot.campaign.judging import headline
 from pytest_pafot.campaign.refine.simplest import Simplest
-from pytest_pafot.campaign.verdict import headline
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Sighting
 from pytest_pafot.findings.verdict import Verdict

@@ -73,7 +73,6 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
 
     A turn is an equal share of the time and the decisions that are left. What is unused goes to the next findings.
     """
-    __tracebackhide__ = True
     done = set[str]()
     waiting = [id_ for id_, each in store.findings.items() if each.is_firm or each.is_random]
     for sharing, id_ in zip(range(len(waiting), 0, -1), waiting, strict=True):
@@ -116,7 +115,8 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
         return True
     # The simplest scenario that fails in the same way, and still does when it is run again.
     simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
-    if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not bench.is_at_limit:
+    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most  # so that other drivers are tried
+    if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not may_go_on:
         return False
     simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
     if differs and simplest.scenario != original:

@@ -11,7 +11,7 @@ import pytest
 from pytest_pafot import Highway, Run
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
 from pytest_pafot.campaign.explore import _of_collision
-from pytest_pafot.campaign.verdict import judge
+from pytest_pafot.campaign.judging import judge
 from pytest_pafot.comparison.algorithm_run import COLUMNS, run_rows, text_of
 from pytest_pafot.comparison.plan import Plan, never_collides
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
