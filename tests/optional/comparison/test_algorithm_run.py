@@ -125,7 +125,7 @@ def raising():
 def test_ads_failing_every_first_decision_ends_the_run(quick, algorithm, budget):
     """It also ends with a budget of simulated seconds, although none would ever pass."""
     plan = quick(ads="tests.optional.comparison.test_algorithm_run:failing_at_once", **budget)
-    with pytest.raises(RequestError, match=r"in all \d+ runs (of the first generation|at the beginning)"):
+    with pytest.raises(RequestError, match=r"in all \d+ runs"):
         list(run_rows(plan, algorithm, 0))
 
 
