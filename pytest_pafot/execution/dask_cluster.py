@@ -105,7 +105,7 @@ class DaskPool:
     @property
     def notes(self) -> list[str]:
         """Notes for the user on the workers, and on runs that they could not make."""
-        note = f"{OPTION}: workers made the runs of the generations"
+        note = f"{OPTION}: workers made the runs"
         if self.unable:
             first = f"{type(self.unable[0]).__name__}: {self.unable[0]}"
             note = f"{OPTION}: {len(self.unable)} runs were made in this process; a worker answered: {first}"

@@ -18,7 +18,7 @@ from tests.plugin.test_workers import summary
 
 pytestmark = pytest.mark.processes
 
-NOTE = "*note: --pafot-dask: workers made the runs of the generations"
+NOTE = "*note: --pafot-dask: workers made the runs"
 
 CONFTEST = """
 import os
@@ -62,7 +62,7 @@ def elsewhere(project, monkeypatch):
 def session(project, run, *args):
     """Run a session that begins without saved scenarios; return it and what it saved."""
     project.forget()
-    result = run("-p", "no:cacheprovider", "--show-capture=stdout", *args, generations=3)
+    result = run("-p", "no:cacheprovider", "--show-capture=stdout", *args, runs=12)
     return result, project.contents
 
 
