@@ -11,7 +11,6 @@ from pytest_pafot.model.trace import Outcome
 from tests.helpers import junctions
 from tests.helpers.drives import crash, driven
 from tests.helpers.junctions import plan
-from tests.helpers.random_collisions import collision
 from tests.helpers.situations import SITUATIONS
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
@@ -123,7 +122,7 @@ def test_phases_join_to_nearly_the_recorded_speed(steps, hz):
 
 
 def test_both_vehicles_that_failed_at_a_crossing_are_told():
-    trace = collision("by hand, junctions", 31, seed=3)
+    trace = junctions.random_collision(154)
     found = rss_rule(trace)
     assert (found.responsibility, found.fault) == ("both", "did-not-give-way")
     assert [each.vehicle for each in found.facts] == [0, 0, 1]
@@ -131,9 +130,9 @@ def test_both_vehicles_that_failed_at_a_crossing_are_told():
 
 
 def test_braking_of_the_ego_does_not_move_what_the_npc_owed():
-    facts = rss_rule(collision("by hand, junctions", 45, seed=2)).facts
-    assert [f"{each.in_full.due_s:.1f}" for each in facts[1:]] == ["3.9", "5.5"]
-    assert [f"{each.due_s:.1f}" for each in due_by(facts, 3.8)[1:]] == ["3.8", "5.5"]
+    facts = rss_rule(junctions.random_collision(71)).facts
+    assert [f"{each.in_full.due_s:.1f}" for each in facts[1:]] == ["3.6", "5.1"]
+    assert [f"{each.due_s:.1f}" for each in due_by(facts, 3.5)[1:]] == ["3.5", "5.1"]
 
 
 def test_braking_that_answered_a_cut_in_is_told():

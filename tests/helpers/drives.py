@@ -65,7 +65,7 @@ def crash(ego, *npcs, npc=0, side="front", cell=Cell.FRONT, **road):
     )
 
 
-def bent(*vehicles, radius=150.0, ego_lane=1):
+def bent(*vehicles, radius=150.0, ego_lane=1, lane_count=3):
     """Return vehicles of a straight road moved to a road that bends to the right, with its lanes and track.
 
     They cover the same distance along the ego's way, so those on the outside are faster than their recorded speed.
@@ -86,7 +86,7 @@ def bent(*vehicles, radius=150.0, ego_lane=1):
         moved.append(states)
     turns = np.linspace(-0.5, 4.0, 60)
     lanes = []
-    for number in range(3):
+    for number in range(lane_count):
         inside = radius - (number * LANE_WIDTH - middle)
         points = tuple(zip(inside * np.sin(turns), radius - inside * np.cos(turns), strict=True))
         x, y = points[0]

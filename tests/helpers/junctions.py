@@ -270,6 +270,14 @@ MEETINGS = (
 """Pairs of the ego's way and an NPC's way."""
 
 
+def random_collision(number):
+    """Return the random collision at a junction with a number; the first in which the vehicles touch counts."""
+    rng = np.random.default_rng(number)
+    while (met := random_meeting(rng)) is None or met.ticks < 2:
+        pass
+    return met
+
+
 def random_meeting(rng):
     """Return a random collision at a junction, or None if the sampled vehicles do not touch.
 
