@@ -88,12 +88,7 @@ def test_every_option_that_messages_name_exists_also_in_search():
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
     "rate": ["commands/rate_command.py"],
-    "compare": [
-        "comparison/command.py",
-        "comparison/plan.py",
-        "comparison/algorithm_run.py",
-        "comparison/resumable.py",
-    ],
+    "compare": ["comparison/command.py", "comparison/plan.py"],
     "export": ["export/exporter.py", "export/exporter.py"],
     "corpus": ["commands/corpus_command.py"],
 }

@@ -24,8 +24,8 @@ from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.commands.rate_command import add_arguments as add_rate_arguments
 from pytest_pafot.commands.search_command import add_arguments as add_search_arguments
-from pytest_pafot.comparison import algorithm_run
 from pytest_pafot.comparison.command import add_arguments
+from pytest_pafot.comparison.plan import COLUMNS as COMPARED
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Passage, RssRules
 from pytest_pafot.criticality.signals import MEASURES, EgoLaneChange
@@ -219,7 +219,7 @@ def sections() -> dict[str, str]:
         "search-command": _command_table(add_search_arguments, as_in_mark=OF_SEARCH),
         "run-table": _columns_table(run_table.COLUMNS),
         "results": _columns_table(
-            {name: text for name, text in algorithm_run.COLUMNS.items() if run_table.COLUMNS.get(name) != text}
+            {name: text for name, text in COMPARED.items() if run_table.COLUMNS.get(name) != text}
         ),
         "export": _command_table(add_export_arguments),
         "rate": _command_table(add_rate_arguments),

@@ -7,12 +7,11 @@ import importlib.util
 import json
 import pkgutil
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.process import cores
-from pytest_pafot.support.references import PLANNER, factory_named, source_digests
+from pytest_pafot.support.references import PLANNER, factory_named
 from pytest_pafot.support.text import meant
 
 BAD_USE = 2
@@ -127,27 +126,6 @@ def check_function(reference: str) -> Callable[..., Any]:
     function = ads_factory(reference, "--check", "a function of a run")
     check_asserts(function)
     return function
-
-
-def identity(reference: str) -> dict[str, Any]:
-    """Return what identifies a policy and its version: the hashes of its source files.
-
-    The source files are those of the user, with all that they import. The code of an example policy that is installed
-    with this package has the version of this package.
-
-    Raises:
-        RequestError: if there is no policy of the given name.
-    """
-    factory = ads_factory(reference)
-    code = source_digests(importlib.import_module(whole_name(reference).partition(":")[0]), factory, here=Path.cwd())
-    return {"code": code}
-
-
-CAUTION = (
-    "only the source files of the policies are known to be the same: if a policy was trained since then, or reads a "
-    "file that has changed, give another --out"
-)
-"""The warning of a command that continues earlier results."""
 
 
 def config_of(text: str | None) -> dict[str, Any] | None:

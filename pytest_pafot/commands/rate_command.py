@@ -11,10 +11,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from pytest_pafot.commands.policy_reference import add_world_arguments, ads_factory, chosen_world, worker_count
-from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
+from pytest_pafot.commands.tasks import finished
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import holm, interval, interval_text, mcnemar
 from pytest_pafot.support.references import PLANNER
@@ -110,7 +109,7 @@ def environment_of(given: argparse.Namespace) -> World:
     )
 
 
-def drive_task(given: argparse.Namespace, task: tuple[str, int], tick: object = None) -> list[Episode]:
+def drive_task(given: argparse.Namespace, task: tuple[str, int]) -> list[Episode]:
     """Drive the episodes of a task, here or in a worker: those of a policy from a seed on, at most :data:`CHUNK`.
 
     Raises:
@@ -128,27 +127,6 @@ def drive_task(given: argparse.Namespace, task: tuple[str, int], tick: object = 
             f"from seed {first} on: {errors[0].text}\n{place}\nCorrect it, its factory or the environment."
         )
     return episodes
-
-
-def driven(given: argparse.Namespace, tasks: Sequence[tuple[str, int]]) -> Iterator[tuple[Any, list[Episode]]]:
-    """Yield each task with its episodes, driven here or in spawned processes, so that each imports the policy."""
-    workers = min(worker_count(given.workers), len(tasks))
-    if workers == 1:
-        yield from ((task, drive_task(given, task)) for task in tasks)
-        return
-    work = partial(drive_task, given)
-    with WorkerPool[Any, Any](work, workers, method="spawn", patience=math.inf, grace=math.inf) as pool:
-        pool.expect(tasks)
-        for task, answer in pool.completed(lambda _: None):
-            if pool.failure or isinstance(answer, ProcessLostError):
-                ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
-                raise ChildProcessError(
-                    f"expected a worker to finish {task!r}, received: {ended}; correct a policy that ends its "
-                    "process, or if memory was short, use fewer --workers"
-                )
-            if isinstance(answer, Exception):
-                raise answer
-            yield task, answer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -183,7 +161,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
     limit, found, told = _limit_of(given), dict[str, list[Episode]](), time.monotonic()
     environment_of(given)  # before anything is driven, and in each process once more
     tasks = [(name, seed) for seed in range(given.seed, given.seed + given.episodes, CHUNK) for name in names]
-    for (name, _), episodes in driven(given, tasks):
+    for (name, _), episodes in finished(partial(drive_task, given), tasks, worker_count(given.workers)):
         found.setdefault(name, []).extend(episodes)
         done, total = sum(map(len, found.values())), given.episodes * len(names)
         if done == total or time.monotonic() - told > 10.0:  # a report every ten seconds

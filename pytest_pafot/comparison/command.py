@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-from pytest_pafot import Highway, World
-from pytest_pafot.campaign.request import BLAMES, drawn_space
-from pytest_pafot.commands.policy_reference import add_world_arguments, chosen_world, worker_count
-from pytest_pafot.comparison.algorithm_run import run_all
-from pytest_pafot.comparison.plan import Plan, checked
-from pytest_pafot.comparison.resumable import AGAIN
+from pytest_pafot.campaign.request import BLAMES
+from pytest_pafot.commands.policy_reference import add_world_arguments, worker_count
+from pytest_pafot.commands.tasks import finished
+from pytest_pafot.comparison.plan import COLUMNS, DIFFERENT, Plan, Row, run_rows
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS
 from pytest_pafot.support.errors import RequestError, install
 from pytest_pafot.support.files import write_whole, written_into
-from pytest_pafot.support.references import PLANNER
-from pytest_pafot.support.text import visible
-from pytest_pafot.world.codec import WorldData
-from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.support.text import csv_text, visible
 
 LIBRARIES = ("matplotlib", "pandas", "scipy")
+RESULTS = "results.csv"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,12 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     of_ads = "drive with this policy: a module of example_ads, module:factory, or module:factory:argument"
     parser.add_argument("--ads", required=True, metavar="ADS", help=of_ads)
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="write the results to this folder")
+    of_out = "write the results to this folder, which must not have results yet"
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help=of_out)
     of_runs = "run each algorithm N times (default: %(default)s)"
     parser.add_argument("--runs", type=int, default=10, metavar="N", help=of_runs)
-    budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--generations", type=int, metavar="N", help="end each run after N generations (default: 100)")
-    budget.add_argument("--seconds", type=float, metavar="S", help="end each run after S simulated seconds instead")
+    of_seconds = "end each run after S simulated seconds (default: 3600)"
+    parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help=of_seconds)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="derive seeds from N (default: %(default)s)")
     parser.add_argument("--workers", type=int, metavar="N", help="use N processes (default: one per core)")
     parser.add_argument(
@@ -67,73 +62,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    """Run a comparison and write its report, which quotes ``command``. Return 1 if most of it never drove, else 0."""
-    try:
-        plan = checked(plan_of(arguments))
-        workers = worker_count(arguments.workers)
-        # Errors on the command line are reported before the user installs anything for it.
-        missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
-        if missing:
-            raise RequestError(
-                f"expected the library {missing} for the report, received a Python without it; "
-                f"run `{install('compare')}`"
-            )
-        folder = Path(arguments.out)
-        results = run_all(plan, folder, workers=workers, stream=sys.stderr, clock=time.monotonic)
-        from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
+    """Run a comparison and write its report, which quotes ``command``. Return 1 if most of it never drove, else 0.
 
-        measured = run_measures.Results.of(plan, results)
-        with written_into(folder, AGAIN):
-            titles = figures.draw_all(measured, folder / "figures")
-            report = markdown.report(measured, command, markdown.wall_seconds(plan, folder), titles)
-            for name, text in markdown.published(measured).items():
-                write_whole(folder / name, text)
-            write_whole(folder / "report.md", report)
-    except KeyboardInterrupt as interrupt:
-        interrupt.add_note("finished runs are saved, and the same command continues with the rest")
-        raise
+    The rows of finished runs are also written if the command is stopped, or if another run ends in an error.
+    """
+    names = tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip())
+    given = {each.name: getattr(arguments, each.name) for each in fields(Plan)}
+    plan = Plan(**{**given, "algorithms": names})
+    plan.check()
+    workers, folder = worker_count(arguments.workers), arguments.out
+    # Errors on the command line are reported before the user installs anything for it.
+    missing = next((name for name in LIBRARIES if find_spec(name) is None), None)
+    if missing:
+        raise RequestError(
+            f"expected the library {missing} for the report, received a Python without it; run `{install('compare')}`"
+        )
+    path, rows = folder / RESULTS, dict[tuple[str, int], list[Row]]()
+    if path.exists():
+        raise RequestError(
+            f"--out: expected a folder without the results of a comparison, received {folder}, which has a {RESULTS}; "
+            "give another folder"
+        )
+    if len(plan.scenarios) > 1:
+        groups = "".join(f"  {', '.join(names)}: {which}\n" for which, names in plan.scenarios.items())
+        sys.stderr.write(f"compare: warning: {DIFFERENT}\n{groups}")
+    with written_into(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        for task, found in finished(partial(run_rows, plan), plan.tasks, workers):
+            rows[task] = found
+            sys.stderr.write(f"compare: {len(rows)} of {len(plan.tasks)} runs\n")
+    finally:
+        every = [row for task in sorted(rows, key=lambda task: (plan.names.index(task[0]), task[1]))
+                 for row in rows[task]]  # fmt: skip
+        with written_into(folder):
+            write_whole(path, csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in every)))
+    from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
+
+    measured = run_measures.Results.of(plan, path)
+    with written_into(folder):
+        titles = figures.draw_all(measured, folder / "figures")
+        write_whole(folder / "runs.csv", measured.runs.to_csv(index=False, lineterminator="\n"))
+        tests = run_measures.comparisons(measured)
+        write_whole(folder / "statistics.csv", csv_text(run_measures.Comparison._fields, tests))
+        write_whole(folder / "report.md", markdown.report(measured, tests, command, titles))
     sys.stdout.write(f"{folder / 'report.md'}\n")
     errors = [*run_measures.undriven(measured.frame)]
     sys.stderr.write("".join(f"compare: {visible(each)}\n" for each in errors))
     return int(bool(errors))
-
-
-def plan_of(arguments: argparse.Namespace) -> Plan:
-    """Make the plan of a comparison from parsed arguments.
-
-    Raises:
-        RequestError: for a value that no world or space accepts.
-    """
-    road: dict[str, Any] = {
-        name: value for name in ("duration", "clearance") if (value := getattr(arguments, name)) is not None
-    }
-    is_planner = arguments.ads.endswith(PLANNER)
-    world = chosen_world(arguments.world, arguments.config, [arguments.ads], is_planner=is_planner)
-    if world is None:
-        world = Highway(**road)
-    elif isinstance(world, World):
-        world = replace(world, **road)
-        world.check()
-    elif road:
-        name, value = next(iter(road.items()))
-        raise RequestError(
-            f"--{name}: expected no such option with --world {arguments.world}, received {value!r}; leave it out, "
-            "because that world has its own"
-        )
-    generations = None if arguments.seconds is not None else arguments.generations
-    if arguments.seconds is None and generations is None:
-        generations = 100
-    return Plan(
-        ads=arguments.ads,
-        algorithms=tuple(name.strip() for name in arguments.algorithms.split(",") if name.strip()),
-        runs=arguments.runs,
-        generations=generations,
-        seconds=arguments.seconds,
-        seed=arguments.seed,
-        blame=arguments.blame,
-        fitness=arguments.fitness,
-        world=WorldData.of(world).data,
-        world_name=arguments.world or "",
-        space=base_world(world).space({}).plain,
-        drawn={name: value for name, value in drawn_space(world, {}).items() if name != "crossings"},
-    )

@@ -1,26 +1,27 @@
-"""The plan of a comparison: algorithms, a budget, a policy and the world in which it drives."""
+"""The plan of a comparison, and its runs: each is a search of one algorithm, whose scenarios become rows."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from functools import cache, partial
-from pathlib import Path
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from pytest_pafot import Highway, Run, World, WorldLike
 from pytest_pafot.campaign.explore import AlgorithmRun
-from pytest_pafot.commands.policy_reference import ads_factory, chosen_world, identity
+from pytest_pafot.campaign.request import drawn_space
+from pytest_pafot.campaign.setup_fault import SetupFaultError
+from pytest_pafot.commands.policy_reference import ads_factory, chosen_world
 from pytest_pafot.oracle.checks import require
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.support.process import installed_versions
-from pytest_pafot.support.references import referred_to, source_digests
+from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import plural
-from pytest_pafot.world.codec import WorldData, code_of
+from pytest_pafot.world.driving.policy import Policy
+from pytest_pafot.world.guard.own_worlds import base_world
 
 DIFFERENT = (
     "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
@@ -29,6 +30,15 @@ DIFFERENT = (
 """The warning if :attr:`Plan.scenarios` has more than one entry."""
 PAPER = "paper"
 """The text after the ``@`` for the paper's scenarios."""
+
+COLUMNS: Mapping[str, str] = {
+    "algorithm": "name of the algorithm",
+    "run": "number of the algorithm's run, from 0",
+    **AlgorithmRun.COLUMNS,
+}
+"""The columns of the results: those of a run of an algorithm, and what is compared."""
+
+Row = Mapping[str, Any]
 
 
 def never_collides(blame: str, run: Run) -> None:
@@ -69,11 +79,6 @@ class Entrant(NamedTuple):
         return cls(resolve_algorithm(reference), seconds)
 
     @property
-    def has_papers_scenarios(self) -> bool:
-        """True if the algorithm runs on the paper's scenarios: two NPCs, one start, no patterns."""
-        return self.is_papers or self.algorithm.is_papers
-
-    @property
     def name(self) -> str:
         """The name of the entrant in files, tables and figures."""
         if self.is_papers:
@@ -83,51 +88,38 @@ class Entrant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """The definition of a comparison. It determines the result of every run of every algorithm."""
+    """The arguments of a comparison. They determine the result of every run of every algorithm.
 
-    ads: str  # the policy: ``name`` of a module in example_ads, ``module:factory`` or ``module:factory:argument``
-    # names, or ``module:Class``; ``@15`` makes its runs last 15 s, ``@paper`` gives it the paper's scenarios
+    Attributes:
+        ads: the policy: the name of a module of example_ads, ``module:factory`` or ``module:factory:argument``.
+        algorithms: names, or ``module:Class``; with ``@15`` its runs last 15 s, with ``@paper`` it has the paper's
+            scenarios.
+        runs: the number of runs of each algorithm.
+        seconds: the simulated time of a run after which no scenario begins [s].
+        seed: the base seed, from which the seeds of all runs are derived.
+        blame: ``any`` counts all collisions as failures, as the paper does; for the others see
+            :func:`pytest_pafot.search`.
+        fitness: that of all algorithms: a name or ``module:function``; None for each algorithm's own.
+        world, config: as on the command line.
+        duration: the duration of a scenario [s]; None for the world's.
+        clearance: the clearance of the grid [m]; None for the world's.
+    """
+
+    ads: str
     algorithms: tuple[str, ...]
-    runs: int = 10  # number of runs of each algorithm
-    generations: int | None = 100  # of the main search; None with a time budget
-    seconds: float | None = None  # simulated time after which no scenario begins; None with a budget of generations
-    seed: int = 0  # base seed, from which the seeds of all runs are derived
-    # ``any`` counts all collisions as failures, as the paper does; ``ego`` only those that the ego is responsible for,
-    # and steers the default fitness towards them; ``preventable`` does the same, but counts only those of them in which
-    # a reference driver in the ego's place is not at fault
+    runs: int = 10
+    seconds: float = 3600.0
+    seed: int = 0
     blame: str = "any"
-    fitness: str | None = None  # for all algorithms: a name or ``module:function``; None for each algorithm's own
-    world: Mapping[str, Any] = field(default_factory=lambda: Highway().to_dict())  # in the form of a corpus file
-    world_name: str = ""  # the argument --world: its module makes or registers the world, which may be code
-    space: Mapping[str, Any] = field(default_factory=lambda: SearchSpace().plain)  # fields of a SearchSpace
-    drawn: Mapping[str, Any] = field(default_factory=dict)  # fields for algorithms without the paper's scenarios
-
-    @property
-    def question(self) -> dict[str, Any]:
-        """All but the algorithms and the number of runs: comparisons for which it is equal can share results."""
-        own_fitness = referred_to(self.fitness) if self.fitness is not None and ":" in self.fitness else None
-        return {
-            "plan": asdict(replace(self, algorithms=(), runs=1)),
-            "policy": identity(self.ads),
-            "code": source_digests(own_fitness, *code_of(world_of(self)), here=Path.cwd()),
-            "versions": installed_versions(),
-        }
-
-    @property
-    def identities(self) -> dict[str, Any]:
-        """The identity of each algorithm and its version, by its name in files.
-
-        The code of an algorithm of this package has the version of this package.
-        """
-        given = dict(zip(self.names, self.algorithms, strict=True))
-        return {
-            name: {"given": text, "code": source_digests(self.entrant(name).algorithm.made_by, here=Path.cwd())}
-            for name, text in given.items()
-        }
+    fitness: str | None = None
+    world: str | None = None
+    config: str | None = None
+    duration: float | None = None
+    clearance: float | None = None
 
     @property
     def tasks(self) -> tuple[tuple[str, int], ...]:
-        """All pairs (algorithm, run) in their starting order: run by run, so that a partial result is balanced."""
+        """All pairs (algorithm, run) in the order in which they start: run by run."""
         return tuple((name, run) for run in range(self.runs) for name in self.names)
 
     @property
@@ -135,9 +127,27 @@ class Plan:
         """The names of the algorithms in files, tables and figures."""
         return tuple(Entrant.of(each).name for each in self.algorithms)
 
-    def entrant(self, name: str) -> Entrant:
-        """Return the entrant for one of :attr:`names`, or for a name of the catalogue of algorithms."""
-        return Entrant.of(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
+    def made_world(self) -> WorldLike:
+        """Return the world in which all algorithms drive, unless one has a duration of its own.
+
+        Raises:
+            RequestError: for a value that no world accepts.
+        """
+        road = {name: value for name in ("duration", "clearance") if (value := getattr(self, name)) is not None}
+        world = chosen_world(self.world, self.config, [self.ads], is_planner=self.ads.endswith(PLANNER))
+        if world is None:
+            return Highway(**road)
+        if isinstance(world, World):
+            changed = replace(world, **road)
+            changed.check()
+            return changed
+        if road:
+            name, value = next(iter(road.items()))
+            raise RequestError(
+                f"--{name}: expected no such option with --world {self.world}, received {value!r}; leave it out, "
+                "because that world has its own"
+            )
+        return world  # type: ignore[no-any-return]
 
     def setting(self, name: str) -> tuple[WorldLike, SearchSpace]:
         """Return the world and the space of scenarios of one of :attr:`names`.
@@ -145,9 +155,10 @@ class Plan:
         If the entrant's runs have a different duration, all genes are equally long, in whole ticks, and not longer
         than the genes of the plan. Sampled durations of genes stay sampled.
         """
-        entrant, seconds, own = self.entrant(name), self.entrant(name).seconds, world_of(self)
-        drawn = {} if entrant.has_papers_scenarios else {**self.drawn, "crossings": getattr(own, "crossings", None)}
-        space = SearchSpace(**{**self.space, **drawn})
+        entrant, own = self._entrant(name), self.made_world()
+        space, seconds = base_world(own).space({}), entrant.seconds
+        if not (entrant.is_papers or entrant.algorithm.is_papers):
+            space = replace(space, **drawn_space(own, {}))
         if seconds is None:
             return own, space
         if not isinstance(own, Highway | World):
@@ -159,6 +170,9 @@ class Plan:
         ticks, least = round(seconds * world.physics_hz), math.ceil(seconds / space.gene_seconds - 1e-9)
         genes = next(number for number in range(least, ticks + 1) if ticks % number == 0)
         return world, replace(space, genes=genes, gene_seconds=ticks / genes / world.physics_hz)
+
+    def _entrant(self, name: str) -> Entrant:
+        return Entrant.of(dict(zip(self.names, self.algorithms, strict=True)).get(name, name))
 
     @property
     def scenarios(self) -> dict[str, list[str]]:
@@ -180,9 +194,9 @@ class Plan:
         Raises:
             ValueError: if the algorithm or the fitness cannot be used.
         """
-        (world, space), entrant = self.setting(name), self.entrant(name)
+        world, space = self.setting(name)
         return AlgorithmRun(
-            algorithm=entrant.algorithm,
+            algorithm=self._entrant(name).algorithm,
             ads=ads_factory(self.ads),
             holds=partial(never_collides, self.blame),
             world=world,
@@ -190,7 +204,8 @@ class Plan:
             seed=self.run_seed(name, number),
             blame=self.blame,
             fitness=self.fitness,
-            **{name: value for name in ("generations", "seconds") if (value := getattr(self, name)) is not None},
+            seconds=self.seconds,
+            generations=math.ceil(self.seconds),  # runs of an ADS that fails at once take no simulated time
         )
 
     def run_seed(self, algorithm: str, run: int) -> int:
@@ -198,47 +213,59 @@ class Plan:
         text = f"{self.seed}/{algorithm}/{run}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
+    def check(self) -> None:
+        """Check that the plan can be run.
 
-def checked(plan: Plan) -> Plan:
-    """Return the plan if it can be run.
+        Raises:
+            RequestError: for the first option that is wrong; the message names it.
+        """
+        if not self.algorithms:
+            raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
+        if self.runs < 1:
+            raise RequestError(f"--runs: expected a whole number, at least 1, received {self.runs}")
+        if not 0 < self.seconds < math.inf:
+            raise RequestError(f"--seconds: expected simulated seconds, more than 0, received {self.seconds:g}")
+        if self.seed < 0:
+            raise RequestError(f"--seed: expected a whole number, at least 0, received {self.seed}")
+        try:
+            repeated = sorted({name for name in self.names if self.names.count(name) > 1})
+            if repeated:
+                raise RequestError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
+            for name in self.names:
+                self.run(name, 0)
+        except ValueError as error:
+            raise RequestError(str(error)) from None
+
+
+def run_rows(plan: Plan, task: tuple[str, int]) -> list[Row]:
+    """Run one search of an algorithm, and return a row for each scenario that it requested.
 
     Raises:
-        RequestError: for the first option that is wrong; the message names it.
+        RequestError: if the ADS fails for the same reason at its first decision in the whole first generation.
     """
-    if not plan.algorithms:
-        raise RequestError(f"--algorithms: expected one or more of {', '.join(ALGORITHMS)}, received none")
-    if (plan.generations is None) == (plan.seconds is None):
-        raise RequestError("--generations, --seconds: expected one budget, received both or none")
-    for name, value in (("--runs", plan.runs), ("--generations", plan.generations)):
-        if value is not None and value < 1:
-            raise RequestError(f"{name}: expected a whole number, at least 1, received {value}")
-    if plan.seconds is not None and not 0 < plan.seconds < math.inf:
-        raise RequestError(f"--seconds: expected simulated seconds, more than 0, received {plan.seconds:g}")
-    if plan.seed < 0:
-        raise RequestError(f"--seed: expected a whole number, at least 0, received {plan.seed}")
+    algorithm, run = task
+    made = plan.run(algorithm, run)
     try:
-        names = plan.names
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise RequestError(f"--algorithms: expected each name once, received {', '.join(repeated)} again")
-        for name in names:
-            plan.run(name, 0)
-    except ValueError as error:
-        raise RequestError(str(error)) from None
-    return plan
+        return [{**row, "algorithm": algorithm, "run": run} for row in made.rows(lambda share: None)]
+    except SetupFaultError as fault:
+        raise _set_up(fault, made.world, Policy(made.ads)) from None
 
 
-def world_of(plan: Plan) -> WorldLike:
-    """Return the world of a plan. It is made from its data, unless it is code."""
-    ads_factory(plan.ads)  # whose module may register the environment
-    data = WorldData(plan.world)
-    made = _named(plan.world_name) if ":" in plan.world_name else None
-    if made is None or data.can_be_made:
-        return data.made()
-    road = {name: plan.world[name] for name in ("duration", "clearance") if name in plan.world}
-    return replace(made, **road) if isinstance(made, World) else made
-
-
-@cache
-def _named(reference: str) -> Any:
-    return chosen_world(reference)
+def _set_up(fault: SetupFaultError, world: WorldLike, policy: Policy) -> RequestError:
+    """Return the error for an ADS that does not drive at all, which says nothing about algorithms."""
+    traceback = "" if fault.verdict.failure is None else fault.verdict.failure.traceback
+    place = traceback.rfind("  File ")
+    where = f"\n{traceback[place:].rstrip()}" if place >= 0 else ""
+    asked = fault.first_decision(
+        world,
+        policy,
+        of_si="A policy of a highway-env environment needs that environment, such as --world highway-v0.",
+        of_env="Without --config the environment has its default configuration; a planner in SI units needs "
+        f"{PLANNER} after its name, or the road without --world.",
+    )
+    return RequestError(
+        f"--ads: expected a policy that drives, received {fault.received}{where}\n\n"
+        f"This happened in {fault.runs}, at the first decision: it is an error of the set-up, which says nothing about "
+        "the algorithms. Correct the ADS, its factory, or the world that it drives in (--world and the options after "
+        f"it), and run the command again.{asked}"
+    )

@@ -189,10 +189,8 @@ def way_out(error: OSError, elsewhere: str) -> str:
 
 
 @contextlib.contextmanager
-def written_into(folder: Path, elsewhere: str = "or give another folder") -> Iterator[None]:
+def written_into(folder: Path) -> Iterator[None]:
     """Turn an OSError in this context into an error for ``--out``, since the folder cannot be written.
-
-    The message ends with ``elsewhere``, the advice to use another folder.
 
     Raises:
         RequestError: in place of an OSError.
@@ -204,7 +202,7 @@ def written_into(folder: Path, elsewhere: str = "or give another folder") -> Ite
         what = error.filename2 or (error.filename if isinstance(error, FileExistsError) else folder)
         raise RequestError(
             f"--out: expected a folder that can be written, received {what}: {error.strerror or error}; "
-            f"{way_out(error, elsewhere)}"
+            f"{way_out(error, 'or give another folder')}"
         ) from None
 
 

@@ -6,7 +6,6 @@ import atexit
 import ctypes
 import os
 import pathlib
-import platform
 import signal
 import sys
 import threading
@@ -293,15 +292,6 @@ def installed_versions(others: Sequence[str] = ()) -> dict[str, str]:
         others: the names of other packages on which a run depends.
     """
     return {**{package: _version_of(package) for package in (*PACKAGES, *others)}, RULES: RULES_VERSION}
-
-
-def versions_text(others: Sequence[str] = ()) -> str:
-    """Return what gave a result as a file that pip reads: the packages, and as comments Python and the rules."""
-    lines = [f"# Python {platform.python_version()}, {platform.machine()}", f"# {RULES} {RULES_VERSION}"]
-    packages = {name: _version_of(name) for name in sorted({*PACKAGES, *others})}
-    # A package without metadata, such as one that is run from its folder, cannot be installed by its version.
-    lines += [f"# {name}" if version == "unknown" else f"{name}=={version}" for name, version in packages.items()]
-    return "".join(f"{line}\n" for line in lines)
 
 
 @cache  # A loaded package does not change, and reading its metadata takes as long as replaying a file.

@@ -126,15 +126,6 @@ class _Source(NamedTuple):
     file: Path
 
 
-def source_digests(*values: object, here: Path) -> dict[str, str]:
-    """Return the hashes of the files of :func:`source_files`, sorted by their names.
-
-    The keys are paths relative to the folder ``here``, or the names of modules that are not below it.
-    """
-    files = source_files(*values).items()
-    return dict(sorted((_key(name, file, here.resolve()), digest) for file, (name, digest) in files))
-
-
 def source_files(*values: object) -> dict[Path, tuple[str, str]]:
     """Return the user's source files that define some objects, and all files that these import.
 
@@ -271,7 +262,3 @@ def _library_folders() -> tuple[Path, ...]:
     paths = sysconfig.get_paths()
     libraries = (Path(paths[name]).resolve() for name in ("stdlib", "platstdlib"))
     return (*libraries, Path(__file__).resolve().parents[1])
-
-
-def _key(name: str, file: Path, here: Path) -> str:
-    return file.relative_to(here).as_posix() if file.is_relative_to(here) else name

@@ -158,14 +158,6 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
     return world
 
 
-def code_of(world: Any) -> tuple[object, ...]:
-    """Return the classes and functions whose code a world runs: its own, its environment's and its wrappers."""
-    world = base_world(world).given
-    if not isinstance(world, World):
-        return (world.maker if isinstance(world, SimulatorWorld) else type(world),)
-    return type(world), type(world.environment.unwrapped), *(world.wrappers or ())
-
-
 def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapping[str, Any]:
     """Return a file's world data, changed so that no run and no decision lasts longer than in the test's own world.
 

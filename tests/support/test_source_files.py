@@ -3,10 +3,18 @@
 import functools
 import importlib
 import sys
+from pathlib import Path
 
 import pytest
 
-from pytest_pafot.support.references import source_digests
+from pytest_pafot.support.references import source_files
+
+
+def source_digests(value, *, here):
+    """Return the hashes of the source files of an object by their paths in a folder."""
+    files = source_files(value).items()
+    return dict(sorted((f.relative_to(here).as_posix(), digest) for f, (_, digest) in files if f.is_relative_to(here)))
+
 
 POLICY = """
 import numpy, json
@@ -101,10 +109,9 @@ def test_a_policy_behind_wrappers_is_found(policy, tmp_path, held):
     assert set(OF_POLICY) <= set(found)
 
 
-def test_files_outside_the_folder_have_names_of_modules(policy, tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    found = source_digests(policy, here=tmp_path / "elsewhere")
-    assert list(found) == ["core", "lazy", "package", "package.deep", "package.gains", "policy"]
+def test_files_have_names_of_modules(policy):
+    names = [name for name, _ in source_files(policy).values()]
+    assert sorted(names) == ["core", "lazy", "package", "package.deep", "package.gains", "policy"]
 
 
 def test_links_are_hashed_by_what_they_point_to(policy, tmp_path):
@@ -125,15 +132,15 @@ def test_missing_and_broken_files_are_no_errors(policy, tmp_path):
     assert found["lazy.py"].startswith("sha256:")
 
 
-def test_installed_and_own_packages_are_left_out(tmp_path):
+def test_installed_and_own_packages_are_left_out():
     import numpy
 
     from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 
-    assert source_digests(numpy, RandomSearch, json_of, None, 1.0, "text", here=tmp_path).keys() == {__name__}
+    assert source_files(numpy, RandomSearch, json_of, None, 1.0, "text").keys() == {Path(__file__)}
     exec_made = {}
     exec("def factory(): pass", exec_made)
-    assert source_digests(exec_made["factory"], here=tmp_path) == {}
+    assert source_files(exec_made["factory"]) == {}
 
 
 def json_of(value):
@@ -142,9 +149,9 @@ def json_of(value):
     return json.dumps(value)
 
 
-def test_function_in_closure_without_value_yet_is_skipped(tmp_path):
+def test_function_in_closure_without_value_yet_is_skipped():
     def factory():
         return later
 
-    assert source_digests(factory, here=tmp_path).keys() == {__name__}
+    assert source_files(factory).keys() == {Path(__file__)}
     later = 1
