@@ -1,4 +1,4 @@
-"""Three makes of a planner that follows, overtakes and returns to the right.
+"""A planner that follows, overtakes and returns to the right.
 
 Units are metres, seconds and radians throughout.
 """
@@ -24,45 +24,6 @@ class Seen:
         self.reach = (o.length * abs(math.sin(o.heading)) + o.width * abs(math.cos(o.heading))) / 2
 
 
-# lateral controllers
-
-
-class Ramp:
-    """A set point that moves sideways at no more than `rate`."""
-
-    def __init__(self, rate=1.3):
-        self.rate, self.y, self.t = rate, None, 0.0
-
-    def steer(self, o, goal):
-        e = o.ego
-        if self.y is None:
-            self.y, self.t = e.y, o.time
-        dt, self.t = o.time - self.t, o.time
-        step = clip(goal - self.y, -self.rate * dt, self.rate * dt)
-        self.y += step
-        v = max(e.speed, 4.0)
-        h = clip(((step / dt if dt > 0 else 0.0) + 0.8 * (self.y - e.y)) / v, -1.5 / v, 1.5 / v)
-        return clip(2.2 * (clip(h, -0.25, 0.25) - e.heading) * 5 / v, -0.2, 0.2)
-
-
-class Blend:
-    """A smooth profile from the present place to the new goal."""
-
-    def __init__(self, seconds=4.6):
-        self.T, self.goal = seconds, None
-
-    def steer(self, o, goal):
-        e = o.ego
-        if goal != self.goal:
-            self.goal, self.y0, self.t0 = goal, e.y, o.time
-        lasts, by = max(self.T, 1.1 * abs(goal - self.y0)), goal - self.y0
-        s = clip((o.time - self.t0) / lasts, 0, 1)
-        ref, rate = self.y0 + by * s * s * (3 - 2 * s), by * 6 * s * (1 - s) / lasts
-        v = max(e.speed, 4.0)
-        h = clip((rate + 0.7 * clip(ref - e.y, -0.6, 0.6)) / v, -1.5 / v, 1.5 / v)
-        return clip(2.3 * (clip(h, -0.25, 0.25) - e.heading) * 5 / v, -0.2, 0.2)
-
-
 class Preview:
     """Steer at a point ahead on the goal line."""
 
@@ -76,17 +37,13 @@ class Preview:
         return clip(2.0 * (clip(h, -0.25, 0.25) - e.heading) * 5 / v, -0.2, 0.2)
 
 
-class Planner:
-    """The first make; the others have other constants and other laws."""
-
-    HEADWAY = 1.8
-    SHARE = 0.97  # of the speed limit
+class GippsBased:
+    HEADWAY = 1.7
+    SHARE = 0.93  # of the speed limit
     GAIN, LOSS = 2.0, 9.0  # speed that a change must promise; time between two changes [s]
-    SIDES = (-1, 1)
-    LATERAL = Ramp
 
     def __init__(self):
-        self.lat, self.lane, self.old, self.changed, self.rest = self.LATERAL(), None, None, -3.0, 0.0
+        self.lat, self.lane, self.old, self.changed, self.rest = Preview(), None, None, -3.0, 0.0
         self.tracks, self.t, self.low = {}, None, 99.0
 
     # perception
@@ -118,7 +75,11 @@ class Planner:
 
     # along
     def law(self, e, g, d, v):
-        return 0.3 * (g - 3.0 - self.HEADWAY * e.speed) - 1.0 * d
+        b, tau = 4.0, self.HEADWAY
+        safe = -b * tau / 2 + math.sqrt(
+            (b * tau / 2) ** 2 + max(v, 0) ** 2 + 2 * b * max(g - 3 - 0.5 * tau * e.speed, 0)
+        )
+        return (safe - e.speed) / 0.8
 
     def need(self, o, s):
         """Return the deceleration needed now if the other continues as before."""
@@ -183,11 +144,7 @@ class Planner:
     def wants(self, o, seen):
         """Return the lanes that it would prefer, best first."""
         own = self.pace(o, self.lane, seen)
-        c = [
-            k
-            for k in (self.lane + d for d in self.SIDES)
-            if 0 <= k < o.lanes and self.pace(o, k, seen) > own + self.GAIN
-        ]
+        c = [k for k in (self.lane + 1, self.lane - 1) if 0 <= k < o.lanes and self.pace(o, k, seen) > own + self.GAIN]
         if (
             not c
             and o.time - self.changed > self.LOSS
@@ -219,22 +176,3 @@ class Planner:
         self.choose(o, seen)
         a = max(clip(self.along(o, seen), -8.0, 2.5), -4.0 * max(o.ego.speed, 0.0))
         return float(a), float(self.lat.steer(o, self.lane * o.lane_width))
-
-
-class IdmBased(Planner):
-    LATERAL, HEADWAY = Blend, 1.6
-
-    def law(self, e, g, d, v):
-        s = 3.0 + max(0.0, self.HEADWAY * e.speed + e.speed * d / (2 * math.sqrt(1.6 * 3.0)))
-        return 1.6 * (1 - (s / max(g, 0.5)) ** 2)
-
-
-class GippsBased(Planner):
-    LATERAL, HEADWAY, SHARE, SIDES = Preview, 1.7, 0.93, (1, -1)
-
-    def law(self, e, g, d, v):
-        b, tau = 4.0, self.HEADWAY
-        safe = -b * tau / 2 + math.sqrt(
-            (b * tau / 2) ** 2 + max(v, 0) ** 2 + 2 * b * max(g - 3 - 0.5 * tau * e.speed, 0)
-        )
-        return (safe - e.speed) / 0.8

@@ -1,7 +1,6 @@
 """The plain registered environment gives the same runs, for every kind of ADS and every ending."""
 
 import random
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -35,38 +34,6 @@ def assert_confirmed(world, scenario, ads):
 def scenarios(seed, count, **arguments):
     rng = random.Random(seed)
     return [random_scenario(rng, **{"lanes": 4, "speed_limit": 26.8, "npcs": 2, **arguments}) for _ in range(count)]
-
-
-def ending(world, ads, outcome, seed=0):
-    """Return the first of many scenarios that has a given outcome."""
-    return next(
-        each
-        for each in scenarios(seed, 400, npcs=6 if outcome is Outcome.INVALID else 2)
-        if world.rollout(each, ads).outcome is outcome
-    )
-
-
-def test_planners_and_vehicle_classes_in_environment_are_confirmed():
-    def inside(env):
-        return lambda observation: 1 if env.vehicle.speed < 25 else 4
-
-    world = World("highway-v0", duration=8.0)
-    for ads in (inside, IDMVehicle, lambda: IDMVehicle):
-        assert_confirmed(world, scenarios(5, 1)[0], ads)
-
-
-@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.SAFE, Outcome.INVALID])
-def test_every_way_to_end(outcome):
-    world = Highway()
-    first = assert_confirmed(world, ending(world, constant_speed, outcome), constant_speed)
-    assert first.outcome is outcome
-
-
-def test_collision_inside_a_decision_ends_run_at_tick():
-    world = Highway(physics_hz=15, ads_hz=1)
-    found = (each for each in scenarios(8, 100) if world.rollout(each, constant_speed).outcome is Outcome.COLLISION)
-    ticks = [assert_confirmed(world, scenario, constant_speed).collision.tick for scenario in islice(found, 4)]
-    assert any(tick % 15 for tick in ticks)
 
 
 def test_environment_drives_its_own_road_and_vehicles(monkeypatch):
