@@ -13,13 +13,12 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from pytest_pafot import criticality, plugin, policies, properties, strategies
 from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Search
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Option
 from pytest_pafot.campaign.request import Request, SearchArguments
 from pytest_pafot.commands.rate_command import add_arguments as add_rate_arguments
@@ -44,7 +43,7 @@ from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import READY, STYLES, DrivingStyle, VehicleType
 from pytest_pafot.oracle.checks import check
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.session_record import FINDING, SessionRecord
+from pytest_pafot.report.session_record import finding_entry, to_text
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (
     Control,
@@ -175,9 +174,9 @@ def sections() -> dict[str, str]:
     """Return the text of every generated section, by name."""
     return {
         "options": _options_table(),
-        "session-record": _record_table(SessionRecord),
-        "search-record": _record_table(SearchSummary),
-        "finding-record": _finding_table(),
+        "session-record": _record_table(to_text, "Keys:"),
+        "search-record": _record_table(Search),
+        "finding-record": _record_table(finding_entry, "Keys:"),
         "marker": _marker_table(),
         "fixtures": _fixtures_table(),
         "run": _properties_table(Run, without=RUN_INTERNALS),
@@ -239,13 +238,6 @@ def generated(text: str) -> str:
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
-
-
-def _finding_table() -> str:
-    rows = []
-    for meaning, names in groupby(FINDING, key=lambda name: FINDING[name].meaning):
-        rows.append([_code(", ".join(names)), _capital(meaning)])
-    return _table(["Key", "Meaning"], rows)
 
 
 def _columns_table(columns: Mapping[str, str]) -> str:
@@ -396,8 +388,8 @@ def _properties_table(cls: type[Any], without: Sequence[str] = ()) -> str:
     return _table(["Name", "Meaning"], [[_code(name), _capital(text)] for name, text in own.items()])
 
 
-def _record_table(cls: type[Any]) -> str:
-    return _table(["Key", "Meaning"], [[_code(name), _capital(text)] for name, text in _attributes(cls)])
+def _record_table(thing: Any, heading: str = "Attributes:") -> str:
+    return _table(["Key", "Meaning"], [[_code(name), _capital(text)] for name, text in _attributes(thing, heading)])
 
 
 def _outcomes_table() -> str:

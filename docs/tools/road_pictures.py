@@ -24,7 +24,8 @@ sys.path.insert(0, str(DOCS.parent))
 from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
-from pytest_pafot.findings.sighting import Sighting  # noqa: E402
+from pytest_pafot.findings.labels import Observed  # noqa: E402
+from pytest_pafot.findings.sighting import Seen  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
 from pytest_pafot.report.page import LaneView, RunView  # noqa: E402
@@ -83,7 +84,7 @@ def picture(env_id: str) -> Image.Image:
     failure = Failure(kind="AssertionError", assertion="assert not run.collision")
     origin = Found(seed=1, generation=0, algorithm="random", versions={})
     finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
-    view = finding_view(Sighting(finding=finding, node_id="", run=Run(trace)))
+    view = finding_view(Seen(finding=finding, node_id="", observed=Observed(run=Run(trace))))
     print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
     moment = trace.duration - BEFORE_IMPACT
     return frame(view, min(range(len(view.times)), key=lambda index: abs(view.times[index] - moment)))

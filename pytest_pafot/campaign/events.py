@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, Literal, NamedTuple, Self, TypeVar
 
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -39,6 +40,12 @@ class Progress:
     is_limited: bool = False  # whether a limit of time ends the search
     phase: str = ""  # the work after the generations, such as shrinking; empty while they run
     of: str = ""  # the id of the finding that this work is about
+
+
+UNTESTED = ("invalid", "rejected", "skipped")
+"""The kinds of verdicts on runs that say nothing about the policy."""
+KINDS = ("passed", "failed", "npc", "avoidable", "unpreventable", "common", *UNTESTED)
+"""All kinds of verdicts."""
 
 
 class Ending(StrEnum):
@@ -107,34 +114,33 @@ class Paired:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SearchSummary:
-    """A search at its end, or one that could not begin because its item failed.
+class Search:
+    """A search. Without a reason for its end it has only started, or could not start because its item failed.
 
-    Programs read what is described here, pages and the terminal also the last fields.
+    Programs read what is described here, and `result`, `message`, `runs` and `failing`; the terminal also the last two
+    fields.
 
     Attributes:
-        node_id, result: of its item, as for a finding.
-        message: why the item failed, in one line.
+        node_id: of its item, as for a finding.
         reason: [Why it ended](items.md#why-a-search-ends); empty if it did not begin, or ended early.
         algorithm: its name.
         base_seed, seed: the value of `--pafot-seed` that repeats it, and its own seed.
         generations: their number; one that a limit of time or findings cut is not counted.
-        asked, budget: generations and runs after which it ends; null for no limit.
-        runs, shrink_runs, moment_runs: simulated scenarios; further runs to simplify findings; to find their moments.
-        decisions, confirm_decisions, shrink_decisions, moment_decisions: decisions of the policy in
-            `runs`, to confirm findings, in `shrink_runs` and in `moment_runs`, not in replays.
-        known_runs: scenarios that were not run again.
-        failing, invalid, npc, avoidable, unpreventable, common, rejected, skipped, no_interaction: runs, as in [the
-            summary](items.md#the-summary-and-the-health-of-a-search): `npc` at fault, `avoidable` of these,
-            `unpreventable`, `common` with the reference.
-        reached: share of instructions that were reached; null if unknown.
+        asked: `generations` and `runs` after which it ends, if they were requested.
+        kinds, outcomes, responsibilities: runs by the verdict, by how they ended, and by who was responsible; each adds
+            up to all runs. Verdicts are as in [the summary](items.md#the-summary-and-the-health-of-a-search): `failed`,
+            `invalid`, `npc` at fault, `avoidable` likewise, `unpreventable`, `common` with the reference, `rejected`,
+            `skipped`, or `passed`.
+        more_runs: further runs: to `shrink` findings, to find the `moment`, and `known` scenarios not run again.
+        decisions: of the policy: in the `search`, to `confirm` findings, to `shrink` them, and for the `moment`.
+        random: random scenarios at the beginning: `at_fault`, failing in a collision by the ego's fault; failing
+            `otherwise`; of the latter by `checks`; and all `runs` that are valid and not rejected. Empty if the search
+            broke off before they were done.
+        no_interaction, reached: runs without interaction; share of instructions that were reached, null if unknown.
         finds: ids of its new findings.
         known: failing runs by id of the saved scenario with their failure.
         unlike: up to three of these by that id, with what differs from the file.
         failures: ids of findings by signature.
-        random_failing, random_otherwise, random_checks, random_runs: random scenarios at the beginning: failing in a
-            collision by the ego's fault, otherwise, of the latter by a check, and all that are valid and not
-            rejected. 0 if the search broke off before they were done.
         drawn: a line on the range of scenarios.
         against: the reference; empty without one.
         paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
@@ -144,59 +150,49 @@ class SearchSummary:
     """
 
     node_id: str
-    result: str = ""  # like ``message``, known only to the controller
-    message: str = ""
     reason: Ending = Ending.UNKNOWN
     algorithm: str = ""
     base_seed: int | None = None
     seed: int | None = None
     generations: int = 0
-    asked: int | None = None
-    budget: int | None = None
-    runs: int = 0
-    shrink_runs: int = 0
-    moment_runs: int = 0
-    decisions: int = 0
-    confirm_decisions: int = 0
-    shrink_decisions: int = 0
-    moment_decisions: int = 0
-    known_runs: int = 0
-    failing: int = 0
-    invalid: int = 0
-    npc: int = 0
-    avoidable: int = 0
-    unpreventable: int = 0
-    common: int = 0
-    rejected: int = 0
-    skipped: int = 0
+    asked: Mapping[str, int] = field(default_factory=dict)
+    kinds: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str] = field(default_factory=Counter)
+    responsibilities: Counter[str] = field(default_factory=Counter)
+    more_runs: Counter[str] = field(default_factory=Counter)
+    decisions: Counter[str] = field(default_factory=Counter)
+    random: Counter[str] = field(default_factory=Counter)
     no_interaction: int = 0
     reached: float | None = None
-    finds: tuple[Sighting, ...] = ()
+    finds: tuple[Seen, ...] = ()
     known: Mapping[str, int] = field(default_factory=dict)
     unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     failures: Mapping[str, str] = field(default_factory=dict)
-    random_failing: int = 0
-    random_otherwise: int = 0
-    random_checks: int = 0
-    random_runs: int = 0
     drawn: str = ""
     against: str = ""
     paired: Paired | None = None
     no_worse: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    # for the page alone: numbers of runs by outcome, and by who was responsible
-    outcomes: Mapping[str, int] = field(default_factory=dict)
-    responsibilities: Mapping[str, int] = field(default_factory=dict)
     # for the terminal alone, because they differ between machines and numbers of workers
     seconds: float = 0.0
     process_notes: tuple[str, ...] = ()  # how many processes were used, and which died
 
     @property
+    def runs(self) -> int:
+        """The number of scenarios that were simulated to search."""
+        return self.kinds.total()
+
+    @property
+    def failing(self) -> int:
+        """The number of these runs in which the test failed."""
+        return self.kinds["failed"]
+
+    @property
     def options(self) -> str:
         """The command-line options that request the same search."""
-        given = (("generations", self.asked), ("runs", self.budget), ("seed", self.base_seed))
-        return " ".join(flag(name, value) for name, value in given if value is not None)
+        seed = {} if self.base_seed is None else {"seed": self.base_seed}
+        return " ".join(flag(name, value) for name, value in {**self.asked, **seed}.items())
 
     @property
     def compared(self) -> str:
@@ -212,32 +208,28 @@ class SearchSummary:
         return f"{how}: {self.paired}"
 
     @property
-    def began(self) -> bool:
-        """True if the search ran and reported its end."""
-        return bool(self.reason)
-
-    @property
     def tested(self) -> int:
         """The number of runs that were judged, if the search ran to its end; otherwise 0."""
-        return self.runs - self.invalid - self.rejected - self.skipped if self.reason.is_complete else 0
+        untested = sum(self.kinds[kind] for kind in UNTESTED)
+        return self.runs - untested if self.reason.is_complete else 0
 
 
-def by_test(searches: Iterable[SearchSummary]) -> dict[str, SearchSummary]:
+def by_test(searches: Iterable[Search]) -> dict[str, Search]:
     """Return searches by the node ids of their tests."""
     return {name_without(SEARCH_PART, search.node_id): search for search in searches}
 
 
-def concluded(replay: Sighting, searches: Mapping[str, SearchSummary]) -> Sighting:
+def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
     """Return a replay with what the search of its test says about it, which another process may have run.
 
     ``searches`` are the searches of this session by node id of their tests.
     """
     search, now = searches.get(replay.test), replay.observed
-    if search is None or now is None or replay.label != "passes":
+    if search is None or replay.label != "passes":
         return replay
     if elsewhere := search.failures.get(replay.finding.signature.text, ""):
         return replace(replay, observed=replace(now, elsewhere=elsewhere))
-    drawn = min(search.random_runs, search.tested)
+    drawn = min(search.random["runs"], search.tested)
     return replace(replay, observed=replace(now, searched=search.tested, drawn=drawn))
 
 
@@ -285,7 +277,7 @@ class Judged:
         return self.known_responsibility if self.run is None else self.run.responsibility
 
 
-SearchEvent = SearchStarted | Judged | Sighting | Progress | SearchSummary | Event
+SearchEvent = SearchStarted | Judged | Seen | Progress | Search | Event
 
 Listener = Callable[[SearchEvent], None]
 """A function that receives the events of a search, one by one in their order."""
@@ -298,10 +290,12 @@ class Phase(NamedTuple):
     of: str = ""
 
 
-class Note(NamedTuple):
-    """A text for the summary on what could not be found out about a finding."""
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A text for the end of the session; of an item whose policy cannot be compared, its node id."""
 
     text: str
+    kind: Literal["note", "warning", "incomparable"] = "note"
 
 
 ResultT = TypeVar("ResultT")

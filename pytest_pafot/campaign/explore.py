@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Literal, NoReturn, Unpack
 
 from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import Judged, Listener, SearchEvent, SearchSummary
+from pytest_pafot.campaign.events import Judged, Listener, Search, SearchEvent
 from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.judging import source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
@@ -32,7 +32,7 @@ from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.corpus.layout import folder_of_test, link_below, refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, RandomSearch
@@ -71,7 +71,7 @@ class Exploration:
     """
 
     findings: tuple[Finding, ...]
-    summary: SearchSummary
+    summary: Search
     seen: tuple[SearchEvent, ...] = field(repr=False)
     runs: tuple[dict[str, Any], ...] = field(repr=False)
 
@@ -81,9 +81,9 @@ class Exploration:
         return tuple(_unpacked(self.seen))
 
     @property
-    def sightings(self) -> tuple[Sighting, ...]:
+    def sightings(self) -> tuple[Seen, ...]:
         """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
-        last = {event.finding.id: event for event in self.seen if isinstance(event, Sighting)}
+        last = {event.finding.id: event for event in self.seen if isinstance(event, Seen)}
         return tuple(last[finding.id] for finding in self.findings)
 
 

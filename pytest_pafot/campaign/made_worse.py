@@ -17,7 +17,7 @@ from pytest_pafot.campaign.events import Paired, Phase, Refining, SearchEvent
 from pytest_pafot.campaign.state import State, lose
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.space import SearchSpace, sample
@@ -93,7 +93,7 @@ class MadeWorse:
         bench.record.clear()
         return False, reference.failed
 
-    def _dismiss(self, sightings: Iterable[Sighting]) -> Iterator[SearchEvent]:
+    def _dismiss(self, sightings: Iterable[Seen]) -> Iterator[SearchEvent]:
         """Take findings back, unless the policy itself raised or hung: that is no question of how often."""
         state, harness = self.state, self.bench.harness
         way_out = f"a search without {harness.request.option('against')} counts what it finds, and saves it"

@@ -45,6 +45,7 @@ def search(
         if reason is not None:
             break
         state.generation = scenarios.generation
+        state.number = state.generation if isinstance(scenarios, Numbers) else state.runs
         # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once. Until
         # two runs differ, this process must see each failure, since it may be a fault of the set-up.
         happened: Sequence[Event] = ()
@@ -118,19 +119,17 @@ def _judge_and_count(
         if state.knows(signature):
             state.repeat(signature)
         else:
-            found = yield from save_and_confirm(run, verdict, state.generation, state.runs, bench, store, watch)
+            found = yield from save_and_confirm(run, verdict, state.generation, bench, store, watch)
             state.add(signature, found)
+        state.see_severity(signature, verdict.severity, state.number)
     return bench.evaluation(run, verdict, signature)
 
 
 def save_and_confirm(
-    run: Run, verdict: Verdict, generation: int, number: int, bench: Bench, store: Store, watch: Watch
+    run: Run, verdict: Verdict, generation: int, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, str]:
-    """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id.
-
-    The numbers are as in :meth:`Store.add`.
-    """
-    sighting = store.add(run, verdict, generation, number)
+    """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id."""
+    sighting = store.add(run, verdict, generation)
     if isinstance(sighting, str):
         return sighting
     # It is saved before it is confirmed, so that nothing is lost if the session dies in the second run.

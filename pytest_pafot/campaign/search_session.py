@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -17,12 +17,13 @@ from typing import Any, Self
 
 from pytest_pafot.campaign.bench import Bench, left_out_text
 from pytest_pafot.campaign.events import (
+    KINDS,
     Ending,
     Note,
     Phase,
+    Search,
     SearchEvent,
     SearchStarted,
-    SearchSummary,
 )
 from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.judging import no_skip, skips
@@ -43,7 +44,7 @@ from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.findings.finding import Manner
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import EndReason
@@ -83,8 +84,8 @@ def search_seed(base_seed: int, node_id: str) -> int:
 class SearchResult:
     """The result of a search."""
 
-    summary: SearchSummary
-    findings: tuple[Sighting, ...]
+    summary: Search
+    findings: tuple[Seen, ...]
     count: int  # number of distinct new findings, saved or only counted
     first_exception: BaseException | None  # the exception of the first finding; None without one
     fault: BaseException | None  # a fault of the set-up, as the exception to raise instead of findings
@@ -418,7 +419,7 @@ class SearchSession:
     def _settle(self, reason: Ending) -> None:
         """Take the failures before their turn as findings, or forget them if the order says so."""
         is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
-        for signature, find_id, ended in self.store.settle(self.state.runs + 1, keeps=is_cut):
+        for signature, find_id, ended in self.store.settle(keeps=is_cut):
             self.state.add(signature, find_id)
             self.state.counts.add("failed", *ended)
 
@@ -526,7 +527,7 @@ class SearchSession:
             case "stopped":
                 return Ending.FINDINGS
 
-    def _summary(self, reason: Ending) -> SearchSummary:
+    def _summary(self, reason: Ending) -> Search:
         settings, state, health = self.harness.request.settings, self.state, self.state.health
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
         notes = (
@@ -542,48 +543,41 @@ class SearchSession:
         random = state.random
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
-        names = ("invalid", "avoidable", "unpreventable", "common", "rejected", "skipped")
-        verdicts: dict[str, Any] = {name: state.counts.kinds[name] for name in names}
-        return SearchSummary(
+        budgets = {"generations": settings.generations, "runs": settings.runs}
+        decisions = {
+            "search": self.bench.decisions - state.shrink_decisions - state.moment_decisions,
+            "confirm": self.bench.confirm_decisions,
+            "shrink": state.shrink_decisions,
+            "moment": state.moment_decisions,
+        }
+        return Search(
             node_id=self.watch.node_id,
+            reason=reason,
             algorithm=self.harness.request.algorithm.name,
             base_seed=settings.seed,
             seed=self.store.seed,
             generations=state.generation if state.finished is None else state.finished.generations,
-            asked=settings.generations,
-            budget=settings.runs,
-            reason=reason,
-            seconds=state.seconds,
-            runs=state.runs,
-            known_runs=health.reused,
-            npc=state.counts.kinds["npc"] + state.counts.kinds["avoidable"],
-            reached=health.reached_share,
+            asked={name: most for name, most in budgets.items() if most is not None},
+            kinds=Counter({kind: state.counts.kinds[kind] for kind in KINDS}),
+            outcomes=state.counts.outcomes,
+            responsibilities=state.counts.responsibilities,
+            more_runs=Counter(shrink=state.shrink_runs, moment=state.moment_runs, known=health.reused),
+            decisions=Counter(decisions),
+            random=Counter() if is_cut_short else random.counts,
             no_interaction=health.no_interaction,
-            failing=state.counts.kinds["failed"],
-            finds=tuple(replace(each, repeats=state.repeats[each.id]) for each in self.store.findings.values()),
-            shrink_runs=state.shrink_runs,
-            moment_runs=state.moment_runs,
-            decisions=self.bench.decisions - state.shrink_decisions - state.moment_decisions,
-            confirm_decisions=self.bench.confirm_decisions,
-            shrink_decisions=state.shrink_decisions,
-            moment_decisions=state.moment_decisions,
+            reached=health.reached_share,
+            finds=tuple(replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()),
             known=dict(state.covered),
             unlike=self._unlike(),
             failures={signature.text: id_ for signature, id_ in state.failures.items()},
-            warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
-            notes=(*self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
-            process_notes=tuple(self.process_notes),
+            drawn="" if self.state.space is None else self.state.space.described,
             against=self.harness.against_name,
             paired=None if self._worse is None else self._worse.paired,
             no_worse=self.store.dismissed,
-            random_failing=0 if is_cut_short else random.at_fault,
-            random_runs=0 if is_cut_short else random.runs,
-            random_otherwise=0 if is_cut_short else random.otherwise,
-            random_checks=0 if is_cut_short else random.checks,
-            drawn="" if self.state.space is None else self.state.space.described,
-            outcomes=dict(state.counts.outcomes),
-            responsibilities=dict(state.counts.responsibilities),
-            **verdicts,
+            warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
+            notes=(*self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            seconds=state.seconds,
+            process_notes=tuple(self.process_notes),
         )
 
     def _unlike(self) -> dict[str, tuple[str, ...]]:
@@ -653,7 +647,7 @@ class SearchSession:
         left = [each for each in firm if (each.finding.shrunk is None if is_broken_off else each.unshrunk)]
         if left and (is_broken_off or not self.bench.is_at_limit) and settings.shrink_rollouts != 0:
             what = "1 new finding was" if len(left) == 1 else f"{len(left)} new findings were"
-            first = "delete its files and " if any(each.file for each in left) else ""
+            first = "delete its files and " if any(each.path for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             if is_broken_off:
                 yield f"ended before {what} shrunk: {again}"

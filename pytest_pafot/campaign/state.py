@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Judged, SearchEvent
@@ -15,6 +15,8 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Manner
+from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.sighting import Alike, worse
 from pytest_pafot.findings.signature import CHECK_FAILED, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -55,6 +57,11 @@ class RandomRuns:
     def is_whole(self) -> bool:
         """True if all random scenarios at the beginning of the search were run."""
         return self.evaluated >= self.most
+
+    @property
+    def counts(self) -> Counter[str]:
+        """The numbers of runs by what became of them."""
+        return Counter(runs=self.runs, at_fault=self.at_fault, otherwise=self.otherwise, checks=self.checks)
 
     def see(self, event: SearchEvent) -> None:
         """Count an event of the beginning. A scenario may be judged twice before it is evaluated."""
@@ -115,6 +122,9 @@ class State:
     moment_runs: int = field(init=False, default=0)  # number of runs in which the ADS is asked again beside a run
     moment_decisions: int = field(init=False, default=0)  # that the ADS made in these
     uncounted: list[evaluation.Evaluated] = field(init=False, default_factory=list)
+    # the worst of the runs with a failure: its number in the search, from 0, and how bad it was
+    worst: dict[Signature, Alike] = field(init=False, default_factory=dict)
+    number: int = field(init=False, default=0)  # number of the run in progress, from 0
     generation: int = field(init=False, default=0)  # generation of the main search, from 0
     finished: evaluation.CampaignFinished | None = field(init=False, default=None)  # the last event of the plan
     skip: BaseException | None = field(init=False, default=None)  # the last skip of the test function
@@ -222,6 +232,8 @@ class State:
         for signature, runs in tally.failed.items():
             if self.knows(signature):  # unless this process has judged the first of these runs otherwise
                 self.repeat(signature, runs)
+        for signature, each in tally.worst.items():
+            self.see_severity(signature, each.severity, each.number if tally.judged is None else self.number)
         for signature, manner, id_ in tally.manners:
             self.see_manner(signature, manner, id_)
 
@@ -233,6 +245,17 @@ class State:
         """Count runs with a failure that the search :meth:`knows`."""
         id_ = self.failures[signature] = self.shown.get(signature) or self.finds[signature]
         (self.covered if signature in self.shown else self.repeats)[id_] += runs
+
+    def see_severity(self, signature: Signature, severity: Severity | None, number: int) -> None:
+        """Keep the worst of the runs with a failure, and of equal ones the first."""
+        self.worst[signature] = worse(self.worst.get(signature), Alike(number=number, severity=severity))
+
+    def alike(self, find_id: str) -> Alike:
+        """Return how many other runs failed like a finding, and the worst of them all."""
+        kept = next(
+            (self.worst[each] for each, id_ in self.finds.items() if id_ == find_id and each in self.worst), Alike()
+        )
+        return replace(kept, runs=self.repeats[find_id])
 
     def add(self, signature: Signature, find_id: str) -> None:
         """Take a new finding."""

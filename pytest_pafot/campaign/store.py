@@ -14,12 +14,13 @@ from pytest_pafot.campaign.judging import PlainFailure, headline
 from pytest_pafot.campaign.scenarios import PendingFailure
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, portable
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.labels import Observed
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -52,7 +53,7 @@ class Store:
     seed: int
     # files that existed before the search; their replays do not show the findings that are saved here
     replayed: frozenset[Path] = frozenset()
-    findings: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id
+    findings: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id
     only_counts: bool = False  # True if new failures are only counted, and no finding is made of them
     first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
@@ -71,10 +72,10 @@ class Store:
         """The number of findings that can be shrunk."""
         return sum(each.is_firm for each in self.findings.values())
 
-    def add(self, run: Run, verdict: Verdict, generation: int, number: int) -> Sighting | str:
+    def add(self, run: Run, verdict: Verdict, generation: int) -> Seen | str:
         """Save a new finding, and hold it back; return its id alone if failures are only counted.
 
-        ``generation`` is counted from 0; ``number``, the number of the run in the search, from 1.
+        ``generation`` is counted from 0.
         """
         if verdict.exception is None:
             raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
@@ -83,11 +84,7 @@ class Store:
         if self.only_counts:
             return finding.id
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
-            sighting = self._saved(
-                finding, finding.with_sight(headline(run, verdict)), verdict.exception, verdict.is_timed
-            )
-            sighting = replace(sighting, run=run, number=number, severity=verdict.severity)
-            return self._held(sighting)
+            return self._held(self._saved(finding, finding.with_sight(headline(run, verdict)), verdict, run))
 
     def add_pending(self, pending: PendingFailure, known: Collection[Signature]) -> None:
         """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
@@ -111,10 +108,10 @@ class Store:
         if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
             _remove_pending(path)
 
-    def settle(self, number: int, *, keeps: bool) -> Iterator[tuple[Signature, str, tuple[str, str | None]]]:
+    def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, tuple[str, str | None]]]:
         """End the search with failures that are saved before their turn: take them as findings, or remove their files.
 
-        Yield what is taken: its id, its outcome and who was responsible; ``number`` is that of its run.
+        Yield what is taken: its id, its outcome and who was responsible.
         """
         for signature, (path, pending) in [*self.pending.items()]:
             if not keeps:
@@ -123,7 +120,7 @@ class Store:
             elif isinstance(pending.of, ProcessLostError):
                 yield signature, self.add_lost(pending.of, pending.generation).id, ("lost", None)
             else:
-                sighting = self.add(*pending.of, pending.generation, number)
+                sighting = self.add(*pending.of, pending.generation)
                 id_ = sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
                 yield signature, id_, (pending.of[0].outcome, pending.of[0].responsibility)
         self.pending.clear()
@@ -142,88 +139,92 @@ class Store:
             root=str(self.harness.root),
         )
 
-    def release(self) -> Iterator[Sighting]:
+    def release(self) -> Iterator[Seen]:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
         self.is_holding = False
         for find_id in tuple(self.held):
             yield from self.publish(self.findings[find_id])
 
-    def withdraw(self) -> Iterator[Sighting]:
+    def withdraw(self) -> Iterator[Seen]:
         """Remove the files of findings that were held back, since they are a fault of the set-up.
 
         Yield the findings whose files cannot be removed.
         """
-        deque(self.settle(0, keeps=False), maxlen=0)
+        deque(self.settle(keeps=False), maxlen=0)
         withdrawn = [self.findings.pop(find_id) for find_id in self.held]
         self.held.clear()
         self.is_holding = False
         for sighting in withdrawn:
             try:
-                if sighting.file is not None:
-                    sighting.file.unlink(missing_ok=True)
+                if sighting.path:
+                    self.file_of(sighting).unlink(missing_ok=True)
             except OSError:
                 yield from self.publish(sighting)
-        if not any(each.file for each in withdrawn):
+        if not any(each.path for each in withdrawn):
             return  # Nothing was saved, and the folders may be behind a link, where nothing may be removed.
         with suppress(OSError):  # Folders with other content stay.
             self._remove_folders()
 
-    def dismiss(self, sighting: Sighting, why: str) -> Iterator[Sighting]:
+    def dismiss(self, sighting: Seen, why: str) -> Iterator[Seen]:
         """Remove the file of a finding that does not count, and yield what is to be reported."""
-        file = sighting.file
-        sighting = replace(sighting, is_no_worse=True, detail=why, unshrunk="", is_first=False)
-        if file is not None:
+        no_worse = replace(sighting.observed, new="no worse")
+        sighting = replace(sighting, observed=no_worse, detail=why, unshrunk="")
+        if sighting.path:
             with suppress(OSError):  # A file that cannot be removed stays, and is reported with its path.
-                file.unlink(missing_ok=True)
+                self.file_of(sighting).unlink(missing_ok=True)
                 sighting = replace(sighting, path="")
             with suppress(OSError):  # Folders with other content stay.
                 self._remove_folders()
         with postponed():
             del self.findings[sighting.id]
             self.dismissed[sighting.id] = sighting.headline
-            self.first_exception = next((each.exception for each in self.findings.values()), None)
+            self.first_exception = next((each.raised for each in self.findings.values()), None)
             yield sighting
 
     def _remove_folders(self) -> None:
         for folder in (self.harness.folder, *self.harness.folder.parents[:2]):
             folder.rmdir()
 
-    def publish(self, sighting: Sighting) -> Iterator[Sighting]:
+    def publish(self, sighting: Seen) -> Iterator[Seen]:
         """Yield a new finding, or an update of one, which is reported as soon as the next event is asked for."""
         with postponed():
             self.findings[sighting.id] = sighting
             if self.first_exception is None or sighting.id == next(iter(self.findings)):
-                self.first_exception = sighting.exception
+                self.first_exception = sighting.raised
             yield sighting
             if sighting.id in self.held:
                 self.held.remove(sighting.id)
 
-    def call_flaky(self, sighting: Sighting, difference: str) -> Sighting:
+    def call_flaky(self, sighting: Seen, difference: str) -> Seen:
         """Mark a finding as flaky, also in its file; return it. ``difference`` is what did not repeat."""
         flaky = portable(difference, str(self.harness.root))
-        marked = self.rewritten(replace(sighting, finding=replace(sighting.finding, flaky=flaky)))
-        self.findings[sighting.id] = replace(marked, difference=difference, unshrunk="")
+        marked = replace(sighting, finding=replace(sighting.finding, flaky=flaky), unshrunk="")
+        self.findings[sighting.id] = self.rewritten(marked)
         return self.findings[sighting.id]
 
-    def call_unconfirmed(self, sighting: Sighting) -> Sighting:
+    def call_unconfirmed(self, sighting: Seen) -> Seen:
         """Mark a finding as one that there was no time to run again; return it."""
         self.findings[sighting.id] = replace(sighting, unshrunk=UNCONFIRMED)
         return self.findings[sighting.id]
 
     @REPLACED.shown(False)
-    def rewritten(self, sighting: Sighting) -> Sighting:
+    def rewritten(self, sighting: Seen) -> Seen:
         """Write a finding of which more is known to its file, whose ``xfail`` stays; return it.
 
-        If the file cannot be written, ``unwritten`` says why.
+        If the file cannot be written, its detail says why.
         """
-        if sighting.file is None:
-            return replace(sighting, content=text_of(sighting.finding) if sighting.content else "")
+        if not sighting.path:
+            return sighting
         try:
-            return replace(sighting, finding=rewrite(sighting.file, sighting.finding))
+            return replace(sighting, finding=rewrite(self.file_of(sighting), sighting.finding))
         except CorpusWriteError as error:
-            return replace(sighting, unwritten=str(error))
+            return replace(sighting, detail=f"is as it was before: {error}")
 
-    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Sighting:
+    def file_of(self, sighting: Seen) -> Path:
+        """Return the file of a finding that has one."""
+        return self.harness.folder / f"{sighting.id}{SUFFIX}"
+
+    def add_crash(self, leftover: Leftover, scenario: Scenario, again: LostRun | None) -> Seen:
         """Save a scenario in which a process died in an earlier session, as its record ``leftover`` says.
 
         ``again`` describes how a second process ended that ran the scenario again; None if that is unknown.
@@ -240,11 +241,10 @@ class Store:
         if again is not None:
             expect, line = expectation(again), _headline(again)
         finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
-        is_timed = again is not None and again.is_hang
         with postponed():
-            return self._held(self._saved(finding, line, PlainFailure(text), is_timed))
+            return self._held(self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text))))
 
-    def add_lost(self, lost: LostRun, generation: int) -> Sighting:
+    def add_lost(self, lost: LostRun, generation: int) -> Seen:
         """Save a scenario whose process died or hung."""
         again = "" if lost.is_hang else ", also when it was tried again"
         text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
@@ -252,9 +252,10 @@ class Store:
         finding = self._death(lost.task, expectation(lost), self._found(generation), None)
         self._forget_pending(finding)
         with postponed():
-            return self._held(self._saved(finding, _headline(lost), PlainFailure(text), lost.is_hang))
+            died = Verdict(kind="failed", exception=PlainFailure(text))
+            return self._held(self._saved(finding, _headline(lost), died))
 
-    def _held(self, sighting: Sighting) -> Sighting:
+    def _held(self, sighting: Seen) -> Seen:
         self.findings[sighting.id] = sighting
         self.held.append(sighting.id)
         return sighting
@@ -280,12 +281,12 @@ class Store:
         )
 
     @REPLACED.shown(False)  # also what the test function itself has replaced
-    def _saved(self, finding: Finding, line: str, exception: BaseException, is_timed: bool) -> Sighting:
+    def _saved(self, finding: Finding, line: str, verdict: Verdict, run: Run | None = None) -> Seen:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
             path = self.harness.folder / f"{finding.id}{SUFFIX}"
-        problem = content = ""
+        problem = ""
         try:
             if self.harness.request.settings.save == "none":
                 problem = flag("save", "none")
@@ -296,17 +297,14 @@ class Store:
                     break
                 path, finding = other, renamed
         except CorpusWriteError as error:
-            problem, content = str(error), text_of(finding)
-        return Sighting(
+            problem = str(error)
+        return Seen(
             finding=finding,
             node_id=self.harness.saved_node_id(finding.id),
             headline=line,
             path="" if problem else relative(path, self.harness.root),
             detail=problem,
-            is_timed=is_timed,
-            exception=exception,
-            file=None if problem else path,
-            content=content,
+            observed=Observed(new="new", fails=True, run=run, verdict=verdict, severity=verdict.severity),
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any
@@ -30,6 +30,7 @@ from pytest_pafot.execution.scenario_pool import (
     run_recorded,
 )
 from pytest_pafot.findings.finding import Manner, failed_as
+from pytest_pafot.findings.sighting import Alike, worse
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
@@ -139,6 +140,7 @@ class Tally(Digest, RunsEvaluated):
         failed: numbers of runs by their known failures.
         manners: of each run with a known failure, its manner and the id of its scenario.
         random: the counts of :class:`~pytest_pafot.campaign.state.RandomRuns`, in the order of its fields.
+        worst: of the runs with a failure the worst one, by failure; its number is that in the search.
         doubt: see :func:`unit_doubt`.
         avoidable: see :class:`~pytest_pafot.campaign.state.State`.
     """
@@ -151,6 +153,7 @@ class Tally(Digest, RunsEvaluated):
     caught: Counter[str]
     failed: Counter[Signature]
     manners: tuple[tuple[Signature, Manner, str], ...]
+    worst: Mapping[Signature, Alike]
     random: tuple[int, int, int, int, int]
     doubt: str
     avoidable: str
@@ -179,6 +182,11 @@ class Tally(Digest, RunsEvaluated):
                 for number, each in enumerate(runs, first)
                 if each.event.columns is not None
             ]
+        worst: dict[Signature, Alike] = {}
+        for number, each in enumerate(runs, first or 0):
+            if each.signature is not None:
+                seen = Alike(number=number, severity=each.event.verdict.severity)
+                worst[each.signature] = worse(worst.get(each.signature), seen)
         return cls(
             generation=first or 0,
             runs=len(runs),
@@ -194,6 +202,7 @@ class Tally(Digest, RunsEvaluated):
                 for each in runs
                 if each.signature is not None and each.manner is not None
             ),
+            worst=worst,
             random=(len(runs), len(valid), len(failed) - len(others), len(others), checks),
             rows=tuple(rows),
             doubt=next((each.doubt for each in runs if each.doubt), ""),

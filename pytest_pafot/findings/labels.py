@@ -9,11 +9,14 @@ from typing import Literal
 
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import IN_MEMORY
+from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 
 Label = Literal["error", "still failing", "drifted", "flaky", "accepted", "passes", "fixed"]
 """The word in which a session says what became of a saved scenario."""
+New = Literal["new", "no worse"]
+"""The word for a new finding, and for one that does not count because the reference fails as often."""
 
 GROUPS: Mapping[str, str] = MappingProxyType({
     "new": "New",
@@ -31,9 +34,10 @@ GROUPS: Mapping[str, str] = MappingProxyType({
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """What the runs of a replay showed, and what its session knows besides.
+    """What the run of a new finding or the runs of a replay showed, and what its session knows besides.
 
     Attributes:
+        new: ``new`` for a new finding, ``no worse`` if it does not count in a comparison; empty for a replay.
         is_error: True if the file could not be read, or its scenario not be run.
         fails: True if a run fails, or its process dies.
         is_same: True if it fails as the file says.
@@ -45,6 +49,10 @@ class Observed:
         is_accepted: True if the file accepts its failure today.
         beyond: how it goes beyond the failure that the file would accept; empty if it does not.
         reference_passes: whether the reference passes the same scenario; None without a reference.
+        against: the reference that a replay is compared with; empty without one.
+        severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
+        before: severity with the reference of a replay; None if there is none.
+        sentences: who did what in a collision; empty without one, and until an item reports it.
         searched: number of runs of the search of its test that found no such failure, if it passes and that search ran
             to its end in this session; otherwise 0.
         drawn: number of random scenarios among these.
@@ -57,6 +65,7 @@ class Observed:
         verdict: the verdict on that run; None in another process than that of the item.
     """
 
+    new: New | Literal[""] = ""
     is_error: bool = False
     fails: bool = False
     is_same: bool = False
@@ -68,6 +77,10 @@ class Observed:
     is_accepted: bool = False
     beyond: str = ""
     reference_passes: bool | None = None
+    against: str = ""
+    severity: Severity | None = None
+    before: Severity | None = None
+    sentences: tuple[str, ...] = ()
     searched: int = 0
     drawn: int = 0
     elsewhere: str = ""
@@ -89,8 +102,10 @@ class Observed:
         return self.run, self.verdict
 
 
-def label(observed: Observed) -> Label:
-    """Return the label of a replay. Nothing else decides it."""
+def label(observed: Observed) -> Label | New:
+    """Return the label of a finding. Nothing else decides it."""
+    if observed.new:
+        return observed.new
     if observed.is_error:
         return "error"
     if observed.is_accepted and (observed.fails or observed.is_unsteady):

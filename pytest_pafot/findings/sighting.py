@@ -1,15 +1,15 @@
-"""A sighting: a finding as a session saw it, when its search found it or when its saved scenario was replayed."""
+"""A finding as a session saw it, when its search found it or when its saved scenario was replayed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 from pytest_pafot.findings.decisions import Moment
-from pytest_pafot.findings.finding import IN_MEMORY, Finding
-from pytest_pafot.findings.labels import Label, Observed, label
+from pytest_pafot.findings.finding import Finding
+from pytest_pafot.findings.labels import Label, New, Observed, label
 from pytest_pafot.findings.severity import Severity
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import ascii_text, plural
@@ -34,67 +34,58 @@ def on_search(searched: int, drawn: int, elsewhere: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sighting:
+class Alike:
+    """The runs of a search that failed like a finding.
+
+    Attributes:
+        runs: the number of the other runs.
+        number: the number of the worst of all these runs in the search, from 0.
+        severity: how bad the worst one was; None if nothing measures it.
+    """
+
+    runs: int = 0
+    number: int = 0
+    severity: Severity | None = None
+
+
+def worse(one: Alike | None, other: Alike) -> Alike:
+    """Return the runs whose worst run is the worse one; the first of two equal ones."""
+    if one is None or one.severity is None:
+        return other
+    return other if other.severity is not None and one.severity < other.severity else one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
     """A finding as this session saw it, new or replayed. All reports of a session are written from it.
 
     As an event of a search it reports a new finding. The event is repeated with each detail that becomes known; only
-    the last event of a finding is valid. The last attributes, from ``is_first`` on, stay in the process of the item.
+    the last event of a finding is valid.
 
     Attributes:
         finding: the content of its file.
         node_id: node id of the item that replays it, in this session or, if it is new, from the next one on.
         test: node id of the test of a replayed one, as it is in this session.
-        observed: what the runs of a replay showed, from which its label follows; None for a new finding.
-        is_no_worse: True if it is new and does not count in a comparison.
+        observed: what the run of a new finding or the runs of a replay showed, from which its label follows.
         headline: how the run failed; empty if it passes.
         path: path of its file; empty if a new finding has none.
-        detail: why a new finding has no file or does not count, or what differs from the file of a replayed one; may be
-            empty.
-        difference: what differed when the scenario of a new finding was run again; empty if nothing did.
-        is_timed: True if the failure depends on wall-clock time.
+        detail: why a new finding has no file, or its file lacks what shrinking changed, or why the finding does not
+            count; or what differs from the file of a replayed one; may be empty.
         unshrunk: why a new finding is not yet fully shrunk; empty if it is.
         moment: the last decision that could have avoided it; None if that was not examined, or none is known.
-        severity: severity of the failure; None if it passes, nothing measures it, or there is no run.
-        severity_before: severity with the reference of a replay; None if there is none.
-        repeats: number of other runs of the search that failed in the same way.
-        against: the reference that a replay is compared with; empty without one.
-        sentences: who did what in a collision; empty without one, and until an item reports it.
-        command: the command that runs it again; empty until an item reports it.
-        is_first: True if it is reported for the first time.
-        unwritten: why the file of a new finding is as it was before, without what shrinking changed; usually empty.
-        exception: what the test function raised in the run of a new finding, or what stands for the death of its
-            process; None for a replay, and beyond that process.
-        run: the run of the scenario in the file; None if its process died or hung.
-        file: the file; None if a new finding has none.
-        content: the content of a file that could not be written, or empty.
-        number: the number of its run in the search, from 1; 0 if the search did not run it.
+        alike: the runs of the search that failed like a new finding.
     """
 
     finding: Finding
     node_id: str
     test: str = ""
-    observed: Observed | None = None
-    is_no_worse: bool = False
+    observed: Observed = field(default_factory=Observed)
     headline: str = ""
     path: str = ""
     detail: str = ""
-    difference: str = ""
-    is_timed: bool = False
     unshrunk: str = ""
     moment: Moment | None = None
-    severity: Severity | None = None
-    severity_before: Severity | None = None
-    repeats: int = 0
-    against: str = ""
-    sentences: tuple[str, ...] = ()
-    command: str = ""
-    is_first: bool = True
-    unwritten: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
-    exception: BaseException | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
-    run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
-    file: Path | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
-    content: str = field(default="", compare=False, repr=False, metadata=IN_MEMORY)
-    number: int = field(default=0, compare=False, repr=False, metadata=IN_MEMORY)
+    alike: Alike = field(default_factory=Alike)
 
     @property
     def id(self) -> str:
@@ -102,15 +93,25 @@ class Sighting:
         return self.finding.id
 
     @property
+    def run(self) -> Run | None:
+        """The run of the scenario; None if its process died or hung, and in another process than that of the item."""
+        return self.observed.run
+
+    @property
     def raised(self) -> BaseException:
         """The exception of a new finding.
 
         Raises:
-            ValueError: for a replay, or in another process than that of the search.
+            ValueError: for a replay that passes, or in another process than that of the search.
         """
-        if self.exception is None:
-            raise ValueError(f"sighting: expected a new finding in the process of its search, received {self.id!r}")
-        return self.exception
+        if self.observed.verdict is None or self.observed.verdict.exception is None:
+            raise ValueError(f"seen: expected a new finding in the process of its search, received {self.id!r}")
+        return self.observed.verdict.exception
+
+    @property
+    def severity(self) -> Severity | None:
+        """The severity of the failure; None if it passes, nothing measures it, or there is no run."""
+        return self.observed.severity
 
     @property
     def responsible(self) -> str:
@@ -120,7 +121,12 @@ class Sighting:
     @property
     def is_flaky(self) -> bool:
         """True if running the scenario again gave a different run."""
-        return bool(self.difference)
+        return self.finding.flaky is not None
+
+    @property
+    def is_timed(self) -> bool:
+        """True if the failure depends on wall-clock time."""
+        return self.finding.expect.outcome is Outcome.HANG
 
     @property
     def is_firm(self) -> bool:
@@ -133,22 +139,20 @@ class Sighting:
 
         If it is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
         """
-        is_other = self.difference.startswith((NOT_REPEATED, ENDED_OTHERWISE))
+        is_other = (self.finding.flaky or "").startswith((NOT_REPEATED, ENDED_OTHERWISE))
         has_drawn = self.run is not None and (is_other or (self.run.trace.drew and not self.is_flaky))
         return (self.finding.rate is not None or has_drawn) and not self.is_timed
 
     @property
-    def label(self) -> Label | Literal["new", "no worse"]:
+    def label(self) -> Label | New:
         """The label of a replay, ``new``, or ``no worse``."""
-        if self.observed is None:
-            return "no worse" if self.is_no_worse else "new"
         return label(self.observed)
 
     @property
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
         """How a replay compares with that of its reference; empty if that is not known, or nothing changed."""
         now = self.observed
-        if now is None or now.reference_passes is None or now.is_unsteady:
+        if now.reference_passes is None or now.is_unsteady:
             return ""
         if now.fails:
             return "introduced" if now.reference_passes else "common"
@@ -157,13 +161,20 @@ class Sighting:
     @property
     def on_search(self) -> str:
         """What the search of its test says of a replay that passes; empty for any other, and without a search."""
-        now = self.observed or Observed()
-        return on_search(now.searched, now.drawn, now.elsewhere)
+        return on_search(self.observed.searched, self.observed.drawn, self.observed.elsewhere)
+
+    @property
+    def on_alike(self) -> str:
+        """How many runs failed like it and which was the worst; empty if none was worse than the finding itself."""
+        worst, number, own = self.alike.severity, self.alike.number, self.severity
+        if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
+            return ""
+        return f"{plural(1 + self.alike.runs, 'run')} fail like this; the worst is number {number}, which {worst}"
 
     @property
     def remark(self) -> str:
         """Remarks on the finding, such as that it is flaky; empty if there are none."""
-        flaky = f"flaky: {self.difference}" if self.is_flaky else ""
+        flaky = f"flaky: {self.finding.flaky}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))
 

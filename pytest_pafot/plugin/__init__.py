@@ -21,18 +21,17 @@ from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, argumen
 from pytest_pafot.plugin.option_sources import add_options, option_value, resolve
 from pytest_pafot.plugin.session import (
     INVENTORY,
-    LEFT,
+    SESSION,
     SHARED,
-    SUMMARY_LINES,
     Header,
     Shared,
-    SummaryLines,
     cause_of,
     end_in_order,
     guard_exits,
     is_worker,
     stale_day,
 )
+from pytest_pafot.report.session import Session
 from pytest_pafot.support import isolating
 from pytest_pafot.support.errors import RequestError
 
@@ -66,7 +65,7 @@ def pytest_configure(config: pytest.Config) -> None:
         f"{SAVED_MARK}(saved): replay a saved scenario; set by the plugin",
     ):
         config.addinivalue_line("markers", line)
-    config.stash[SUMMARY_LINES] = SummaryLines()
+    config.stash[SESSION] = Session()
     features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
         from pytest_pafot.plugin.distributed import Worker, shared_by_controller  # noqa: PLC0415
@@ -77,7 +76,7 @@ def pytest_configure(config: pytest.Config) -> None:
         shared = config.stash[SHARED] = Shared()
         if asked := config.getoption(BY_NAME["today"].key):
             if is_ci(os.environ):  # where a day may stay in a script for years
-                config.stash[SUMMARY_LINES].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
+                config.stash[SESSION].warnings.extend(stale_day(asked, date.fromisoformat(shared.today)))
             shared.today = asked
         if OF_COMMAND in os.environ:
             _check_that_it_searches(config)
@@ -130,8 +129,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Register the reports in a session without marked items that has something to say in its summary."""
-    lines = session.config.stash[SUMMARY_LINES]
-    if lines.problems or lines.reports or session.config.stash[LEFT].files:
+    said = session.config.stash[SESSION]
+    if said.problems or said.written or said.left:
         _report(session.config)
 
 
@@ -143,17 +142,12 @@ def _report(config: pytest.Config) -> None:
 
     features: dict[str, object] = {"messages": messages}
     if not is_worker(config):
-        from pytest_pafot.plugin import session_records  # noqa: PLC0415
         from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
-        from pytest_pafot.plugin.record import Record  # noqa: PLC0415
-        from pytest_pafot.plugin.report_pages import Pages  # noqa: PLC0415
+        from pytest_pafot.plugin.report_files import Files  # noqa: PLC0415
         from pytest_pafot.plugin.terminal_reporter import Reporter  # noqa: PLC0415
 
-        record = Record(config)
-        features |= {"reporting": Reporter(config, record), "pages": Pages(config, record), "guard": Guard(config)}
-        if session_records.is_asked_for(config, os.environ):
-            features["records"] = session_records.Records(config, record)
-        features["record"] = record  # last, so that its hooks are called first
+        files = Files(config)
+        features |= {"files": files, "reporting": Reporter(config, files), "guard": Guard(config)}
     _register(config, features)
 
 

@@ -23,7 +23,7 @@ from pytest_pafot.plugin.marks import (
     saved_part,
 )
 from pytest_pafot.plugin.option_sources import value_if_right
-from pytest_pafot.plugin.session import GIVEN, INVENTORY, LEFT, SHARED, Inventory, Left, base_line, call_of, path_of
+from pytest_pafot.plugin.session import GIVEN, INVENTORY, SHARED, Inventory, base_line, call_of, path_of
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
@@ -72,7 +72,6 @@ class Collection:
         self._saved = config.stash.setdefault(COLLECTED, {})
         self._listed: dict[Path, layout.TestFolders] = {}
         self._inventory = config.stash[INVENTORY] = Inventory(set(), set(), set(), set())
-        config.stash[LEFT] = Left([], [])
 
     def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
         """Ignore everything in a corpus folder, also files that are named like tests: they are data."""

@@ -38,7 +38,8 @@ from pytest_pafot.corpus.layout import (
 )
 from pytest_pafot.plugin.marks import MARKED
 from pytest_pafot.plugin.option_sources import value_if_right
-from pytest_pafot.plugin.session import GIVEN, INVENTORY, LEFT, SUMMARY_LINES, Left, call_of, cause_of, first, path_of
+from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of
+from pytest_pafot.report.session import ADVICE, WHY_UNNAMED
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import plural, visible
 
@@ -47,18 +48,6 @@ ERROR_ID = "pafot::saved_scenarios_without_a_test"
 """The node id of the error with which a session fails if it left out saved scenarios."""
 UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 """The node id of the error with which a session fails if pytest leaves out a marked test."""
-ADVICE = (
-    "expected an item that replays each of them; was its test skipped, renamed, moved or deleted, or left out by "
-    "testpaths, python_files, norecursedirs or a hook? "
-    "If the test has another name or place now, move the files to its folder MODULE/TEST in the corpus, and name it in "
-    "their line `test:`; else delete them"
-)
-"""What the user can do about saved scenarios that were left out."""
-WHY_UNNAMED = (
-    "pytest collects no test of it; give it the name of a test, in a file and a class that pytest collects, or set its "
-    "__test__ to False"
-)
-
 # Only a node id matches: the name is also printed for broken files, and a broken file may contain anything.
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
@@ -85,6 +74,7 @@ class Guard:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
+        self._session = config.stash[SESSION]
         self._ended: set[str] = set()  # node ids of the items that have run
         self._failed: set[str] = set()  # those that have failed, and of new findings
         self._run: set[str] = set()  # the saved scenarios that were run, as reports name them
@@ -108,43 +98,43 @@ class Guard:
         """Fail the session after all items have run; only then have all pytest-xdist workers reported their items."""
         result = yield
         self._is_whole = True
-        unnamed = sorted(self._config.stash[INVENTORY].unnamed)
+        unnamed = self._session.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
         if unnamed and self.cause and not _only_lists(self._config):
             counted = f"pytest does not collect {plural(len(unnamed), 'test')} with a mark of pafot ({self.cause}):"
             _report(session, UNNAMED_ID, f"{counted} {first(unnamed)}", WHY_UNNAMED)
-        left = self._note_left()
-        if left.fails:
+        self._note_left()
+        if fails := self._session.fails:
             way_out = f"{self.cause}; {BY_NAME['allow_orphans'].flag} lets it pass"
-            counted = f"this session left out {plural(len(left.fails), 'saved scenario')} ({way_out}):"
-            _report(session, ERROR_ID, f"{counted} {first(left.fails)}", ADVICE)
+            counted = f"this session left out {plural(len(fails), 'saved scenario')} ({way_out}):"
+            _report(session, ERROR_ID, f"{counted} {first(fails)}", ADVICE)
         return result
 
     @pytest.hookimpl(tryfirst=True)  # before the summary and the JSON file are written
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Let no session on CI end with 0, as by ``pytest.exit(returncode=0)``, unless all policies drove well."""
-        inventory, lines = self._config.stash[INVENTORY], self._config.stash[SUMMARY_LINES]
+        inventory = self._config.stash[INVENTORY]
         if not self._is_whole and session.exitstatus in ENDS:
-            with lines.faults("saved scenarios that were left out"):
+            with self._session.faults("saved scenarios that were left out"):
                 self._note_left()
         unended = sorted(inventory.driven - self._ended)
         # In a session in which no policy was to drive, tests may fail as its hooks want.
-        is_meant = inventory.driven or inventory.unnamed or self._config.stash[LEFT].files
+        is_meant = inventory.driven or inventory.unnamed or self._session.left
         named = unended or (sorted(self._failed) if is_meant else [])
         if not self.cause or session.exitstatus != pytest.ExitCode.OK or not named or _only_lists(self._config):
             return
         what = "did not run to the end" if unended else "failed"
         session.exitstatus = pytest.ExitCode.INTERRUPTED if unended else pytest.ExitCode.TESTS_FAILED
-        lines.problems.append(
+        self._session.problems.append(
             f"{plural(len(named), 'item')} {what}, {named[0]} first, but the session was to end with the exit code 0, "
             "as by pytest.exit(returncode=0) or a hook pytest_runtest_protocol; it ends with "
             f"{int(session.exitstatus)} ({self.cause})"
         )
 
-    def _note_left(self) -> Left:
+    def _note_left(self) -> None:
         """Store what the session has left out, for all that reports on it."""
         config = self._config
         if OF_COMMAND in os.environ or _only_lists(config):
-            return config.stash[LEFT]  # The command asks for one test. All others of the project are not collected.
+            return  # The command asks for one test. All others of the project are not collected.
         left = sorted(self._left_out())
         values = (config.getoption(name, None) for name in _SELECTING)
         is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
@@ -152,8 +142,7 @@ class Guard:
         fails = [file for file, owner in left if may_fail and not self._is_chosen(file, owner)]
         others = (file for file, _ in left if file not in set(fails))
         names = [visible(relative(file, config.rootpath)) for file in (*fails, *others)]
-        config.stash[LEFT] = Left(names, names[: len(fails)])
-        return config.stash[LEFT]
+        self._session.left, self._session.fails = names, names[: len(fails)]
 
     def _is_chosen(self, *paths: Path) -> bool:
         """Return whether a path, or ``--ignore``, of this call leaves out a saved scenario or its test file."""
@@ -183,7 +172,7 @@ class Guard:
         asked = [each for each in (path_of(self._config, each) for each in self._config.args) if is_folder(each)]
         own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]
         own += [corpus] if corpus.is_absolute() else []
-        problems = self._config.stash[SUMMARY_LINES].problems if inventory.driven else []
+        problems = self._session.problems if inventory.driven else []
         found = dict(_files_below(top, own, asked, corpus, problems))
         if self.cause and (inventory.driven or found):
             found.update(dict.fromkeys(_not_in_checkout(top, corpus), True))

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
+from pytest_pafot.campaign.events import Note
 from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.corpus.layout import SEARCH_PART
@@ -74,7 +75,7 @@ class Checks:
         if is_idle:
             option = BY_NAME["runs" if request.settings.runs == 0 else "generations"]
             if item.config.getoption(option.key) is None:  # easily forgotten
-                messages.send(item, "note", {"text": f"no search ran: {option.key} is 0 in the settings"})
+                messages.send(item, Note(f"no search ran: {option.key} is 0 in the settings"))
             pytest.skip(f"{IDLE}: {flag(option.name, 0)}")
 
     @pytest.hookimpl(wrapper=True)
@@ -88,7 +89,7 @@ class Checks:
             reason = visible(str(getattr(call.excinfo, "value", "")))
             if not reason.startswith(IDLE) and not hasattr(report, "wasxfail"):
                 text = f"{base_id(item)} was skipped, so its policy did not drive: {reason}"
-                messages.send(item, "warning", {"text": text})
+                messages.send(item, Note(text, "warning"))
         if request is None or call.when != "setup" or call.excinfo is None:
             return report
         error = call.excinfo.value
@@ -216,7 +217,7 @@ class Execution:
                     run_replay(pyfuncitem, request, saved)
         except RequestError as error:
             if isinstance(error, AgainstError):
-                messages.send(pyfuncitem, "incomparable", {})
+                messages.send(pyfuncitem, Note(pyfuncitem.nodeid, "incomparable"))
             raise pytest.fail.Exception(str(error), pytrace=False) from None
         return True
 

@@ -7,10 +7,10 @@ once, like every report. Other plugins take it for the report of a passed phase 
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Iterable, Iterator, Mapping, MutableSequence
+from collections.abc import Generator, Iterable, Iterator, MutableSequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import pytest
@@ -21,22 +21,16 @@ from pytest_pafot.support.process import postponed
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
+    from pytest_pafot.campaign.options import Settings
     from pytest_pafot.findings.severity import Severity
-    from pytest_pafot.findings.sighting import Sighting
+    from pytest_pafot.findings.sighting import Seen
     from pytest_pafot.model.trace import Trace
+    from pytest_pafot.oracle.checks import Check
     from pytest_pafot.oracle.run import Run
+    from pytest_pafot.report.session import Event
 
-
-T = TypeVar("T")
 
 PHASE = "pafot"  # the phase of a report that is a message
-
-
-class Message(NamedTuple):
-    """A message from a running item to the controller."""
-
-    kind: str  # the kind of the data, such as ``progress``
-    data: dict[str, Any]  # plain values, which pytest-xdist can send
 
 
 def packed(value: object) -> str:
@@ -46,15 +40,8 @@ def packed(value: object) -> str:
     return json.dumps(plain(value))
 
 
-def unpacked(kind: type[T], text: str) -> T:
-    """Return the value of a type that :func:`packed` has made a text."""
-    from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
-
-    return from_plain(kind, json.loads(text))
-
-
-def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
-    """Send a message from a running item to the controller. The data must be plain values, which can be serialised."""
+def send(item: pytest.Item, event: Event, **more: Any) -> None:
+    """Send an event of a running item to the controller, with more data, which must be plain."""
     report = pytest.TestReport(
         nodeid=item.nodeid,
         location=item.location,
@@ -62,9 +49,44 @@ def send(item: pytest.Item, kind: str, data: Mapping[str, Any]) -> None:
         outcome="passed",
         longrepr=None,
         when=PHASE,  # type: ignore[arg-type]
-        pafot=(kind, dict(data)),
+        pafot=(type(event).__name__, packed(event), more),
     )
     item.ihook.pytest_runtest_logreport(report=report)
+
+
+def send_seen(
+    item: pytest.Item, settings: Settings, seen: Seen, *, check: Check | None = None, note: str = "", **more: Any
+) -> None:
+    """Send a finding, new or replayed, to the controller. What only a page needs is made only if one is requested.
+
+    Args:
+        item: the item that found or replayed it.
+        settings: the item's settings, which say whether there is a page.
+        seen: the finding, and what this session saw of it.
+        check: the check that failed; None if no check failed.
+        note: what the page adds to the headline.
+        more: further data for the terminal.
+    """
+    sentences = seen.finding.expect.sentences_on(seen.run) if seen.headline and seen.run is not None else ()
+    seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
+    if settings.report is not None and seen.headline:
+        from pytest_pafot.report.views import finding_view  # noqa: PLC0415
+
+        more["view"] = packed(finding_view(seen, note=note, check=check))
+    send(item, seen, **more)
+
+
+def received(report: pytest.TestReport | pytest.CollectReport) -> tuple[Event, dict[str, Any]] | None:
+    """Return the event in a report and what was sent with it, or None for an ordinary report."""
+    if getattr(report, "when", None) != PHASE:
+        return None
+    from pytest_pafot.campaign.events import Note, Progress, Search  # noqa: PLC0415
+    from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
+    from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
+
+    kind, text, more = report.pafot
+    events: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
+    return from_plain(events[kind], json.loads(text)), more
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -72,11 +94,6 @@ def pytest_runtest_logreport() -> Generator[None, object, object]:
     """Let all that listen to a report take it, before an interrupt ends the session."""
     with postponed():
         return (yield)
-
-
-def received(report: pytest.TestReport | pytest.CollectReport) -> Message | None:
-    """Return the message in a report, or None for an ordinary report."""
-    return Message(*report.pafot) if getattr(report, "when", None) == PHASE else None
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -160,7 +177,7 @@ def severity_text(severity: Severity | None) -> str:
     return "none" if severity is None else str(severity)
 
 
-def of_findings(sightings: Iterable[Sighting]) -> dict[str, str]:
+def of_findings(sightings: Iterable[Seen]) -> dict[str, str]:
     """Return the properties that describe findings in pytest's reports; commas separate the values of the findings."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
     for each in sightings:

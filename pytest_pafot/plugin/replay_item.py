@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from pytest_pafot.campaign.events import Note
 from pytest_pafot.campaign.judging import headline
 from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
@@ -20,13 +21,12 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled
 from pytest_pafot.findings.labels import Observed, label
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import marks, messages
 from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, explained
-from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
 from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
@@ -135,27 +135,25 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     raise error
 
 
-def _send(
-    item: pytest.Function, replays: Replays, saved: Saved, now: Observed, *, headline: str, detail: str
-) -> Sighting:
+def _send(item: pytest.Function, replays: Replays, saved: Saved, now: Observed, *, headline: str, detail: str) -> Seen:
     """Report a replay to the controller and return it."""
     finding, path, verdict = saved.finding, relative(saved.path, replays.harness.root), now.verdict
     if finding is None:
         raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
     reference = None if verdict is None else verdict.reference
-    sighting = Sighting(
+    sighting = Seen(
         finding=finding,
         node_id=item.nodeid,
         test=marks.base_id(item),
-        observed=now,
+        observed=replace(
+            now,
+            against=replays.harness.against_name,
+            severity=None if verdict is None else verdict.severity,
+            before=None if reference is None else reference.severity,
+        ),
         headline=headline,
         path=path,
         detail=detail,
-        severity=None if verdict is None else verdict.severity,
-        severity_before=None if reference is None else reference.severity,
-        against=replays.harness.against_name,
-        run=now.run,
-        is_first=False,
     )
     if headline:
         set_properties(item.user_properties, severity=severity_text(sighting.severity))
@@ -165,9 +163,9 @@ def _send(
             f"{path}: accepted ({finding.accepted}), but that day is over: correct the failure, write a later day, "
             "or remove the line"
         )
-        messages.send(item, "warning", {"text": over})
+        messages.send(item, Note(over, "warning"))
     check = None if verdict is None or verdict.failure is None else verdict.failure.check
-    send_sighting(item, replays.harness.request.settings, sighting, check=check, note=now.note)
+    messages.send_seen(item, replays.harness.request.settings, sighting, check=check, note=now.note)
     item.user_properties.append(("pafot", sighting.label))
     set_properties(item.user_properties, detail=detail)
     return sighting

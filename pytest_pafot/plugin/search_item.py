@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -18,14 +18,15 @@ import pytest
 
 from pytest_pafot.campaign.events import (
     Ending,
+    Note,
     Progress,
+    Search,
     SearchEvent,
     SearchStarted,
-    SearchSummary,
 )
 from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of
 from pytest_pafot.campaign.judging import PlainFailure, Test, source_file
-from pytest_pafot.campaign.options import BY_NAME, Settings
+from pytest_pafot.campaign.options import BUDGETS, BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
 from pytest_pafot.campaign.search_session import (
@@ -40,12 +41,11 @@ from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.scenario_pool import ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
-from pytest_pafot.findings.sighting import NOT_REPEATED, Sighting
+from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import marks, messages
 from pytest_pafot.plugin.collection import COLLECTED, policy_of
 from pytest_pafot.plugin.failure_reports import OUTPUT, explained
-from pytest_pafot.plugin.finding_message import send_sighting
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.plugin.terminal_reporter import LiveTerminal
@@ -110,7 +110,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     # Processes of processes would be as many as the product of both numbers.
     if request.settings.workers > 1 and is_worker(item.config):
-        messages.send(item, "note", {"text": IN_WORKER})
+        messages.send(item, Note(IN_WORKER))
         request = replace(request, settings=replace(request.settings, workers=1))
     policy = Policy(policy_of(item))
     return Harness(
@@ -284,59 +284,50 @@ class SearchMessages:
 
     item: pytest.Function
     settings: Settings
-    sent: dict[str, Sighting] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
-    new: list[str] = field(default_factory=list)  # the ids of those that were reported when they were found
+    sent: dict[str, Seen] = field(default_factory=dict)  # the findings so far, by id, as they were last sent
 
     def send(self, event: SearchEvent) -> None:
         """Send a message for each event that the terminal or the page reports."""
         if isinstance(event, SearchStarted):
-            seeds = {"seed": event.seed, "base_seed": self.settings.seed}
-            set_properties(self.item.user_properties, **seeds)
-            messages.send(self.item, "start", seeds)
+            set_properties(self.item.user_properties, seed=event.seed, base_seed=self.settings.seed)
+            asked = {name: most for name in BUDGETS if (most := getattr(self.settings, name)) is not None}
+            node_id, base_seed = self.item.nodeid, self.settings.seed
+            messages.send(self.item, Search(node_id=node_id, seed=event.seed, base_seed=base_seed, asked=asked))
         elif isinstance(event, GenerationFinished):  # its runs may have been judged in other processes
             self.item.stash[OUTPUT].read()
-        elif isinstance(event, Progress):
-            messages.send(self.item, "progress", asdict(event))
-        elif isinstance(event, Sighting):
+        elif isinstance(event, Seen):
             self._send_finding(event)
-        elif isinstance(event, SearchSummary):
+        elif isinstance(event, Search):
             set_properties(self.item.user_properties, **of_findings(self.sent.values()))
             if self.sent:  # otherwise they stay those of the last run
                 self.item.stash[OF_ONE_RUN].show(next(iter(self.sent.values())).run)
-            finds = tuple(self._completed(each) for each in event.finds)
-            summary = messages.packed(replace(event, finds=finds))
-            messages.send(self.item, "search", {"summary": summary})
+        if isinstance(event, (Progress, Search)):
+            messages.send(self.item, event)
 
-    def _completed(self, sighting: Sighting) -> Sighting:
-        """Return a finding of the summary with what its messages have added."""
-        sent = self.sent.get(sighting.id, sighting)
-        return replace(sighting, sentences=sent.sentences, command=sent.command)
-
-    def _send_finding(self, sighting: Sighting) -> None:
+    def _send_finding(self, sighting: Seen) -> None:
         config = self.item.config
-        if sighting.is_no_worse:  # it was sent as new before, and gets no item
+        if sighting.label == "no worse":  # it was sent as new before, and gets no item
             self.sent.pop(sighting.id, None)
-            send_sighting(self.item, self.settings, sighting, note=sighting.detail)
+            messages.send_seen(self.item, self.settings, sighting, note=sighting.detail)
             return
+        is_first, is_told = sighting.id not in self.sent, bool(self.sent)
         self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
         width = config.stash[SHARED].width
         explanation = "" if sighting.run is None else explained(sighting.run, sighting.raised)
-        details = (
-            [f"against    {sighting.finding.expect.against}, which passes"] if sighting.finding.expect.against else []
-        )
-        details += [] if sighting.is_first else terminal.simplified_lines(sighting.finding)
-        details += [f"its file   is as it was before: {sighting.unwritten}"] if sighting.unwritten else []
+        against = sighting.finding.expect.against
+        details = [f"against    {against}, which passes"] if against else []
+        details += [] if is_first else terminal.simplified_lines(sighting.finding)
+        details += [f"its file   {sighting.detail}"] if sighting.path and sighting.detail else []
         advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky else ""
-        if sighting.difference == NOT_REPEATED:
+        if sighting.finding.flaky == NOT_REPEATED:
             advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
         avoided, run = sighting.finding.expect.avoided_by, sighting.run
-        first = [] if avoided is None or sighting.is_first else [avoided.sentence]
+        first = [] if avoided is None or is_first else [avoided.sentence]
         if avoided is None and run is not None and run.collision is not None and moved_over(run) is not None:
             first = [f"{capitalised(advice_on(run))}."]  # its decision, which no verdict knows
         section = terminal.find_section(
             sighting,
             explanation="" if explanation.partition("\n")[0] in message_of(sighting.raised) else explanation,
-            content=sighting.content,
             first=first,
             details=details,
             advice=advice,
@@ -344,9 +335,9 @@ class SearchMessages:
         )
         # Nobody should have to wait for the end of the search to learn what the first failure is.
         whole = None
-        if sighting.is_first and not self.new:
+        if is_first and not is_told:
             story = [] if sighting.run is None else sighting.run.explain(instructions=False).splitlines()
-            is_told = bool(story) and story[0].partition(":")[0] in sighting.headline
+            is_said = bool(story) and story[0].partition(":")[0] in sighting.headline
             # A file whose finding does not count in a comparison will be removed.
             is_sure = self.settings.against is None or not self.settings.pairs
             # A file in a corpus of the command line can only be run with the same option.
@@ -355,16 +346,13 @@ class SearchMessages:
             again = rerun(["pytest", sighting.path], os.environ, *where, saved=sighting.id) if is_sure else ""
             is_final = not sighting.is_firm or self.settings.shrink_rollouts == 0
             later = [] if is_final else ["as found; at the end, shrinking changes times and numbers of NPCs"]
-            whole = {"story": [*story[is_told:], *later], "again": again}
-        self.new.extend([sighting.id] if sighting.is_first else [])
-        check = sighting.exception.check if isinstance(sighting.exception, CheckFailed) else None
+            whole = {"story": [*story[is_said:], *later], "again": again}
+        check = sighting.raised.check if isinstance(sighting.raised, CheckFailed) else None
         report = _report(self.item, sighting, section)
-        self.sent[sighting.id] = send_sighting(
-            self.item, self.settings, sighting, check=check, report=report, whole=whole
-        )
+        messages.send_seen(self.item, self.settings, sighting, check=check, report=report, whole=whole)
 
 
-def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, sighting: Seen, section: str) -> dict[str, Any]:
     """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
@@ -381,7 +369,7 @@ def _report(item: pytest.Item, sighting: Sighting, section: str) -> dict[str, An
     return data
 
 
-def _call(sighting: Sighting) -> pytest.CallInfo[None]:
+def _call(sighting: Seen) -> pytest.CallInfo[None]:
     error = shown(sighting.raised)
     context = error.__context__
 

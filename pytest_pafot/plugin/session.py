@@ -7,8 +7,8 @@ import shlex
 import shutil
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from datetime import date, timedelta
 from functools import partial
 from os import getpid
@@ -20,6 +20,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, is_ci
 from pytest_pafot.corpus.layout import link_below, refusal
 from pytest_pafot.plugin.option_sources import resolve, value_if_right
+from pytest_pafot.report.session import Session
 from pytest_pafot.support.errors import RequestError, flag
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
@@ -46,27 +47,6 @@ class Shared:
         vars(self).update(chosen)
 
 
-class SummaryLines:
-    """Lines for the summary of the session, which the controller collects."""
-
-    def __init__(self) -> None:
-        self.problems: list[str] = []  # anything that went wrong outside of the tests
-        self.reports: list[str] = []  # the files that were written
-        self.warnings: list[str] = []  # warnings about saved scenarios
-
-    @contextmanager
-    def faults(self, work: str) -> Iterator[None]:
-        """Report an error in this context as a problem; at the end of a session, pytest would lose all failures by it.
-
-        ``work`` names in a few words what is done in the context. An interrupt ends only that, since the session is
-        ending anyway.
-        """
-        try:
-            yield
-        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (whatever it is, the summary says so)
-            self.problems.append(f"{work}: {type(error).__name__}: {error}")
-
-
 class Inventory(NamedTuple):
     """The items and files that a process has collected, as texts that pytest-xdist can send to the controller."""
 
@@ -74,13 +54,6 @@ class Inventory(NamedTuple):
     corpora: set[str]  # the corpora of the collected tests
     deselected: set[str]  # the saved scenarios of items that pytest counts as deselected, as reports name them
     unnamed: set[str]  # functions and classes that have a mark of pafot, and of which pytest collects no test
-
-
-class Left(NamedTuple):
-    """The saved scenarios of the project that a session left out, as reports name them."""
-
-    files: list[str]
-    fails: list[str]  # those by which the session fails
 
 
 def first(names: Sequence[str]) -> str:
@@ -107,10 +80,10 @@ def path_of(config: pytest.Config, arg: str) -> Path:
 SHARED = pytest.StashKey[Shared]()
 INVENTORY = pytest.StashKey[Inventory]()
 """What was collected; in a controller of pytest-xdist, by its workers."""
-LEFT = pytest.StashKey[Left]()
 GIVEN = pytest.StashKey[list[str]]()
 """The paths and node ids that this call of pytest was given, and not its settings."""
-SUMMARY_LINES = pytest.StashKey[SummaryLines]()
+SESSION = pytest.StashKey[Session]()
+"""The record of the session; in a worker of pytest-xdist, it stays empty."""
 
 
 def uncaptured(config: pytest.Config) -> AbstractContextManager[None]:

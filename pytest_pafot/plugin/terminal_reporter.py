@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Generator, Iterable
@@ -11,26 +12,16 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.plugin.guard import WHY_UNNAMED
-from pytest_pafot.plugin.messages import Message, received
-from pytest_pafot.plugin.record import Record
-from pytest_pafot.plugin.session import (
-    INVENTORY,
-    LEFT,
-    SHARED,
-    SUMMARY_LINES,
-    SummaryLines,
-    base_line,
-    first,
-    terminal_width,
-    uncaptured,
-    unclaimed,
-)
-from pytest_pafot.support.errors import rerun
-from pytest_pafot.support.text import ascii_text, plural
+from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
+from pytest_pafot.plugin.messages import AS_SAVED, received
+from pytest_pafot.plugin.report_files import Files
+from pytest_pafot.plugin.session import INVENTORY, SESSION, SHARED, base_line, terminal_width, uncaptured, unclaimed
+from pytest_pafot.report.session import RESULTS, Session
+from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
-    from pytest_pafot.findings.sighting import Sighting
+    from pytest_pafot.findings.sighting import Seen
+    from pytest_pafot.report.session import Event
 
 VERDICT = re.compile(r"\b(is|are) responsible|at fault\b")
 DEADLINE = re.compile(r"\bshould have\b|\bavoids the collision|\bhad too little time\b")
@@ -99,30 +90,34 @@ class LiveTerminal:
 
 
 class Reporter:
-    """The writer on the terminal, only on the controller."""
+    """The writer on the terminal, only on the controller. It fills the record of the session."""
 
-    def __init__(self, config: pytest.Config, record: Record) -> None:
+    def __init__(self, config: pytest.Config, files: Files) -> None:
         self._config = config
-        self._record = record
+        self._files = files
+        self._record = config.stash[SESSION]
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
         self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
         self._has_story = False
         self._expanded: set[str] = set()
         self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was shown
-        self._lines = config.stash[SUMMARY_LINES]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
-        """Make room for what pytest prints of a phase; after the teardown of a search, print its new findings."""
+        """Take what items report, and show what a reader wants to know before the summary.
+
+        Make room for what pytest prints of a phase; after the teardown of a search, print its new findings.
+        """
         message = received(report)
         if message is None:
+            self._take_phase(report)
             self._live.erase_progress()
             if report.failed and VERDICT.search(report.longreprtext):
                 report.__dict__["toterminal"] = partial(_write_sparingly, report)
         result = yield
         if message is not None:
-            self._take(report, message)
+            self._take(report, *message)
             # pytest stores every report to the end of the session: those without a result as well, under no name.
             stored = getattr(self._live.writer, "stats", {}).get("", [])
             if stored and stored[-1] is report:
@@ -130,6 +125,26 @@ class Reporter:
         elif report.when == "teardown":
             self._expand(report.nodeid)
         return result
+
+    def _take_phase(self, report: pytest.TestReport) -> None:
+        """Take the result of a phase. A saved scenario that failed without a message could not be read or run."""
+        node_id, record, when = report.nodeid, self._record, str(report.when)
+        if when == "???":  # pytest-xdist: the worker died, so the item has no result and says nothing of itself
+            record.reasons.setdefault(node_id, str(report.longrepr))
+            return
+        if SEARCH_MARK not in report.keywords:
+            return
+        if when == "call" or not report.passed:  # A setup that passed is not yet a result.
+            result = "failed" if when == "call" else "error"
+            if not report.failed:
+                result = "passed" if not report.skipped else "xfailed" if hasattr(report, "wasxfail") else "skipped"
+            record.results[node_id] = max(record.results.get(node_id, ""), result, key=RESULTS.index)
+        if report.failed:
+            crash = getattr(report.longrepr, "reprcrash", None)
+            text = report.longreprtext if crash is None else str(crash.message).removeprefix("Failed: ")
+            reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
+            saved = json.loads(getattr(report, AS_SAVED, "{}")) if SAVED_MARK in report.keywords else None
+            record.add_failure(node_id, when, report.longreprtext, reason, saved=saved)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
@@ -160,103 +175,80 @@ class Reporter:
         self._live.erase_progress()
         # After an interrupt or the death of a worker, a search with new findings has had no teardown.
         for node_id in list(self._pending):
-            with self._lines.faults(f"report of what {node_id} found"):
+            with self._record.faults(f"report of what {node_id} found"):
                 self._expand(node_id)
-        with self._lines.faults("records of processes that died"):
-            if self._is_driven:
-                self._lines.problems.extend(unclaimed(self._config))
+        with self._record.faults("records of processes that died"):
+            if self._record.is_driven:
+                self._record.problems.extend(unclaimed(self._config))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Write the plugin's section of the summary: searches, replays, what was left out and problems."""
-        own = SummaryLines()
+        own, record = Session(), self._record
+        record.unnamed = sorted(self._config.stash[INVENTORY].unnamed)
+        said = (record.unnamed, record.left, record.notes, record.warnings, record.problems, record.written)
+        if not any((record.is_driven, *said)):
+            return
         with own.faults("summary of pytest-pafot"):
-            lines = self._summary()
-            if lines:
-                terminalreporter.section("pafot")
-            for line in lines:
+            from pytest_pafot.report import terminal  # noqa: PLC0415
+
+            terminalreporter.section("pafot")
+            for line in terminal.session_lines(record, width=self._config.stash[SHARED].width):
                 is_verdict = line.startswith("  ") and VERDICT.search(line) and ": " in line and " hits " in line
                 terminalreporter.line(line, **({"red": True} if is_verdict else {}))
-            if self._record.searches and os.environ.get("GITHUB_ACTIONS") == "true":
-                from pytest_pafot.report.terminal import annotation_lines  # noqa: PLC0415
-
-                finds = (each for search in self._record.searches.values() for each in search.finds)
+            if os.environ.get("GITHUB_ACTIONS") == "true":
                 page = self._config.getoption(BY_NAME["report"].key) or ""
-                for line in annotation_lines(finds, page):
+                for line in terminal.annotation_lines(record.finds, page):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
 
-    @property
-    def _is_driven(self) -> bool:
-        """True if a search has begun, or a saved scenario was replayed."""
-        return bool(self._record.searches or self._record.running or self._record.sightings)
-
-    def _summary(self) -> list[str]:
-        inventory, left, record = self._config.stash[INVENTORY], self._config.stash[LEFT].files, self._record
-        lines = (inventory.unnamed, left, record.notes, record.warnings, self._lines.problems, self._lines.reports)
-        if not any((self._is_driven, *lines)):
-            return []
+    def _take(self, report: pytest.TestReport, event: Event, more: dict[str, Any]) -> None:
+        """Take an event of an item, and show at once what a reader wants to know before the summary."""
+        from pytest_pafot.campaign.events import Progress, Search  # noqa: PLC0415
+        from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        strays = dict.fromkeys(sorted(inventory.unnamed), WHY_UNNAMED)
-        strays |= {plural(len(left), "saved scenario"): first(left)} if left else {}
-        session = terminal.SessionSummary(
-            searches=[*record.searches.values()],
-            replays=record.replays,
-            strays=[*strays.items()],
-            problems=self._lines.problems,
-            written=self._lines.reports,
-            interrupted=[*record.running],
-            warnings=sorted({*record.warnings, *self._lines.warnings}),
-            notes=[*record.notes],
-            again=rerun(["pytest", "FILE"], os.environ, saved="ID"),
-            incomparable=[*record.incomparable],
-        )
-        width = self._config.stash[SHARED].width
-        return terminal.session_lines(session, width=width)
+        record = self._record
+        is_first = isinstance(event, Seen) and event.node_id not in record.seen
+        record.add(event, report.nodeid, more.get("view", ""))
+        match event:
+            case Search() if not event.reason:
+                # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session
+                # ends early.
+                if self._live.is_parallel and len(record.searches) == 1 and self._config.get_verbosity() >= 0:
+                    base = base_line(self._config)
+                    self._live.write([f"pafot: {base}"] if base else [])
+            case Search():
+                self._files.write_json()
+            case Progress():
+                # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
+                key = (event.node_id, event.of)
+                if self._live.rewrites or not event.of or key not in self._worked_on:
+                    self._live.show_progress(partial(terminal.progress_line, event))
+                    self._worked_on.add(key)
+            case Seen() if event.label == "new":
+                self._files.write_json()
+                self._show_new(report, event, more, is_first=is_first)
+            case Seen() if event.label == "no worse":
+                self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
-    def _take(self, report: pytest.TestReport, message: Message) -> None:
-        """Show at once what a reader wants to know before the summary."""
-        from pytest_pafot.campaign.events import Progress  # noqa: PLC0415
-        from pytest_pafot.report import terminal  # noqa: PLC0415
-
-        sighting = self._record.latest
-        if message.kind == "start":
-            # Under pytest-xdist no line on the collection is printed, and the seed must be known if the session ends
-            # early.
-            is_first = len(self._record.running) == 1 and not self._record.searches
-            if self._live.is_parallel and is_first and self._config.get_verbosity() >= 0:
-                base = base_line(self._config)
-                self._live.write([f"pafot: {base}"] if base else [])
-        elif message.kind == "progress":
-            progress = Progress(**message.data)
-            # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
-            key = (progress.node_id, progress.of)
-            if self._live.rewrites or not progress.of or key not in self._worked_on:
-                self._live.show_progress(lambda width: terminal.progress_line(progress, width))
-                self._worked_on.add(key)
-        elif sighting is not None and sighting.label == "new":
-            self._take_new(report, sighting, message.data)
-        elif sighting is not None and sighting.is_no_worse:
-            self._pending.get(report.nodeid, {}).pop(sighting.node_id, None)
-
-    def _take_new(self, report: pytest.TestReport, sighting: Sighting, data: dict[str, Any]) -> None:
+    def _show_new(self, report: pytest.TestReport, seen: Seen, data: dict[str, Any], *, is_first: bool) -> None:
         from pytest_pafot.findings.severity import Severity  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        if sighting.node_id not in self._expanded:
-            rank = Severity.worst_first(sighting.responsible, sighting.severity)
+        if seen.node_id not in self._expanded:
+            rank = Severity.worst_first(seen.responsible, seen.severity)
             pending = data["report"], getattr(report, "node", None), rank
-            self._pending.setdefault(report.nodeid, {})[sighting.node_id] = pending
+            self._pending.setdefault(report.nodeid, {})[seen.node_id] = pending
         self._live.erase_progress()
         width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
-        if sighting.is_first and verbosity >= 0:
+        if is_first and verbosity >= 0:
             # The first finding of a session has its story at once; those of later searches would bury it.
             story = whole if whole is not None and not self._has_story else {}
             self._has_story = self._has_story or whole is not None
-            self._live.write(terminal.found_lines(sighting, width, **story))
+            self._live.write(terminal.found_lines(seen, width, **story))
         elif whole is not None and verbosity == -1:
-            self._live.write(terminal.found_lines(sighting, width))
+            self._live.write(terminal.found_lines(seen, width))
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""

@@ -11,6 +11,7 @@ text stands for a text that does not exist.
 from __future__ import annotations
 
 import json
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -24,18 +25,18 @@ from typing import Any
 from urllib.parse import quote
 
 from pytest_pafot.attribution.sentences import AT_FAULT
-from pytest_pafot.campaign.events import Ending, SearchSummary
-from pytest_pafot.corpus.layout import SUFFIX
+from pytest_pafot.campaign.events import Ending, Search
+from pytest_pafot.corpus.layout import SEARCH_PART, SUFFIX, name_without
 from pytest_pafot.findings.finding import IN_MEMORY
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.report.session import Session
+from pytest_pafot.searching.plain import from_plain
 from pytest_pafot.support.files import write_whole
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import content_hash, json_in_script, plural, visible_lines
 
 Numbers = tuple[float | None, ...]
-Errors = tuple[tuple[str, str], ...]
-"""Tests that failed without a finding: the node id of each, and the text that pytest shows for the failure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,7 +237,7 @@ class RunView:
     instructions: tuple[InstructionView, ...]
     event: EventView
     yaml: str
-    command: str
+    command: str = ""
     runs: int = 1
     label: str = ""
     sentences: tuple[str, ...] = ()
@@ -247,10 +248,10 @@ class RunView:
     deadline: str = ""
     happened: tuple[Paragraph, ...] = ()
     decisions: tuple[Stretch, ...] = ()
-    sighting: Sighting | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
+    sighting: Seen | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 
     @property
-    def seen(self) -> Sighting:
+    def seen(self) -> Seen:
         """The finding, as the session saw it.
 
         Raises:
@@ -264,28 +265,6 @@ class RunView:
     def test(self) -> str:
         """The name of its test, with its parameters."""
         return self.seen.finding.test.rpartition("::")[2]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
-    """The content of a page.
-
-    Attributes:
-        facts: names and values to show of the session, such as versions and seeds.
-        command: command that started the session.
-        findings, searches: in the order in which they are listed.
-        further: findings that the page only lists, the worst first.
-        is_interrupted: whether the session was interrupted.
-    """
-
-    title: str
-    facts: tuple[tuple[str, str], ...] = ()
-    command: str = ""
-    findings: tuple[RunView, ...] = ()
-    searches: tuple[SearchSummary, ...] = ()
-    further: tuple[Sighting, ...] = ()
-    errors: Errors = ()
-    is_interrupted: bool = False
 
 
 def text(value: object) -> str:
@@ -363,7 +342,7 @@ def finding_article(finding: RunView, index: int) -> str:
     if is_check and finding.responsibility != "none" and not finding.besides:
         tags.append(f"{WHO.get(finding.responsibility, finding.responsibility)} for the collision")
     tags += [plural(finding.runs, "run"), f"found in generation {seen.finding.found.generation}"]
-    tags += filter(None, [finding.label, finding.traffic])
+    tags += filter(None, [finding.label, finding.traffic, seen.on_alike])
     deadline = f'; <span class="deadline">{text(finding.deadline)}</span>' if finding.deadline else ""
     parts = [
         f'<article id="finding-{index}" tabindex="-1" aria-labelledby="headline-{index}"><header>',
@@ -399,12 +378,13 @@ def _happened(paragraphs: Iterable[Paragraph]) -> str:
     return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
 
 
-def _further(findings: Sequence[Sighting], whole: int) -> str:
+def _further(findings: Sequence[Seen], whole: int, session: Session) -> str:
     """Return an HTML list of the findings that the page does not show whole; ``whole`` is the number of the others."""
     if not findings:
         return ""
     rows = "".join(
-        f"<li><b>{text(each.id)}</b> {text(each.headline)}<br><code>{text(each.command)}</code></li>"
+        f"<li><b>{text(each.id)}</b> {text(each.headline)}<br>"
+        f"<code>{text(session.command(each, 'python', '-m', 'pytest'))}</code></li>"
         for each in findings
     )
     note = f"This page shows the {whole} worst findings whole. The others follow, the worst first."
@@ -415,14 +395,14 @@ def _section(title: str, content: str) -> str:
     return f'<section class="campaigns"><h2>{text(title)}</h2>{content}</section>' if content else ""
 
 
-def _search(search: SearchSummary) -> str:
+def _search(search: Search) -> str:
     """Return the HTML article on one search."""
-    made = search.generations
+    made, asked = search.generations, search.asked.get("generations", search.generations)
     figures = (
         ("runs", search.runs),
         ("failing", search.failing),
-        ("generations", made if search.asked in (None, made) else f"{made} of {search.asked}"),
-        ("not run again", search.known_runs),
+        ("generations", made if asked == made else f"{made} of {asked}"),
+        ("not run again", search.more_runs["known"]),
         ("outcomes", _counts(search.outcomes)),
         ("responsibility", _counts(search.responsibilities)),
         ("algorithm", search.algorithm),
@@ -453,57 +433,95 @@ WHOLE = 100
 """The largest number of findings that a page shows whole, the worst ones: each takes about 60 kB of the page."""
 
 
-def render_page(report: Report) -> str:
-    """Render a report as one self-contained HTML page. Equal reports give equal text."""
+def write_page(path: Path, session: Session, *, title: str, command: str) -> str:
+    """Write the page of a session, which ``command`` has started; return what is on it.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    page, told = render_page(session, title=title, command=command)
+    write_whole(path, page.encode())
+    return told
+
+
+def render_page(session: Session, *, title: str, command: str) -> tuple[str, str]:
+    """Render the record of a session as one self-contained HTML page, and say what is on it. Equal records, equal text.
+
+    It has the findings that items sent for it, the worst of them whole, and the failures that none of them shows.
+    """
     style = _asset("page.css")
     script = '"use strict";\n(() => {\n' + "\n".join(map(_asset, SCRIPTS)) + "})();\n"
     # The hashes allow only this style and these scripts, and no connection to anywhere.
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
+    seen, searches = session.findings, sorted(session.ended, key=lambda each: each.node_id)
+    found = sorted((seen[node_id] for node_id in session.views), key=rank)
+    views, more = by_test([_view(each, session) for each in found[:WHOLE]]), found[WHOLE:]
+    # Searches fail because of their findings, too.
+    shown = {*session.views, *(each.node_id for each in searches if each.finds and each.reason is not Ending.ERROR)}
+    failures = {key: text for key, text in session.failures.items() if key[1] != "call" or key[0] not in shown}
     # Failures without a finding, with the text that pytest shows for them.
-    ended = {each.node_id: "The search ended with an error." for each in report.searches if each.reason is Ending.ERROR}
+    ended = {each.node_id: "The search ended with an error." for each in searches if each.reason is Ending.ERROR}
     errors = "".join(
         f'<article class="error" role="alert"><h2>{text(node_id)}</h2>'
         f"<p>{ended.get(node_id, 'It failed, and no finding on this page shows why.')}</p>"
         f"<pre>{text(failure.strip())}</pre></article>"
-        for node_id, failure in report.errors
+        for (node_id, _), failure in sorted(failures.items())
     )
-    count, more = len(report.findings), len(report.further)
-    session = _facts(report.facts) + (_with_button(report.command) if report.command else "")
-    return Template(_asset("page.html")).substitute(
-        title=text(report.title),
+    is_interrupted = session.exit == 2
+    searches = [each for each in searches if each.reason is not Ending.REPLAYS]
+    told = plural(len(found), "finding")
+    told = f"{plural(len(failures), 'error')}, {told}" if failures else told
+    page = Template(_asset("page.html")).substitute(
+        title=text(f"{title}: {told}"),
         policy=f"{policy}; base-uri 'none'; form-action 'none'",
         style=style,
         script=script,
-        above=(INTERRUPTED if report.is_interrupted else "") + errors,
-        count=f"{count} of {count + more}" if more else count,
-        list=finding_list(report.findings) or f'<p class="empty">{_nothing_found(report)}</p>',
-        articles="".join(finding_article(finding, index) for index, finding in enumerate(report.findings)),
-        below=_further(report.further, count)
-        + _section("Searches", "".join(map(_search, report.searches)))
-        + _section("Session", session),
-        data=data_json(report),
+        above=(INTERRUPTED if is_interrupted else "") + errors,
+        count=f"{len(views)} of {len(found)}" if more else len(views),
+        list=finding_list(views)
+        or f'<p class="empty">{_nothing_found(searches, has_errors=bool(failures), is_interrupted=is_interrupted)}</p>',
+        articles="".join(finding_article(finding, index) for index, finding in enumerate(views)),
+        below=_further(more, len(views), session)
+        + _section("Searches", "".join(map(_search, searches)))
+        + _section("Session", _facts(session_facts(searches, session.replays)) + _with_button(command)),
+        data=data_json(views),
     )
+    return page, told
 
 
-def data_json(report: Report) -> str:
+def _view(seen: Seen, session: Session) -> RunView:
+    """Return the view of a finding with what only the session knows: its number of runs, its label and its command."""
+    view = from_plain(RunView, json.loads(zlib.decompress(session.views[seen.node_id])))
+    search = {name_without(SEARCH_PART, each.node_id): each for each in session.ended}.get(seen.test)
+    runs = 1 + seen.alike.runs if search is None else search.known.get(seen.id, 1)
+    parts: list[str] = [] if seen.label == "accepted" else [seen.label]
+    if seen.label == "new":
+        parts = [f"new ({seen.remark})" if seen.remark else "new"]
+    elif seen.finding.xfail is not None:
+        parts.append(f"accepted: {seen.finding.accepted}")
+    command = session.command(seen, "pytest", name=seen.node_id)
+    return replace(view, runs=runs, label=", ".join(parts), command=command, sighting=seen)
+
+
+def data_json(views: Iterable[RunView]) -> str:
     """Return the findings for the page's scripts, as JSON that is safe inside a ``<script>`` element.
 
     It has only what they read. Nothing in the JSON can end the element or begin a comment, and everything beyond ASCII,
     such as U+2028, is escaped.
     """
-    findings = [asdict(replace(finding, sighting=None)) for finding in report.findings]
+    findings = [asdict(replace(finding, sighting=None)) for finding in views]
     data = [{name: finding[name] for name in DRAWN} for finding in findings]
     return json_in_script(json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")))
 
 
-def _nothing_found(report: Report) -> str:
+def _nothing_found(searches: Iterable[Search], *, has_errors: bool, is_interrupted: bool) -> str:
     """Return the sentence on a page without findings. It says that the property held only if nothing was cut short."""
-    ends = {search.reason for search in report.searches}
-    if report.errors or Ending.ERROR in ends:
+    ends = {search.reason for search in searches}
+    if has_errors or Ending.ERROR in ends:
         return "No findings, but an error stopped something before its end."
-    if report.is_interrupted or ends & {Ending.UNKNOWN, Ending.INTERRUPTED}:
+    if is_interrupted or Ending.INTERRUPTED in ends:
         return "No findings before the interrupt. The scenarios that had not run by then are untested."
-    if any(search.failing for search in report.searches):
+    if any(search.failing for search in searches):
         return "No new findings. Some runs failed, but saved scenarios already cover these failures."
     if not all(end.is_complete for end in ends):
         return "No findings before time ran out. The property held in every run that was evaluated by then."
@@ -517,10 +535,10 @@ def _asset(name: str) -> str:
 # What a page says of a session.
 
 
-def rank(sighting: Sighting) -> tuple[Any, ...]:
+def rank(sighting: Seen) -> tuple[Any, ...]:
     """Return the key that sorts findings: new before known, then by responsibility, severity and number of runs."""
     worst = Severity.worst_first(sighting.responsible, sighting.severity)
-    return sighting.label != "new", *worst, -sighting.repeats, sighting.node_id
+    return sighting.label != "new", *worst, -sighting.alike.runs, sighting.node_id
 
 
 def by_test(findings: Sequence[RunView]) -> tuple[RunView, ...]:
@@ -529,7 +547,7 @@ def by_test(findings: Sequence[RunView]) -> tuple[RunView, ...]:
     return tuple(sorted(findings, key=lambda finding: tests.index(finding.test)))
 
 
-def session_facts(searches: Iterable[SearchSummary], replays: Iterable[Sighting]) -> Iterator[tuple[str, str]]:
+def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterator[tuple[str, str]]:
     """Yield names and values of facts on a session: seeds, replays, versions."""
     if seeds := dict.fromkeys(search.base_seed for search in searches):
         yield "base seed" if len(seeds) == 1 else "base seeds", ", ".join(map(str, seeds))
@@ -543,19 +561,3 @@ def session_facts(searches: Iterable[SearchSummary], replays: Iterable[Sighting]
             yield each.label, f"{each.node_id}: {each.on_search or each.detail}"
     yield from installed_versions().items()
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def write_report(target: str, path: Path, report: Report) -> str:
-    """Write a report to a path, the absolute path of ``target``, and return a line on what was written.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    write_whole(path, render_page(report).encode())
-    return f"report: {target} ({numbers(len(report.findings) + len(report.further), len(report.errors))})"
-
-
-def numbers(findings: int, errors: int) -> str:
-    """Return the number of errors, if there are any, and of findings, in words."""
-    found = plural(findings, "finding")
-    return f"{plural(errors, 'error')}, {found}" if errors else found

@@ -12,12 +12,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from pytest_pafot.campaign.events import Ending, Progress, SearchSummary
+from pytest_pafot.campaign.events import UNTESTED, Ending, Progress, Search
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.severity import Severity, worsening
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import ReferenceOutcome
+from pytest_pafot.report.session import WHY_UNNAMED, Session
 from pytest_pafot.support.errors import command, flag
 from pytest_pafot.support.proportions import interval_text, none_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
@@ -39,11 +41,16 @@ SEARCH = "-search"
 MAX_ANNOTATED = 5
 """The largest number of findings that a CI job tells whole."""
 
+MAX_LEFT = 5
+"""The largest number of saved scenarios that were left out and are named."""
 MAX_REPLAYS = 10
 """The largest number of listed replays. Only replays that do not simply fail as before are listed."""
 
 MAX_WHOLE = 5
 """The largest number of searches without a failing run whose whole text is printed; of more, each is a line."""
+
+PURPOSES = {"search": "decisions", "confirm": "to confirm", "shrink": "to shrink", "moment": "to find the moment"}
+"""What runs and decisions of a policy are for, in words."""
 
 _BESIDE: Mapping[ReferenceOutcome, str] = {
     "avoids": "",
@@ -52,31 +59,6 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
     "fails": " (fails too)",
 }
 """The remark behind the name of a reference driver, by how its run ended."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionSummary:
-    """Everything that the summary of a session contains.
-
-    Attributes:
-        searches, replays: in the order in which they ended.
-        strays: marked tests that were left out, each with the reason, and saved scenarios: their number and names.
-        interrupted: node ids of searches that began and did not end.
-        warnings: warnings about saved scenarios that are no longer accepted.
-        again: the command that runs a single saved scenario.
-        incomparable: node ids of tests whose policy could not be compared with its reference.
-    """
-
-    searches: Sequence[SearchSummary] = ()
-    replays: Sequence[Sighting] = ()
-    strays: Sequence[tuple[str, str]] = ()
-    problems: Sequence[str] = ()
-    written: Sequence[str] = ()
-    interrupted: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    notes: Sequence[str] = ()
-    again: str = ""
-    incomparable: Sequence[str] = ()
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -104,7 +86,7 @@ def _time_left(progress: Progress) -> str:
     return f", about {duration} left{each}{way_out}"
 
 
-def found_lines(sighting: Sighting, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
+def found_lines(sighting: Seen, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
     """Return the lines that report a new finding while the search continues. Its file already exists.
 
     Args:
@@ -124,10 +106,9 @@ def found_lines(sighting: Sighting, width: int = WIDTH, *, story: Sequence[str] 
 
 
 def find_section(
-    sighting: Sighting,
+    sighting: Seen,
     *,
     explanation: str,
-    content: str,
     first: Sequence[str] = (),
     details: Sequence[str] = (),
     advice: str = "",
@@ -138,7 +119,6 @@ def find_section(
     Args:
         sighting: the finding.
         explanation: the explanation of the run; empty if the failure message contains it.
-        content: the content of the finding's file if it could not be written; otherwise empty.
         first: lines that come before those on the policy's decisions.
         details: further lines, each of which begins with a title of at most ten letters.
         advice: a text that follows the finding's remark.
@@ -157,8 +137,9 @@ def find_section(
         [*details, f"note       {'; '.join(filter(None, (sighting.remark, advice)))}"] if sighting.remark else details
     )
     fitted += fitted_lines(map(ascii_text, rest), width)
-    if content:
-        fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content.rstrip().splitlines())]
+    if not sighting.path and sighting.detail != flag("save", "none"):
+        content = text_of(sighting.finding).rstrip().splitlines()
+        fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content)]
     return "\n".join(fitted)
 
 
@@ -198,29 +179,28 @@ def prevention_text(expect: Expect) -> str:
     return "; ".join(clauses)
 
 
-def _worst_first(finds: Iterable[Sighting]) -> list[Sighting]:
+def _worst_first(finds: Iterable[Seen]) -> list[Seen]:
     """Sort new findings, the worst first, as in all lists."""
     return sorted(
         finds,
         key=lambda each: (
             *Severity.worst_first(each.responsible, each.severity),
-            -each.repeats,
+            -each.alike.runs,
             each.node_id,
         ),
     )
 
 
-def failure_message(search: SearchSummary) -> str:
+def failure_message(search: Search) -> str:
     """Return why the item of a search fails: its new findings. Each one is also reported as a separate item."""
     firm, flaky = [], []
     for sighting in _worst_first(search.finds):
         measured = "" if sighting.severity is None else f", {sighting.severity}"
-        name = f"{sighting.id} ({plural(1 + sighting.repeats, 'run')}{measured})"
+        name = f"{sighting.id} ({plural(1 + sighting.alike.runs, 'run')}{measured})"
         if sighting.is_flaky:
             never = "" if sighting.finding.rate else ", so it is never reported as fixed"
-            flaky.append(
-                f"  {name} is flaky{never}: {'; '.join(filter(None, [sighting.difference, sighting.finding.on_rate]))}"
-            )
+            why = "; ".join(filter(None, [sighting.finding.flaky, sighting.finding.on_rate]))
+            flaky.append(f"  {name} is flaky{never}: {why}")
         else:
             firm.append(name)
     count = plural(len(search.finds), "new finding")
@@ -228,12 +208,12 @@ def failure_message(search: SearchSummary) -> str:
     return "\n".join([first, *([f"  {_listed(firm)}"] if firm else []), *flaky])
 
 
-def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
+def search_lines(search: Search, *, width: int = WIDTH) -> list[str]:
     """Summarise a search in a few lines; more if there is something to report."""
     # A search that made all that was asked for needs no counts here: the line of its runs and its end say them.
-    asked = ((search.generations, search.asked, "generation"), (search.runs, search.budget, "run"))
-    left = [(done, wanted, what) for done, wanted, what in asked if wanted is not None and done < wanted]
-    short = [f"{done} of {plural(wanted, what)}, " for done, wanted, what in left]
+    made = {"generations": search.generations, "runs": search.runs}
+    left = [(made[what], most, what[:-1]) for what, most in search.asked.items() if made[what] < most]
+    short = [f"{done} of {plural(most, what)}, " for done, most, what in left]
     origin = (
         f"{search.algorithm}, seed {search.seed} from {flag('seed', search.base_seed)}, "
         f"{''.join(short)}ended: {search.reason}"
@@ -243,10 +223,10 @@ def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
     drawn = [told] if told else []
     texts = [*_decisions(search), *_find_lines(search), *_comparison(search)]
     lists = [origin, *drawn]
-    failing, counted = search.random_failing, search.random_runs
+    failing, counted, checks = (search.random[each] for each in ("at_fault", "runs", "checks"))
     if counted:
-        checks, rest = search.random_checks, search.random_otherwise - search.random_checks
-        broke = f"{checks} {'more ' if search.random_failing else ''}failed a check" if checks else ""
+        rest = search.random["otherwise"] - checks
+        broke = f"{checks} {'more ' if failing else ''}failed a check" if checks else ""
         failed = ", ".join(filter(None, [broke, f"{rest} failed in other ways" if rest else ""]))
         others = f"; {failed}" if failed else ""
         share = interval_text(failing, counted)
@@ -267,50 +247,47 @@ def search_lines(search: SearchSummary, *, width: int = WIDTH) -> list[str]:
     return [search.node_id, *lines, *(line for text in texts for line in _wrapped(text, width))]
 
 
-def _figures(search: SearchSummary) -> str:
+def _figures(search: Search) -> str:
+    kinds, more = search.kinds, search.more_runs
     counts = (
-        (search.known_runs, "not run again"),
-        (search.failing, "failing"),
-        (search.npc, "npc at fault"),
-        (search.unpreventable, "not preventable"),
-        (search.common, "failing with both"),
-        (search.invalid, "invalid"),
-        (search.rejected, "rejected"),
-        (search.skipped, "skipped"),
+        (more["known"], "not run again"),
+        (kinds["failed"], "failing"),
+        (kinds["npc"] + kinds["avoidable"], "npc at fault"),
+        (kinds["unpreventable"], "not preventable"),
+        (kinds["common"], "failing with both"),
+        *((kinds[kind], kind) for kind in UNTESTED),
         (search.no_interaction, "without interaction"),
     )
     parts = [f"{count} {what}" for count, what in counts if count or what == "failing"]
     parts += [] if search.reached is None else [f"NPCs reached {search.reached:.0%} of their goals"]
     several = [plural(search.runs, "run")]
-    several += [f"{search.shrink_runs} to shrink"] if search.shrink_runs else []
-    several += [f"{search.moment_runs} to find the moment"] if search.moment_runs else []
+    several += [f"{more[name]} {PURPOSES[name]}" for name in ("shrink", "moment") if more[name]]
     return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *parts])
 
 
-def _decisions(search: SearchSummary) -> list[str]:
+def _decisions(search: Search) -> list[str]:
     """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
-    counts = (search.decisions, search.confirm_decisions, search.shrink_decisions, search.moment_decisions)
-    if not sum(counts) or search.seconds < max(MINUTE, EXPENSIVE * sum(counts)):
+    made = search.decisions
+    if not made.total() or search.seconds < max(MINUTE, EXPENSIVE * made.total()):
         return []
-    purposes = ("decisions", "to confirm", "to shrink", "to find the moment")
-    made = listed([f"{number:,} {purpose}" for purpose, number in zip(purposes, counts, strict=True) if number])
-    return [made]
+    return [listed([f"{made[name]:,} {purpose}" for name, purpose in PURPOSES.items() if made[name]])]
 
 
-def _find_lines(search: SearchSummary) -> list[str]:
+def _find_lines(search: Search) -> list[str]:
     """Say how many new findings a search has and in which folder they are saved. Their own reports name them."""
     if not search.finds:
         return []
     folders = dict.fromkeys(os.path.dirname(sighting.path) for sighting in search.finds if sighting.path)  # noqa: PTH120
-    problems = dict.fromkeys(sighting.detail for sighting in search.finds if sighting.detail)
+    problems = dict.fromkeys(sighting.detail for sighting in search.finds if not sighting.path)
+    worst = [f"{each.id}: {each.on_alike}" for each in _worst_first(search.finds) if each.on_alike]
     flaky = sum(sighting.is_flaky for sighting in search.finds)
     first = plural(len(search.finds), "new finding")
     first += f" ({flaky} flaky)" if flaky else ""
     first += f", saved in {' and '.join(folders)}" if folders else ""
-    return [first, *(f"not saved: {problem}" for problem in problems)]
+    return [first, *(f"not saved: {problem}" for problem in problems), *worst[:MAX_FINDS]]
 
 
-def _comparison(search: SearchSummary) -> list[str]:
+def _comparison(search: Search) -> list[str]:
     """Say whether the policy became worse, and which findings do not count because it did not."""
     lines = [search.compared] if search.compared else []
     if search.no_worse:
@@ -319,7 +296,7 @@ def _comparison(search: SearchSummary) -> list[str]:
     return lines
 
 
-def replay_lines(replays: Sequence[Sighting], width: int = WIDTH) -> list[str]:
+def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
     """Return the lines on all replays: a count by label, then the replays that a reader should look at."""
     if not replays:
         return []
@@ -336,7 +313,7 @@ def replay_lines(replays: Sequence[Sighting], width: int = WIDTH) -> list[str]:
     return [*lines, f"  ... and {len(shown) - MAX_REPLAYS} more"] if len(shown) > MAX_REPLAYS else lines
 
 
-def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
+def against_lines(session: Session, width: int = WIDTH) -> list[str]:
     """Say for each reference what changes with the policy: failures that it introduces, fixes or shares.
 
     A session with a test that could not be compared says nothing of that: its figures would be those of a part.
@@ -344,17 +321,19 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     lines: list[str] = []
     if session.incomparable:
         return lines
-    names = [*(each.against for each in session.searches), *(each.against for each in session.replays)]
+    replays = session.replays
+    names = [*(each.against for each in session.ended), *(each.observed.against for each in replays)]
     for name in filter(None, dict.fromkeys(names)):
-        counts = Counter(replay.compared for replay in session.replays if replay.against == name)
-        found = sum(len(each.finds) for each in session.searches if each.against == name)
+        own = [each for each in replays if each.observed.against == name]
+        counts = Counter(replay.compared for replay in own)
+        found = sum(len(each.finds) for each in session.ended if each.against == name)
         introduced = plural(found + counts["introduced"], "failure")
         text = f"against {name}: introduces {introduced}, fixes {counts['fixed']}, {counts['common']} as before"
-        elsewhere = sum(len(each.no_worse) for each in session.searches if each.against == name)
+        elsewhere = sum(len(each.no_worse) for each in session.ended if each.against == name)
         text += f", {elsewhere} elsewhere" if elsewhere else ""
         lines += wrapped_to(text, width)
-        common = [each for each in session.replays if each.against == name and each.compared == "common"]
-        changes = [(each.id, worsening(each.severity, each.severity_before)) for each in common]
+        common = [each for each in own if each.compared == "common"]
+        changes = [(each.id, worsening(each.severity, each.observed.before)) for each in common]
         worse = [f"{id_} {change}" for id_, change in changes if change]
         if worse:
             count = f"{len(worse)} of {plural(len(common), 'failure')} in common became worse"
@@ -362,7 +341,7 @@ def against_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     return lines
 
 
-def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
+def worst_lines(session: Session, width: int = WIDTH) -> list[str]:
     """Return a list of all failures of a session, the worst first; empty if there are fewer than two.
 
     New failures are before known failures. Within both groups, failures for which the ego is responsible are first.
@@ -372,11 +351,11 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
         (
             each.label != "new" and each.compared != "introduced",
             *Severity.worst_first(each.responsible, each.severity),
-            -each.repeats,
+            -each.alike.runs,
             each.node_id,
             _measured(each),
         )
-        for each in (*(sighting for search in session.searches for sighting in search.finds), *failing)
+        for each in (*session.finds, *failing)
     )
     if len(listed) < 2:
         return []
@@ -385,7 +364,7 @@ def worst_lines(session: SessionSummary, width: int = WIDTH) -> list[str]:
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(sighting: Sighting) -> str:
+def _measured(sighting: Seen) -> str:
     """Return a line with a failure's label and id, how bad it is, and who is responsible."""
     name = f"{sighting.label}: {sighting.id}{_parameters(sighting.finding.test)}"
     if sighting.severity is None:
@@ -422,7 +401,7 @@ class ParameterShare:
         return f"fails in {self.failing} of {self.runs} random scenarios{hits}"
 
 
-def parameter_shares(searches: Iterable[SearchSummary]) -> dict[str, list[ParameterShare]]:
+def parameter_shares(searches: Iterable[Search]) -> dict[str, list[ParameterShare]]:
     """Return for each parametrised test that failed how often it did with which parameters, the worst ones first.
 
     Searches without random scenarios are left out.
@@ -430,13 +409,13 @@ def parameter_shares(searches: Iterable[SearchSummary]) -> dict[str, list[Parame
     tests: dict[str, list[ParameterShare]] = {}
     for each in searches:
         found = PARAMETERS.search(each.node_id)
-        if found and each.random_runs and found[2].endswith(SEARCH):
+        if found and each.random["runs"] and found[2].endswith(SEARCH):
             measured = [seen.severity for seen in each.finds if seen.severity is not None]
             impacts = [severity.value or 0.0 for severity in measured if severity.kind == "collision"]
             share = ParameterShare(
                 parameters=found[2].removesuffix(SEARCH),
-                failing=each.random_failing + each.random_otherwise,
-                runs=each.random_runs,
+                failing=each.random["at_fault"] + each.random["otherwise"],
+                runs=each.random["runs"],
                 impact=max(impacts, default=None),
             )
             tests.setdefault(found[1], []).append(share)
@@ -447,7 +426,7 @@ def parameter_shares(searches: Iterable[SearchSummary]) -> dict[str, list[Parame
     }
 
 
-def parameter_lines(searches: Iterable[SearchSummary], width: int = WIDTH) -> list[str]:
+def parameter_lines(searches: Iterable[Search], width: int = WIDTH) -> list[str]:
     """Return a table for each parametrised test: in how many random scenarios it failed, the worst parameters first."""
     lines: list[str] = []
     for test, shares in parameter_shares(searches).items():
@@ -464,18 +443,21 @@ def parameter_lines(searches: Iterable[SearchSummary], width: int = WIDTH) -> li
     return lines
 
 
-def session_lines(session: SessionSummary, *, width: int = WIDTH) -> list[str]:
+def session_lines(session: Session, *, width: int = WIDTH) -> list[str]:
     """Return the lines of the whole summary of a session; no lines if there is nothing to report."""
     lines = _lines_of_searches(session, width=width)
-    for node_id in session.interrupted:
+    for node_id in session.running:
         lines += [node_id, *_wrapped("ended early; its findings are reported", width)]
     lines += replay_lines(session.replays, width)
-    lines += [*parameter_lines(session.searches, width), *against_lines(session, width), *worst_lines(session, width)]
-    lines += [f"not run: {file}: {why}" for file, why in session.strays]
-    if any(sighting.path for search in session.searches for sighting in search.finds):
+    lines += [*parameter_lines(session.ended, width), *against_lines(session, width), *worst_lines(session, width)]
+    lines += [f"not run: {test}: {WHY_UNNAMED}" for test in session.unnamed]
+    if session.left:
+        lines.append(f"not run: {plural(len(session.left), 'saved scenario')}: {_listed(session.left, MAX_LEFT)}")
+    if any(find.path for find in session.finds):
         lines.append(f"run a single saved scenario with: {session.again}")
     lines += [line for text in session.written for line in text.splitlines()]
-    for kind, texts in (("warning", session.warnings), ("note", session.notes), ("problem", session.problems)):
+    warnings = sorted(set(session.warnings))
+    for kind, texts in (("warning", warnings), ("note", session.notes), ("problem", session.problems)):
         for text in texts:
             lines += _wrapped(f"{kind}: {text}", width)
     return list(map(ascii_text, lines))  # escapes names and texts, so that each stays on one line
@@ -489,7 +471,7 @@ def further(page: str) -> tuple[str, str]:
     return (page, " among the files of this job") if page else (command("pytest_pafot", "corpus", "list"), "")
 
 
-def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]:
+def annotation_lines(sightings: Iterable[Seen], page: str = "") -> list[str]:
     """Return commands by which GitHub Actions shows the worst five findings at their test files.
 
     Each has the headline, the sentences that explain the finding, and what is known of its decisions. In all of these,
@@ -499,7 +481,7 @@ def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]
     ranked = _worst_first(sightings)
     lines = []
     for sighting in ranked[:MAX_ANNOTATED]:
-        parts = [sighting.headline, *sighting.sentences, *sighting.on_decisions()]
+        parts = [sighting.headline, *sighting.observed.sentences, *sighting.on_decisions()]
         text = "%0A".join(ascii_text(each).replace("%", "%25") for each in parts)
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
@@ -513,21 +495,21 @@ def annotation_lines(sightings: Iterable[Sighting], page: str = "") -> list[str]
     return [*lines, f"::notice title=pafot::{text}"] if left > 0 else lines
 
 
-def _is_quiet(search: SearchSummary) -> bool:
+def _is_quiet(search: Search) -> bool:
     """Return whether a search ran as asked, evaluated something, and nothing failed in it."""
-    untested = search.invalid + search.rejected + search.skipped
+    untested = sum(search.kinds[kind] for kind in UNTESTED)
     is_tested = search.runs > untested or search.reason is Ending.REPLAYS
     is_clean = not (search.failing or search.finds)
     return is_tested and is_clean and not search.reason.is_broken_off
 
 
-def _lines_of_searches(session: SessionSummary, *, width: int) -> list[str]:
+def _lines_of_searches(session: Session, *, width: int) -> list[str]:
     """Summarise all searches of a session: many without a failing run in a line each, and all others whole.
 
     Warnings and notes of the former are printed once if they differ only in figures, and what searches draw once if it
     is the same.
     """
-    searches = session.searches
+    searches = session.ended
     quiet = [each for each in searches if _is_quiet(each)]
     quiet = quiet if len(quiet) > MAX_WHOLE else []
     short, lines, drawn = {each.node_id for each in quiet}, list[str](), set[str]()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, pairwise
@@ -19,7 +18,7 @@ from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
 from pytest_pafot.findings.decisions import advice_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lane, Trace, X, Y
@@ -173,7 +172,7 @@ FRAMES_PER_SECOND = 7
 """Approximate number of frames per second of a run. The page interpolates between them, so more are not needed."""
 
 
-def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = None) -> RunView:
+def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) -> RunView:
     """Return the data that the report page shows of a finding.
 
     Use :func:`dataclasses.replace` to set what is known only later, such as the number of runs that failed in this way
@@ -222,7 +221,6 @@ def finding_view(sighting: Sighting, *, note: str = "", check: Check | None = No
         instructions=_instructions(trace, finding.scenario),
         event=EventView(kind=str(expect.outcome), time=expect.time),
         yaml=text_of(finding),
-        command=f"pytest {shlex.quote(sighting.node_id)}",
         traffic=STYLES[finding.scenario.traffic].described,
         sighting=sighting,
     )
@@ -274,7 +272,7 @@ def _prose(lines: Sequence[str]) -> str:
     return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines)
 
 
-def _happened(lines: Sequence[str], sighting: Sighting) -> tuple[Paragraph, ...]:
+def _happened(lines: Sequence[str], sighting: Seen) -> tuple[Paragraph, ...]:
     """Return what is known of a finding in addition to the sentences above its picture.
 
     Args:

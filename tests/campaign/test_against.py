@@ -8,7 +8,7 @@ import pytest
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.harness import same_policy
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.support.errors import RequestError
@@ -54,7 +54,7 @@ def made_again():
 def test_between_equal_policies_there_is_nothing():
     exploration = pafot.explore(constant_speed.make, against=made_again, holds=never_collides, **SHORT)
     assert exploration.findings == ()
-    assert exploration.summary.common > exploration.summary.failing == 0
+    assert exploration.summary.kinds["common"] > exploration.summary.failing == 0
 
 
 def test_copy_of_a_package_is_the_same_policy_unless_its_data_differ(tmp_path, monkeypatch):
@@ -114,8 +114,8 @@ def test_reference_runs_only_where_the_policy_fails():
     ).summary
     again = 2 * len(summary.finds)  # each finding is run once more at the end, and once for its moment
     compared = summary.paired.runs
-    assert reference.runs == summary.failing + summary.common + again + compared
-    assert summary.failing + summary.common < summary.runs
+    assert reference.runs == summary.failing + summary.kinds["common"] + again + compared
+    assert summary.failing + summary.kinds["common"] < summary.runs
     assert summary.against == "the reference"
 
 
@@ -123,13 +123,13 @@ def test_reference_failing_on_repeat_makes_finding_flaky():
     told = []
     summary = pafot.explore(
         constant_speed.make,
-        against=lambda: Breaks() if any(isinstance(event, Sighting) for event in told) else CAREFUL(),
+        against=lambda: Breaks() if any(isinstance(event, Seen) for event in told) else CAREFUL(),
         holds=never_collides,
         on_event=told.append,
         pairs=1,
         **SHORT | {"stop_after": 1, "shrink_rollouts": 0},
     ).summary
-    assert [find.difference for find in summary.finds] == ["the reference failed when it ran again"]
+    assert [find.finding.flaky for find in summary.finds] == ["the reference failed when it ran again"]
 
 
 @table("kind", ["passed", "npc", "unpreventable", "failed", "rejected", "skipped", "invalid"])

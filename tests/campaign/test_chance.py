@@ -3,6 +3,7 @@
 import random
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -47,7 +48,7 @@ def found(ads, folder, **settings):
     options = SHORT | {"shrink_rollouts": 12, "stop_after": 1, "runs": 40} | settings
     result = pafot.explore(ads, holds=never_brakes, node_id=NODE_ID, corpus=str(folder), **options)
     (told,) = result.sightings
-    assert load(told.file) == replace(told.finding, trace=None)
+    assert load(Path(told.path)) == replace(told.finding, trace=None)
     return told
 
 
@@ -84,7 +85,6 @@ def test_a_policy_that_draws_nothing_has_no_rate(tmp_path):
 
 def test_a_finding_that_does_not_repeat_has_a_rate_too_but_is_not_shrunk(tmp_path):
     told = found(Unrepeatable, tmp_path)
-    assert told.finding.flaky == told.difference
     assert told.finding.on_rate == f"fails in {told.finding.rate.failing} of 10 runs"
     assert 3 <= told.finding.rate.failing <= 9
     assert told.finding.original is None
@@ -93,7 +93,7 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_but_is_not_shrunk(tmp_pat
 def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):
     monkeypatch.setattr("pytest_pafot.campaign.bench._difference_in_gym", lambda run, bench: "safe for 4.0 s")
     told = found(Brakes, tmp_path)
-    assert told.difference == "in highway-env's own environment: safe for 4.0 s"
+    assert told.finding.flaky == "in highway-env's own environment: safe for 4.0 s"
     assert told.finding.rate is None
 
 
@@ -104,7 +104,7 @@ def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_r
 )
 def test_a_replay_counts_failures(tmp_path, ads, then, share, expected, failing):
     told = found(ads, tmp_path, shrink_rollouts=0)
-    rewrite(told.file, replace(load(told.file), rate=FailureRate(failing=then)))
+    rewrite(Path(told.path), replace(load(Path(told.path)), rate=FailureRate(failing=then)))
     now = replayed(type("Changed", (ads,), {"share": share}), tmp_path)
     assert label(now) == expected
     bound = "(, so in at most 26 % of such seeds, with 95 % confidence)?"
@@ -117,6 +117,6 @@ def test_isolation_and_workers_do_not_change_what_is_found(tmp_path):
     contents = set()
     for number, options in enumerate(({}, {"isolate": True}, {"workers": 2}, {"workers": 2, "isolate": True})):
         told = found(Brakes, tmp_path / str(number), shrink_rollouts=3, **options)
-        contents.add(told.file.read_text())
+        contents.add(Path(told.path).read_text())
         assert label(replayed(Brakes, tmp_path / str(number), **options)) == "still failing"
     assert len(contents) == 1

@@ -62,13 +62,14 @@ def searched(tmp_path, monkeypatch):
         summary = found.summary
         texts = {each.name: each.read_text() for each in corpus.rglob("*.yaml")}
         assert sum(summary.outcomes.values()) == sum(summary.responsibilities.values()) == summary.runs
-        counts = (summary.failing, summary.runs, summary.random_runs, summary.random_failing)
+        counts = (summary.failing, summary.runs, summary.random["runs"], summary.random["at_fault"])
         return {
             "rows": [{name: value for name, value in row.items() if name != "run"} for row in found.runs],
             "events": [each for each in found.events if type(each).__module__ == "pytest_pafot.searching.evaluation"],
             "files": texts,
             "counts": (*counts, summary.outcomes, summary.responsibilities),
             "failures": summary.failures,
+            "worst": [each.alike for each in summary.finds],
             "notes": [each for each in summary.process_notes if "in use" not in each],
         }, [*given]
 

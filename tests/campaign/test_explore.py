@@ -6,6 +6,7 @@ import signal
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -16,13 +17,13 @@ from highway_env.vehicle.behavior import IDMVehicle
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore
-from pytest_pafot.campaign.events import Judged, SearchStarted, SearchSummary
+from pytest_pafot.campaign.events import Judged, Search, SearchStarted
 from pytest_pafot.campaign.refine import simplest
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, write
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.support.errors import RequestError
@@ -73,13 +74,12 @@ def test_candidates_that_outlast_the_simplest_failing_run_are_not_driven_to_thei
 
     given = SHORT | {"gene_seconds": 30, "shrink_rollouts": 40, "seed": 7, "vehicles": "car"}
     cut = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
-    told = ("decisions", "confirm_decisions", "shrink_decisions", "moment_decisions")
-    assert sum(getattr(cut.summary, name) for name in told) == asked[0]
+    assert cut.summary.decisions.total() == asked[0]
     monkeypatch.setattr(simplest, "LATER", 1000.0)
     whole = pafot.explore(lambda: keeps_speed, holds=never_collides, **given)
     assert [each.scenario for each in cut.findings] == [each.scenario for each in whole.findings]
     assert [each.shrunk for each in cut.findings] == [each.shrunk for each in whole.findings]
-    assert cut.summary.shrink_decisions < 0.75 * whole.summary.shrink_decisions
+    assert cut.summary.decisions["shrink"] < 0.75 * whole.summary.decisions["shrink"]
 
 
 def test_its_findings_show_what_the_property_forbids(exploration):
@@ -91,7 +91,7 @@ def test_its_findings_show_what_the_property_forbids(exploration):
 
 
 def test_table_has_a_row_for_each_tried_scenario(exploration):
-    assert len(exploration.runs) == exploration.summary.runs + exploration.summary.known_runs == 8
+    assert len(exploration.runs) == exploration.summary.runs + exploration.summary.more_runs["known"] == 8
     assert sum(row["failing"] for row in exploration.runs if not row["reused"]) == exploration.summary.failing
     simulated = [row["outcome"] for row in exploration.runs if not row["reused"]]
     assert exploration.summary.outcomes == Counter(simulated)
@@ -107,8 +107,8 @@ def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
     assert len(runs) == exploration.summary.runs
     assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
     assert isinstance(heard[0], SearchStarted)
-    assert isinstance(heard[-1], SearchSummary)
-    assert {told.finding.id for told in heard if isinstance(told, Sighting) and told.is_first} == {
+    assert isinstance(heard[-1], Search)
+    assert {told.finding.id for told in heard if isinstance(told, Seen)} == {
         finding.id for finding in exploration.findings
     }
 
@@ -134,7 +134,7 @@ def test_a_search_whose_listener_raises_reports_what_it_has():
         pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=listen, **SHORT)
     kinds = [type(event) for event in heard]
     assert kinds.count(Evaluated) == 1
-    assert (kinds[-1], heard[-1].reason, heard[-1].runs) == (SearchSummary, "error", 1)
+    assert (kinds[-1], heard[-1].reason, heard[-1].runs) == (Search, "error", 1)
 
 
 def test_an_interrupt_between_two_events_does_not_cost_the_summary(monkeypatch):
@@ -149,7 +149,7 @@ def test_an_interrupt_between_two_events_does_not_cost_the_summary(monkeypatch):
     monkeypatch.setattr(Events, "__next__", next_or_interrupt)
     with pytest.raises(KeyboardInterrupt):
         pafot.explore(constant_speed.make, holds=never_collides, seed=5, on_event=heard.append, **SHORT)
-    assert (type(heard[-1]), heard[-1].reason, heard[-1].runs) == (SearchSummary, "interrupted", 1)
+    assert (type(heard[-1]), heard[-1].reason, heard[-1].runs) == (Search, "interrupted", 1)
 
 
 def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
@@ -159,9 +159,9 @@ def test_a_search_that_is_closed_keeps_the_findings_it_has(tmp_path):
         watch = parts.watch("test_it.py::test_it", math.inf, progress_seconds=math.inf)
         happens = SearchSession(watch=watch, replays=replays).run()
         before = signal.getsignal(signal.SIGINT)
-        found = next(event for event in happens if isinstance(event, Sighting))
+        found = next(event for event in happens if isinstance(event, Seen))
         happens.close()
-    assert found.file.is_file()
+    assert Path(found.path).is_file()
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -305,7 +305,7 @@ def test_unpreventable_failures_are_counted_and_may_warn():
         assert run.duration < 0
 
     summary = pafot.explore(constant_speed.make, holds=holds, seed=5, blame="preventable", npcs=2, **SHORT).summary
-    assert summary.unpreventable > summary.failing == 0
+    assert summary.kinds["unpreventable"] > summary.failing == 0
     assert "the test function judged nothing" in summary.warnings[-1]
 
 
@@ -316,7 +316,7 @@ def test_check_whose_failure_is_caught_finds_nothing():
         pafot.check(run.duration, name="longer", at_least=0.0)
 
     exploration = pafot.explore(constant_speed.make, holds=holds, seed=5, **SHORT)
-    passed = exploration.summary.runs - exploration.summary.invalid
+    passed = exploration.summary.runs - exploration.summary.kinds["invalid"]
     assert exploration.findings == ()
     (warning,) = [each for each in exploration.summary.warnings if each.startswith("check")]
     assert f"check 'shorter' failed in {passed} of {passed} runs that passed: the test function caught it" in warning
@@ -435,6 +435,7 @@ def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_
     monkeypatch.setattr("pytest_pafot.campaign.store.rewrite", refuse)
     found = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT)
     (first, *_) = found.sightings
-    assert load(first.file).original is None
-    assert first.finding.original == load(first.file).scenario
-    assert "mount it" in first.unwritten
+    as_found = load(Path(first.path))
+    assert as_found.original is None
+    assert first.finding.original == as_found.scenario
+    assert "mount it" in first.detail

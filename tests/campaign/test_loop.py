@@ -65,8 +65,8 @@ class Store:
     finds: list = field(default_factory=list)
     is_holding = False
 
-    def add(self, run, verdict, generation, number):
-        self.finds.append((verdict.failure.kind, generation, number))
+    def add(self, run, verdict, generation):
+        self.finds.append((verdict.failure.kind, generation))
         return f"id-{len(self.finds)}"
 
     def add_lost(self, lost, generation):
@@ -162,13 +162,13 @@ def test_whoever_stops_it_still_gets_the_last_event():
 
 def test_failures_with_one_signature_are_one_finding():
     found, finds = searched(lambda number: failed())
-    assert finds == [("AssertionError", 0, 1)]
+    assert finds == [("AssertionError", 0)]
     assert found.repeats == {"id-1": found.runs - 1}
 
 
 def test_each_signature_is_reported_once_with_its_generation():
     _, finds = searched(lambda number: failed("A" if number < 2 else "B"))
-    assert finds == [("A", 0, 1), ("B", 1, 3)]
+    assert finds == [("A", 0), ("B", 1)]
 
 
 def test_failure_covered_by_saved_scenario_counts_as_known():

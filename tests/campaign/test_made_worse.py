@@ -7,7 +7,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.campaign.events import Paired
 from pytest_pafot.campaign.made_worse import MadeWorse
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.support.errors import OutOfTime
 
 SHORT = {"genes": 2, "gene_seconds": 5, "npcs": 2, "generations": 3, "shrink_rollouts": 5, "seed": 4}
@@ -44,7 +44,7 @@ def compared(new, old, **more):
     told = []
     arguments = {"holds": keeps_its_speed, "world": ROAD, "on_event": told.append, **SHORT, **more}
     found = pafot.explore(new, against=old, **arguments)
-    last = {event.id: event for event in told if isinstance(event, Sighting)}
+    last = {event.id: event for event in told if isinstance(event, Seen)}
     return found, list(last.values())
 
 

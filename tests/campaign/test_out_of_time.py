@@ -17,7 +17,7 @@ from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.scenario_pool import CapturedOutput
 from pytest_pafot.findings.shrink import OutOfBudget
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.support.errors import OutOfTime, RequestError
@@ -83,7 +83,7 @@ def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkey
     clock.step = lambda: 20.0
     monkeypatch.setattr(bench, "difference", confirming)
     result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
-    told = [event for event in result.events if isinstance(event, Sighting) and event.is_first]
+    told = {event.id: event for event in result.events if isinstance(event, Seen)}.values()
     phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
     assert [phases[f"found {each.id}, running it again"] for each in told] == confirmed != []
 
@@ -151,7 +151,7 @@ def test_search_with_finding_leaves_third_for_shrinking(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=36)
     assert result.summary.reason == "--pafot-max-time"
     assert result.summary.runs == 24
-    assert 0 < result.summary.shrink_runs < 10
+    assert 0 < result.summary.more_runs["shrink"] < 10
     assert clock.now <= 36
 
 
@@ -201,7 +201,7 @@ def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     assert set(unshrunk(result)) == {"shrunk in part: out of time"}
     assert all(finding.original is not None for finding in result.findings)
     assert len(files(tmp_path / "corpus")) == 3
-    last_told = {event.id: event for event in result.events if isinstance(event, Sighting)}
+    last_told = {event.id: event for event in result.events if isinstance(event, Seen)}
     assert all(find.unshrunk and "out of time" in find.summary for find in last_told.values())
 
 

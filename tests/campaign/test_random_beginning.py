@@ -34,11 +34,11 @@ def test_random_search_counts_all_valid_scenarios():
     last = {each.run.trace.scenario.id: each for each in judged}.values()
     valid = [each for each in last if each.verdict.kind != "invalid"]
     at_fault = [each for each in valid if each.run.responsibility in ("ego", "both")]
-    assert (found.summary.random_failing, found.summary.random_runs) == (len(at_fault), len(valid))
+    assert (found.summary.random["at_fault"], found.summary.random["runs"]) == (len(at_fault), len(valid))
     assert 0 < len(at_fault) < len(valid)
     told = " ".join(search_lines(found.summary))
     by_npcs = sum(each.run.responsibility == "npc" for each in valid)
-    assert by_npcs == found.summary.random_otherwise > 0
+    assert by_npcs == found.summary.random["otherwise"] > 0
     assert f" %); {by_npcs} failed in other ways" in told
     assert f"random scenarios: {len(at_fault)} of {len(valid)} failed by the ego's fault, " in told
 
@@ -61,8 +61,8 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
     )  # fmt: skip
     runs = {each.run.trace.scenario.id: each.run for each in judged if each.verdict.failed}.values()
     collided = sum(run.collision is not None and run.responsibility != "npc" for run in runs)
-    assert found.summary.random_failing == collided
-    assert found.summary.random_otherwise == found.summary.random_checks == len(runs) - collided > 0
+    assert found.summary.random["at_fault"] == collided
+    assert found.summary.random["otherwise"] == found.summary.random["checks"] == len(runs) - collided > 0
     told = " ".join(search_lines(found.summary))
     assert " failed by the ego's fault, " in told
     assert told.count(f"; {len(runs) - collided} more failed a check") == 1
@@ -70,11 +70,11 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
 
 def test_early_stopped_search_gives_no_random_share():
     summary = explored(runs=40, stop_after=1).summary
-    assert (summary.random_failing, summary.random_runs, summary.random_otherwise) == (0, 0, 0)
+    assert (summary.random["at_fault"], summary.random["runs"], summary.random["otherwise"]) == (0, 0, 0)
 
 
 def test_search_of_an_algorithm_that_breeds_gives_no_random_share():
-    assert explored(runs=24, algorithm="pafot").summary.random_runs == 0
+    assert explored(runs=24, algorithm="pafot").summary.random["runs"] == 0
 
 
 @pytest.mark.parametrize("kind", ["failed", "unpreventable", "passed", "rejected"])

@@ -15,9 +15,10 @@ from pytest_pafot.commands.corpus_command import COLUMNS
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Bounded
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.report.session_record import SessionRecord, finding_entry, markdown
+from pytest_pafot.report.session_record import markdown
 from pytest_pafot.report.terminal import annotation_lines
 from tests.findings.builders import plain_finding, sighting
+from tests.report.builders import session_of
 
 AHEAD = {"outcome": Outcome.SAFE, "time": 5.9, "cell": None, "side": None, "responsibility": "none"}
 
@@ -175,8 +176,7 @@ def test_the_list_that_a_ci_job_names_has_the_findings(here, capsys):
     finds = [sighting(f"f{number}") for number in range(6)]
     save(here, *(each.finding for each in finds))
     said = annotation_lines(finds)[-1].partition("`")[2].removesuffix("`")
-    record = SessionRecord(findings=[finding_entry(each) for each in finds])
-    assert f"see `{said}`\n" in markdown(record)
+    assert f"see `{said}`\n" in markdown(session_of(seen=finds))
     assert main(shlex.split(said.removeprefix("python -m pytest_pafot"))) == 0
     told = capsys.readouterr().out
     assert all(f"\n{each.id} " in told for each in finds)

@@ -12,7 +12,7 @@ from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
 from pytest_pafot.findings.labels import Observed
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Alike, Seen
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
 from pytest_pafot.model.grid import Cell
@@ -64,20 +64,22 @@ def sighting(id_="front-2-1f3a9c", *, finding=None, responsible=None, **seen):
     made = plain_finding(id=id_, **finding or {})
     if responsible is not None:
         made = replace(made, expect=replace(made.expect, responsibility=responsible))
-    shown = OBSERVED.get(seen.pop("label", "new"))
-    more = {name: seen.pop(name) for name in list(seen) if name in {each.name for each in fields(Observed)} - {"run"}}
-    observed = None if shown is None else Observed(**shown | more)
-    return Sighting(finding=made, observed=observed, **{"node_id": f"t[{id_}]"} | seen)
+    shown = OBSERVED[seen.pop("label", "new")]
+    more = {name: seen.pop(name) for name in list(seen) if name in {each.name for each in fields(Observed)}}
+    alike = Alike(runs=seen.pop("repeats", 0))
+    return Seen(finding=made, observed=Observed(**shown | more), **{"node_id": f"t[{id_}]", "alike": alike} | seen)
 
 
 OBSERVED = {
+    "new": {"new": "new", "fails": True},
+    "accepted": {"fails": True, "is_accepted": True},
     "still failing": {"fails": True, "is_same": True},
     "introduced": {"fails": True, "is_same": True, "reference_passes": True},
     "drifted": {},
     "passes": {"is_handled": True},
     "fixed": {"is_handled": True, "searched": 40},
 }
-"""What replays with these labels showed."""
+"""What was observed of findings with these labels."""
 
 
 @cache  # hypothesis then examines a strategy only once

@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from pytest_pafot.findings.labels import GROUPS, Label, Observed, label
+from pytest_pafot.findings.labels import GROUPS, Label, New, Observed, label
 from tests.helpers.tables import table
 
 PASSES, FAILS = {"is_handled": True}, {"fails": True, "is_same": True}
@@ -47,5 +47,5 @@ def test_nothing_is_said_of_a_policy_that_drives_a_scenario_in_different_ways(ot
 
 
 def test_there_are_seven_labels_and_two_words_for_new_findings():
-    assert {*GROUPS} - {*get_args(Label)} == {"new", "no worse"}
+    assert {*GROUPS} - {*get_args(Label)} == {*get_args(New)}
     assert len(get_args(Label)) == 7

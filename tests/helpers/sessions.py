@@ -30,10 +30,9 @@ import pluggy._manager
 import pytest
 
 from pytest_pafot import __main__
-from pytest_pafot.campaign.events import SearchSummary
 from pytest_pafot.commands import search_command
 from pytest_pafot.execution.pool import START_METHOD
-from pytest_pafot.report.session_record import FINDING, VERSION, SessionRecord
+from pytest_pafot.report.session_record import FINDING, VERSION
 from pytest_pafot.world import Highway
 
 INTERRUPTIBLE = (
@@ -48,19 +47,19 @@ INTERRUPTIBLE = (
 
 
 class Entry(dict):
-    """The entry of a finding, whose keys are attributes, too."""
+    """A part of a record, whose keys are attributes, too."""
 
     __getattr__ = dict.__getitem__
 
 
 def read_record(text):
-    """Return a session's record for programs, and check that it has no unknown keys; `finds` of a search are ids."""
-    plain = json.loads(text)
-    assert plain.pop("pafot_json") == VERSION
-    searches = [SearchSummary(**each) for each in plain.pop("searches")]
-    findings = [Entry(each) for each in plain.pop("findings")]
-    assert all(each.keys() == FINDING.keys() for each in findings)
-    return SessionRecord(searches=searches, findings=findings, **plain)
+    """Return a session's record for programs; each entry of a finding must have all keys."""
+    record = Entry(json.loads(text))
+    assert record.pafot_json == VERSION
+    for name in ("searches", "findings", "orphans"):
+        record[name] = [Entry(each) for each in record[name]]
+    assert all(each.keys() == FINDING.keys() for each in record.findings)
+    return record
 
 
 def section(result, name):

@@ -16,6 +16,7 @@ SOURCES = sorted(Path(pytest_pafot.plugin.__file__).parent.glob("*.py"))
 UNUSED = (
     "campaign", "campaign.options", "corpus", "corpus.layout", "support", "support.errors",
     "plugin", "plugin.collection", "plugin.marks", "plugin.option_sources", "plugin.session",
+    "report", "report.session",
 )  # fmt: skip
 """The modules that every pytest session imports where the plugin is installed. Each costs it some time."""
 
@@ -71,7 +72,7 @@ atexit.register(dump)
     names = set(json.loads((project.path / "modules.json").read_text()))
     assert "hypothesis" not in names
     own = {name for name in names if name.startswith("pytest_pafot.report")}
-    assert own == {"pytest_pafot.report", "pytest_pafot.report.terminal"}
+    assert own == {f"pytest_pafot.report{each}" for each in ("", ".session", ".terminal")}
     assert "pytest_pafot.report.views" not in names
 
 

@@ -47,7 +47,7 @@ def is_whole(result):
     ("function", "expected"),
     [
         ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        ("report.page.write_report", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        ("report.page.write_page", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
     ids=["records", "report", "summary"],
@@ -110,7 +110,7 @@ def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypat
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.report.page.write_report", interrupted)
+    monkeypatch.setattr("pytest_pafot.report.page.write_page", interrupted)
     result = project.run("--pafot-report=x.html")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x.html: not written: KeyboardInterrupt*"])

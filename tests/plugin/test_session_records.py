@@ -10,11 +10,9 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.plugin import session_records
-from pytest_pafot.plugin.messages import PHASE, packed
-from pytest_pafot.plugin.record import Record
-from pytest_pafot.plugin.session import SUMMARY_LINES, SummaryLines, exit_code
-from pytest_pafot.report.session_record import markdown
+from pytest_pafot.plugin import report_files
+from pytest_pafot.plugin.session import exit_code
+from pytest_pafot.report.session import Session
 from pytest_pafot.world import codec
 from tests.findings.builders import sighting
 from tests.helpers.sessions import read_record
@@ -147,7 +145,7 @@ def test_interrupted_session_records_what_it_found(project):
 
 
 def test_findings_are_recorded_during_the_session(project, monkeypatch):
-    monkeypatch.setattr(session_records, "QUICK", 1e12)  # no writing takes long, however busy the machine is
+    monkeypatch.setattr(report_files, "QUICK", 1e12)  # no writing takes long, however busy the machine is
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
     recorded(project, no_reraise_ctrlc=True)
@@ -156,8 +154,8 @@ def test_findings_are_recorded_during_the_session(project, monkeypatch):
 
 
 def test_record_that_takes_long_is_written_less_often(project, monkeypatch):
-    monkeypatch.setattr(session_records, "QUICK", -1.0)  # every writing takes long, and another one waits forever
-    monkeypatch.setattr(session_records, "REST", 1e12)
+    monkeypatch.setattr(report_files, "QUICK", -1.0)  # every writing takes long, and another one waits forever
+    monkeypatch.setattr(report_files, "REST", 1e12)
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
     assert len(recorded(project, no_reraise_ctrlc=True).findings) == 2
@@ -318,9 +316,9 @@ def summary(project, monkeypatch):
 
 
 def test_the_summary_of_a_job_is_appended_to(summary, failing):
-    record = recorded(failing)
-    assert summary.read_text() == f"before\n{markdown(record)}"
-    assert f"<br>`python -m pytest {failing.files[0]}`\n" in markdown(record)
+    recorded(failing)
+    assert summary.read_text().startswith("before\n### pafot: 1 new\n\n1 search, ")
+    assert f"<br>`python -m pytest {failing.files[0]}`\n" in summary.read_text()
 
 
 def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summary, project, monkeypatch):
@@ -378,14 +376,13 @@ def test_second_interrupt_leaves_the_code_of_the_first():
 
 
 def test_what_is_left_to_shrink_of_a_new_finding_is_still_known_after_its_replay_alone():
-    record = Record(SimpleNamespace(stash={SUMMARY_LINES: SummaryLines()}))
+    session = Session()
 
     def left(**seen):
-        message = ("finding", {"sighting": packed(sighting("a", node_id="a", **seen))})
-        record.pytest_runtest_logreport(SimpleNamespace(when=PHASE, nodeid="t.py::t[search]", pafot=message))
-        return record.sightings["a"].unshrunk
+        session.add(sighting("a", node_id="a", **seen), "t.py::t[search]")
+        return session.seen["a"].unshrunk
 
     assert left(unshrunk="not confirmed: out of time") == "not confirmed: out of time"
-    assert left(is_first=False) == ""  # it was confirmed
-    assert left(unshrunk="not shrunk: out of time", is_first=False) == "not shrunk: out of time"
-    assert left(label="still failing", is_first=False) == "not shrunk: out of time"
+    assert left() == ""  # it was confirmed
+    assert left(unshrunk="not shrunk: out of time") == "not shrunk: out of time"
+    assert left(label="still failing") == "not shrunk: out of time"

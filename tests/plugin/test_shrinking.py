@@ -175,7 +175,7 @@ def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monk
         project.forget()
         result = project.run_once("--pafot-json=out.json", *options, runs=2)
         (search,) = json.loads((project.path / "out.json").read_text())["searches"]
-        asked = [search[f"{what}decisions"] for what in ("", "confirm_", "shrink_", "moment_")]
+        asked = [search["decisions"][what] for what in ("search", "confirm", "shrink", "moment")]
         return asked[0], sum(asked[1:]), project.contents, "*note: simplifying stopped at its limit;*", result
 
     first, refining, files, note, result = session()

@@ -173,7 +173,7 @@ def pytest_sessionstart(session):
     handle = dsession.worker_testreport
 
     def interrupted(node, rep):
-        if getattr(rep, "pafot", ("",))[0] == "finding":
+        if getattr(rep, "pafot", ("",))[0] == "Seen":
             dsession.worker_testreport = handle
             os.kill(os.getpid(), signal.SIGTERM)
             for _ in range(1000):  # Python runs the handler before these are over.

@@ -1,6 +1,7 @@
 """Reports for tests: real runs, runs made by hand, and strategies for unexpected views."""
 
 import math
+from collections import Counter
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from typing import Literal, Union, get_args, get_origin, get_type_hints
@@ -9,12 +10,15 @@ from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.campaign.events import Ending, SearchSummary
+from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.findings.finding import Finding, Found
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.labels import Observed
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.report.page import Report
+from pytest_pafot.plugin.messages import packed
+from pytest_pafot.report.page import render_page
+from pytest_pafot.report.session import Session
 from pytest_pafot.report.views import finding_view
 from tests.findings.builders import plain_finding
 from tests.helpers.hostile import CHARACTERS
@@ -59,7 +63,8 @@ def seen_of(trace, finding=None, **more):
     """Return what a session saw of a finding; by default of that of the run. The run is None if no run is known."""
     finding = finding or finding_of(trace)
     run = None if trace is None else Run(trace)
-    return Sighting(finding=finding, run=run, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more)
+    observed = Observed(new="new", fails=True, run=run)
+    return Seen(finding=finding, observed=observed, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more)
 
 
 def view_of(trace, finding=None, **more):
@@ -69,6 +74,7 @@ def view_of(trace, finding=None, **more):
 def as_seen(view, *, finding=None, **more):
     """Return a view with changes of what the session saw of its finding, and of the finding itself."""
     changed = replace(view.sighting.finding, **finding or {})
+    more = {"node_id": f"{TEST}[saved-{changed.id}]"} | more
     return replace(view, sighting=replace(view.sighting, finding=changed, **more))
 
 
@@ -91,25 +97,37 @@ def bend_trace():
     return world.rollout(chains, lambda: ControlledVehicle)
 
 
+def session_of(*views, searches=(), seen=(), **more):
+    """Return the record of a session with these views of findings, other findings, and searches."""
+    session = Session(**more)
+    for view in views:
+        session.add(view.seen, f"{TEST}[search]", packed(view))
+    for each in (*seen, *searches):
+        session.add(each, searches[0].node_id if searches else "")
+    return session
+
+
 @cache
-def real_report():
-    search = SearchSummary(
-        node_id=f"{TEST}[search]", algorithm="pafot", seed=5, generations=8, asked=8, reason=Ending.GENERATIONS,
-        runs=50, known_runs=2, failing=5, outcomes={"safe": 45, "collision": 5},
-        responsibilities={"none": 45, "ego": 3, "npc": 2}, warnings=("few NPCs reached their cell",),
-    )  # fmt: skip
-    return Report(
-        title="Constant speed",
-        facts=(("pytest-pafot", "0.1.0"), ("base seed", "5")),
-        command="pytest --pafot-generations=8",
-        findings=(view_of(cut_in_trace()), view_of(rear_trace())),
-        searches=(search,),
-    )
+def real_views():
+    """Return the views of two findings, in the order of a page."""
+    return view_of(cut_in_trace()), view_of(rear_trace())
 
 
-def bend_report():
-    """Return the report of a finding on a road that is not straight."""
-    return Report(title="In the bend", findings=(view_of(bend_trace()),))
+REAL_SEARCH = Search(
+    node_id=f"{TEST}[search]", algorithm="pafot", seed=5, base_seed=5, generations=8, asked={"generations": 8},
+    reason=Ending.GENERATIONS, kinds=Counter(failed=5, passed=45), more_runs=Counter(known=2),
+    outcomes=Counter(safe=45, collision=5), responsibilities=Counter(none=45, ego=3, npc=2),
+    warnings=("few NPCs reached their cell",),
+)  # fmt: skip
+
+
+def page_of(*views, title="t", **more):
+    """Return the page of a session with these views."""
+    return render_page(session_of(*views, **more), title=title, command="pytest --pafot-generations=8")[0]
+
+
+def real_page():
+    return page_of(*real_views(), searches=(REAL_SEARCH,))
 
 
 def texts():
@@ -123,7 +141,7 @@ def values_of(kind, leaves=None):
         float: st.floats(-1e6, 1e6).map(lambda value: round(value, 3)),
         int: st.integers(-1000, 1000),
         bool: st.booleans(),
-        Sighting: st.builds(Sighting, finding=st.just(plain_finding()), node_id=texts(), path=texts()),
+        Seen: st.builds(Seen, finding=st.just(plain_finding()), node_id=texts(), path=texts()),
     } | (leaves or {})
     if kind in leaves:
         return leaves[kind]

@@ -9,9 +9,8 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.report.page import Report, render_page
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
-from tests.report.builders import HOSTILE, view_of
+from tests.report.builders import HOSTILE, page_of, view_of
 
 
 @cache
@@ -91,6 +90,6 @@ def test_hostile_names_of_zones_are_escaped():
     zone = replace(ZONES[CROSSES], way=HOSTILE[0])
     view = view_of(replace(junction_trace((CROSSES, 0.0)), zones=(zone,)))
     rows = tuple(replace(row, zone=HOSTILE[0], words=HOSTILE[2]) for row in view.instructions)
-    page = render_page(Report(title="t", findings=(replace(view, instructions=rows),)))
+    page = page_of(replace(view, instructions=rows))
     assert HOSTILE[0] not in page
     assert HOSTILE[2] not in page

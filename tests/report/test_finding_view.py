@@ -14,6 +14,7 @@ from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
+from pytest_pafot.report.session import Session
 from pytest_pafot.report.views import frame_ticks
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
@@ -171,7 +172,8 @@ def test_deadline_of_a_vehicle_class_that_changes_lanes_names_no_action():
 
 
 def test_the_command_survives_a_shell():
-    assert view_of(cut_in_trace(), node_id=f"{TEST}[a b'c]").command == f"""pytest '{TEST}[a b'"'"'c]'"""
+    seen = view_of(cut_in_trace(), node_id=f"{TEST}[a b'c]", path="a").seen
+    assert Session().command(seen, "pytest", name=seen.node_id) == f"""pytest '{TEST}[a b'"'"'c]'"""
 
 
 def test_unseen_finding_has_instructions_but_no_frames():

@@ -1,43 +1,49 @@
 """The summary of a CI job is short, and only this plugin's own text in it is markup."""
 
 import re
-from dataclasses import asdict
+from collections import Counter
+from dataclasses import replace
+from datetime import date
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Ending, Search
+from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.report.session_record import MAX_LISTED, SessionRecord, finding_entry, markdown
+from pytest_pafot.report.session import ADVICE
+from pytest_pafot.report.session_record import MAX_LISTED, markdown
 from pytest_pafot.support.text import code, plain
+from tests.findings.builders import sighting
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.tables import table
+from tests.report.builders import session_of
 
 
-def finding(id_="a", status="new", **changes):
-    known = {"test": "test_it.py::x", "headline": "collision after 5.4 s", "file": f"corpus/{id_}.pafot.yaml"}
-    known["replay"] = f"python -m pytest corpus/{id_}.pafot.yaml"
-    return finding_entry(None, node_id=f"test_it.py::x[saved-{id_}]", id=id_, status=status, **known | changes)
+def finding(id_="a", label="new", finding=None, **changes):
+    known = {"headline": "collision after 5.4 s", "path": f"corpus/{id_}.pafot.yaml", "label": label}
+    known["node_id"] = f"test_it.py::x[saved-{id_}]"
+    return sighting(id_, finding={"test": "test_it.py::x"} | (finding or {}), **known | changes)
 
 
-def search(**changes):
-    return SearchSummary(
-        node_id="test_it.py::x[search]",
-        **{"reason": "all runs done", "runs": 40, "budget": 40, "base_seed": 5} | changes,
-    )
+def search(runs=40, **changes):
+    known = {"reason": Ending.RUNS, "kinds": Counter(passed=runs), "asked": {"runs": 40}, "base_seed": 5}
+    return Search(node_id="test_it.py::x[search]", **known | changes)
+
+
+def told(*seen, page="", **more):
+    """Return the summary of a session with these findings."""
+    return markdown(session_of(seen=seen, **more), page=page)
 
 
 def test_unrelated_session_has_no_job_summary():
-    assert markdown(SessionRecord(exit=1)) == ""
+    assert told(exit=1) == ""
 
 
 def test_findings_are_counted_and_listed_with_replay_command():
-    record = SessionRecord(
-        searches=[search(finds=["a"])],
-        findings=[finding("c", "fixed", headline="", searched=40), finding("b", "still failing"), finding()],
-    )
+    seen = [finding("c", "fixed", headline="", searched=40), finding("b", "still failing"), finding()]
     assert (
-        markdown(record)
+        told(*seen, searches=[search(finds=(seen[2],))])
         == """\
 ### pafot: 1 new, 1 still failing, 1 fixed
 
@@ -62,30 +68,30 @@ def test_findings_are_counted_and_listed_with_replay_command():
 
 
 def hits(speed):
-    return asdict(Severity(kind="collision", value=speed, unit="m/s"))
+    return Severity(kind="collision", value=speed, unit="m/s")
 
 
 def test_worst_finding_comes_first_in_each_group():
-    jerk = asdict(Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk"))
+    jerk = Severity(kind="check", value=15.1, unit="m/s^3", margin=-0.755, name="jerk")
     findings = [
         finding("a", severity=jerk, responsible="ego"),
         finding("b", severity=hits(3.0), responsible="both"),
         finding("c"),
         finding("d", severity=hits(30.0), responsible="npc"),
         finding("e", severity=hits(9.8), responsible="ego"),
-        finding("f", "still failing", severity=hits(12.1), severity_before=hits(8.0), reference_passes=False),
+        finding("f", "still failing", severity=hits(12.1), before=hits(8.0), reference_passes=False),
     ]
-    text = markdown(SessionRecord(findings=findings[:4] + findings[5:]))
+    text = told(*findings[:4], *findings[5:])
     listed = re.findall(r"corpus/(\w)\.pafot", text)
     assert "".join(listed) == "bdacf"
-    text = markdown(SessionRecord(findings=findings[1:]))
+    text = told(*findings[1:])
     listed = re.findall(r"corpus/(\w)\.pafot", text)
     assert "".join(listed) == "ebdcf"
     assert "collision after 5.4 s; the reference fails, too; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 
 def test_job_summary_without_findings_has_two_lines():
-    assert markdown(SessionRecord(searches=[search()])).splitlines() == [
+    assert told(searches=[search()]).splitlines() == [
         "### pafot: nothing new",
         "",
         "1 search, 40 runs; repeat with `--pafot-runs=40 --pafot-seed=5`.",
@@ -93,21 +99,20 @@ def test_job_summary_without_findings_has_two_lines():
 
 
 def test_accepted_finding_comes_with_reason_and_last_day():
-    accepted = finding(status="accepted", result="xfailed", xfail={"reason": "issue 12", "until": "2027-01-31"})
-    text = markdown(SessionRecord(findings=[accepted]))
+    text = told(finding(label="accepted", finding={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}))
     assert text.startswith("### pafot: nothing new, 1 accepted\n\nNo search was requested.\n\n**Accepted for now**\n")
     assert "collision after 5.4 s; accepted until 2027-01-31: issue 12\n" in text
 
 
 def test_unsaved_finding_comes_with_its_search_command():
-    unsaved = finding(file=None, detail="--pafot-save=none", replay="python -m pytest x --pafot-seed=5")
-    text = markdown(SessionRecord(searches=[search()], findings=[unsaved]))
-    assert "  <br>not saved: --pafot-save=none; `python -m pytest x --pafot-seed=5`\n" in text
+    text = told(finding(path="", detail="--pafot-save=none"), searches=[search()])
+    again = "python -m pytest 'test_it.py::x[search]' --pafot-runs=40 --pafot-seed=5"
+    assert f"  <br>not saved: --pafot-save=none; `{again}`\n" in text
 
 
 def test_long_lists_are_cut():
     fixed = [finding(f"f{number}", "fixed", headline="") for number in range(MAX_LISTED + 5)]
-    lines = markdown(SessionRecord(findings=fixed)).splitlines()
+    lines = told(*fixed).splitlines()
     assert sum(line.startswith("- `") for line in lines) == MAX_LISTED
     assert lines[-1] == "- ... and 5 more: see `python -m pytest_pafot corpus list`"
     assert lines[0] == f"### pafot: nothing new, {MAX_LISTED + 5} fixed"
@@ -117,7 +122,7 @@ def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted():
     new = [finding(str(number)) for number in range(3)]
     known = [finding(f"k{number}", "still failing") for number in range(4)]
     drifted = [finding("c", "drifted")]
-    lines = markdown(SessionRecord(findings=[*new, *known, *drifted]), page="report.html").splitlines()
+    lines = told(*new, *known, *drifted, page="report.html").splitlines()
     assert [line for line in lines if line.startswith(("**", "- .", "- 1"))] == [
         "**New**",
         "**Known, still failing**",
@@ -129,11 +134,11 @@ def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted():
 
 
 def test_a_failure_comes_with_its_sentences_or_else_with_the_decision():
-    sentences = ["NPC 0 braked at up to 8.0 m/s^2.", "Braking at 6 m/s^2 from 4.2 s on avoids the collision."]
-    moment = {"time": 4.2, "npc": 0, "seen": "9.9 m ahead", "action": "acceleration 0.3 m/s^2"}
+    sentences = ("NPC 0 braked at up to 8.0 m/s^2.", "Braking at 6 m/s^2 from 4.2 s on avoids the collision.")
+    moment = Moment(time=4.2, npc=0, seen="9.9 m ahead", action="acceleration 0.3 m/s^2")
     both = finding("a", sentences=sentences, moment=moment)
     alone = finding("b", moment=moment)
-    lines = markdown(SessionRecord(findings=[both, alone])).splitlines()
+    lines = told(both, alone).splitlines()
     assert lines[6:13] == [
         "- `test_it.py::x`: collision after 5.4 s",
         "  <br>NPC 0 braked at up to 8.0 m/s^2.",
@@ -146,23 +151,25 @@ def test_a_failure_comes_with_its_sentences_or_else_with_the_decision():
 
 
 def test_job_summary_says_how_the_random_scenarios_failed():
-    one = search(random_runs=20, random_failing=1, random_otherwise=15, random_checks=14)
-    other = search(random_runs=19, random_failing=2)
-    assert markdown(SessionRecord(searches=[one, other])).splitlines()[3:] == [
+    one = search(random=Counter(runs=20, at_fault=1, otherwise=15, checks=14))
+    other = replace(search(random=Counter(runs=19, at_fault=2)), node_id="y[search]")
+    assert told(searches=[one, other]).splitlines()[3:] == [
         "Of 39 random scenarios 3 failed by the ego's fault, 14 failed a check, 1 failed in other ways."
     ]
 
 
 def test_job_summary_reports_search_failures_and_problems():
-    record = SessionRecord(
-        searches=[search(result="failed", message="the search tested too little: 40 runs, rejected")],
-        warnings=["a: over"],
-        problems=["no space"],
-    )
-    assert markdown(record).splitlines()[4:] == [
+    reasons = {"test_it.py::x[search]": "the search tested too little: 40 runs, rejected"}
+    results, left = dict.fromkeys(reasons, "failed"), ["c/t/x/a.yaml", "c/t/x/b.yaml"]
+    more = {"warnings": ["a: over"], "problems": ["no space"], "left": left}
+    assert told(searches=[search()], reasons=reasons, results=results, **more).splitlines()[4:] == [
         "**Searches that failed**",
         "",
         "- `test_it.py::x[search]`: the search tested too little: 40 runs, rejected",
+        "",
+        "**Saved scenarios that were left out**",
+        "",
+        f"- `c/t/x`: {plain(ADVICE)}",
         "",
         "**Warnings**",
         "",

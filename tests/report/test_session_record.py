@@ -2,75 +2,61 @@
 
 import json
 import re
-from dataclasses import fields, replace
+from collections import Counter
+from dataclasses import asdict, fields, replace
 from datetime import date
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.campaign.events import SearchSummary
+from pytest_pafot.campaign.events import Search
 from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.sighting import Alike, Seen
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import SCENARIO
 from pytest_pafot.report.page import finding_article
+from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import (
     FINDING,
     NOT_WRITTEN,
-    RESULTS,
-    SessionRecord,
     finding_entry,
     to_text,
-    worst,
 )
+from pytest_pafot.report.terminal import search_lines
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.sessions import read_record
 from tests.helpers.tables import table
-from tests.report.builders import view_of
+from tests.report.builders import as_seen, view_of
 
 TEXTS = st.text(CHARACTERS, max_size=20)
 COUNTS = st.dictionaries(TEXTS, st.integers(0, 9), max_size=3)
-SUMMARIES = st.builds(
-    SearchSummary,
+SEARCHES = st.builds(
+    Search,
     node_id=TEXTS,
     seed=st.integers(0, 2**63),
-    finds=st.lists(
-        st.builds(Sighting, finding=st.sampled_from([plain_finding(), plain_finding(id="A_b.c-d")]), node_id=TEXTS),
-        max_size=2,
-    ).map(tuple),  # of these, a summary has the id
     known=COUNTS,
+    kinds=COUNTS.map(Counter),
     reached=st.none() | st.floats(0, 1),
     warnings=st.lists(TEXTS, max_size=2).map(tuple),
 )
-RECORDS = st.builds(
-    SessionRecord,
-    exit=st.none() | st.integers(0, 5),
-    versions=st.dictionaries(TEXTS, TEXTS, max_size=2),
-    searches=st.lists(SUMMARIES, max_size=2),
-    findings=st.lists(
-        findings().map(lambda each: finding_entry(Sighting(finding=each, node_id="test_it.py::x"))), max_size=1
-    ),
-    warnings=st.lists(TEXTS, max_size=1),
-    problems=st.lists(TEXTS, max_size=1),
-)
 
 
-@given(RECORDS)
-def test_every_record_is_read_as_it_was_written(record):
-    searches = [
-        replace(
-            search,
-            finds=[find.id for find in search.finds],
-            warnings=list(search.warnings),
-            notes=list(search.notes),
-            seconds=0.0,
-            process_notes=(),
-        )
-        for search in record.searches
-    ]
-    assert read_record(to_text(record)) == replace(record, searches=searches)
+@given(SEARCHES, findings(), TEXTS, TEXTS)
+def test_every_record_is_read_as_it_was_written(search, finding, warning, problem):
+    session = Session(exit=1, warnings=[warning], problems=[problem])
+    session.add(replace(search, finds=(sighting("a"), sighting("A_b.c-d"))))
+    session.add(Seen(finding=finding, node_id="test_it.py::x"))
+    record = read_record(to_text(session, root="/nowhere", day="2027-01-31"))
+    assert (record.exit, record.day, record.commit) == (1, "2027-01-31", None)
+    assert (record.warnings, record.problems) == ([warning], [problem])
+    (told,) = record.searches
+    assert (told.node_id, told.seed, told.reached) == (search.node_id, search.seed, search.reached)
+    assert (told.kinds, told.known, told.warnings) == (search.kinds, search.known, list(search.warnings))
+    assert (told.finds, told.runs) == (["a", "A_b.c-d"], search.runs)
+    assert [each.signature for each in record.findings] == [finding.signature.text]
 
 
 def test_finding_names_the_traffic_it_was_driven_in():
@@ -88,9 +74,11 @@ def test_finding_names_the_traffic_it_was_driven_in():
 
 
 def test_keys_are_sorted_and_include_the_version():
-    text = to_text(SessionRecord(searches=[SearchSummary(node_id="a")], exit=1))
+    session = Session(exit=1)
+    session.add(Search(node_id="a"))
+    text = to_text(session, root="")
     plain = json.loads(text)
-    assert plain["pafot_json"] == 2
+    assert plain["pafot_json"] == 3
     assert text == json.dumps(plain, indent=2, sort_keys=True) + "\n"
 
 
@@ -121,18 +109,30 @@ def test_of_a_file_that_cannot_be_read_an_entry_has_all_keys():
 
 
 def test_no_duration_is_in_it():
-    slow, fast = (SearchSummary(node_id="a", seconds=each, process_notes=(f"{each}",)) for each in (1.0, 2.0))
-    assert to_text(SessionRecord(searches=[slow])) == to_text(SessionRecord(searches=[fast]))
+    def text(seconds):
+        session = Session()
+        session.add(Search(node_id="a", seconds=seconds, process_notes=(f"{seconds}",)))
+        return to_text(session, root="")
+
+    assert text(1.0) == text(2.0)
 
 
-@table("kind", [SessionRecord, SearchSummary])
-def test_every_record_field_is_described_in_its_docstring(kind):
-    told = re.findall(r"^ +(\w+(?:, \w+)*): ", kind.__doc__, re.MULTILINE)
-    told = [name for names in told for name in names.split(", ")]
-    assert told == [each.name for each in fields(kind) if each.name not in NOT_WRITTEN]
+@table(
+    ("thing", "names"),
+    [(Search, {each.name for each in fields(Search)} - {*NOT_WRITTEN}), (finding_entry, FINDING.keys())],
+)
+def test_every_key_is_described_in_a_docstring(thing, names):
+    told = re.findall(r"^ +(\w+(?:, \w+)*): ", thing.__doc__, re.MULTILINE)
+    assert sorted(name for names in told for name in names.split(", ")) == sorted(names)
 
 
-def test_the_worst_phase_of_an_item_counts():
-    assert worst(["passed", "failed", "passed"]) == "failed"
-    assert worst(["passed", "xfailed", "error"]) == "error"
-    assert worst([]) == RESULTS[0]
+def test_a_finding_tells_of_the_worst_run_that_failed_like_it():
+    own, worse = (Severity(kind="collision", value=speed, unit="m/s") for speed in (3.0, 14.2))
+    seen = sighting(severity=own, alike=Alike(runs=11, number=87, severity=worse))
+    assert seen.on_alike == "12 runs fail like this; the worst is number 87, which hits at 14.2 m/s"
+    assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).on_alike == ""
+    assert finding_entry(seen)["worst"] == {"number": 87, "severity": asdict(worse)}
+    assert f"  {seen.id}: {seen.on_alike}" in search_lines(Search(node_id="t", finds=(seen,)), width=99)
+    assert f"<li>{seen.on_alike}</li>" in finding_article(
+        as_seen(view_of(None, plain_finding()), observed=seen.observed, alike=seen.alike), 0
+    )

@@ -2,10 +2,10 @@
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.findings.severity import Severity
-from pytest_pafot.report.page import WHOLE, Report, by_test, numbers, rank, render_page, session_facts
+from pytest_pafot.report.page import WHOLE, by_test, rank, session_facts
 from tests.findings.builders import sighting
 from tests.helpers.tables import table
-from tests.report.builders import as_seen, real_report
+from tests.report.builders import as_seen, page_of, real_page, real_views
 
 RANKED = [
     ("new", "ego", 9, 12.0),
@@ -31,7 +31,7 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(order):
 
 
 def test_findings_of_each_test_are_together_the_worst_test_first():
-    view = real_report().findings[0]
+    view = real_views()[0]
     views = [as_seen(view, finding={"test": test, "id": id_}) for test, id_ in (("b", "1"), ("a", "2"), ("b", "3"))]
     assert [each.seen.id for each in by_test(views)] == ["1", "3", "2"]
 
@@ -44,15 +44,14 @@ def test_facts_include_replay_labels_and_versions():
     assert "base seed" not in facts
 
 
-def test_numbers_count_errors_first():
-    assert [numbers(*each) for each in ((0, 0), (1, 0), (2, 1))] == ["0 findings", "1 finding", "1 error, 2 findings"]
-
-
-def test_further_finding_has_what_it_is_and_its_command():
-    further = sighting("a1", headline="hit <b>", command="pytest 'a b.py::t'")
-    page = render_page(Report(title="t", findings=real_report().findings, further=(further,)))
-    assert "<h2>1 further finding</h2>" in page
-    assert "the 2 worst findings whole" in page
-    assert "<li><b>a1</b> hit &lt;b&gt;<br><code>pytest &#x27;a b.py::t&#x27;</code></li>" in page
+def test_further_finding_has_what_it_is_and_its_command(monkeypatch):
+    monkeypatch.setattr("pytest_pafot.report.page.WHOLE", 2)
+    further = as_seen(real_views()[0], finding={"id": "z1"}, headline="hit <b>", path="a b.pafot.yaml")
+    shown = page_of(*real_views(), further, failures={("t.py::t", "setup"): "x"})
+    assert "<title>t: 1 error, 3 findings</title>" in shown
+    assert "<h2>1 further finding</h2>" in shown
+    assert "the 2 worst findings whole" in shown
+    again = "python -m pytest &#x27;a b.pafot.yaml&#x27;"
+    assert f"<li><b>z1</b> hit &lt;b&gt;<br><code>{again}</code></li>" in shown
     assert f"the worst {WHOLE} are whole" in BY_NAME["report"].details
-    assert "further finding" not in render_page(real_report())
+    assert "further finding" not in real_page()

@@ -3,22 +3,25 @@
 Long texts are in ``__snapshots__``. ``--snapshot-update`` rewrites them; read the differences before you commit them.
 """
 
+from collections import Counter
 from dataclasses import replace
 
-from pytest_pafot.campaign.events import Ending, Progress, SearchSummary, concluded
+from pytest_pafot.campaign.events import Ending, Progress, Search, concluded
+from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
-from pytest_pafot.report.session_record import SessionRecord, markdown
-from pytest_pafot.report.terminal import SessionSummary
+from pytest_pafot.report.session_record import markdown
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding, sighting
 from tests.helpers.tables import table
+from tests.report.builders import session_of
 
 FIND = sighting(
     node_id="tests/test_safety.py::test_it[saved-front-2-1f3a9c]",
@@ -30,27 +33,23 @@ FIND = sighting(
 
 def named(id_, **seen):
     """Return the same finding by another id, and with more that was seen of it."""
-    return replace(FIND, finding=replace(FIND.finding, id=id_), **seen)
+    finding = replace(FIND.finding, id=id_, flaky=seen.pop("flaky", None))
+    return replace(FIND, **{"finding": finding, "node_id": f"tests/test_safety.py::test_it[saved-{id_}]"} | seen)
 
 
-SEARCH = SearchSummary(
+SEARCH = Search(
     algorithm="pafot",
     node_id="tests/test_safety.py::test_it[search]",
     base_seed=3,
     seed=4154884243,
     generations=10,
-    asked=10,
+    asked={"generations": 10},
     reason=Ending.GENERATIONS,
     seconds=12.34,
-    runs=48,
-    known_runs=3,
-    invalid=2,
-    npc=9,
-    rejected=1,
-    skipped=1,
+    kinds=Counter(passed=17, failed=18, npc=9, invalid=2, rejected=1, skipped=1),
+    more_runs=Counter(known=3),
     reached=0.634,
     no_interaction=5,
-    failing=18,
     finds=(FIND,),
     known={"rear-6-abcdef": 4},
     unlike={"rear-6-abcdef": ("1a2b3c (ego's lane-change, not lane-keeping)",)},
@@ -100,7 +99,7 @@ def test_failures_are_listed_new_first_then_worst_first():
         sighting("known", label="still failing", headline="hit", severity=replace(hit, value=30.0), responsible="none"),
         sighting("mine", label="introduced", headline="hit", severity=hit),
     ]
-    session = SessionSummary(searches=[replace(SEARCH, finds=tuple(finds))], replays=replays)
+    session = session_of(searches=[replace(SEARCH, finds=tuple(finds))], seen=replays)
     assert terminal.worst_lines(session) == [
         "failures, the worst first:",
         "  new: slow hits at 4.6 m/s, both at fault",
@@ -109,13 +108,13 @@ def test_failures_are_listed_new_first_then_worst_first():
         "  new: other has no measure",
         "  still failing: known hits at 30.0 m/s",
     ]
-    assert terminal.worst_lines(SessionSummary(searches=[SEARCH])) == []
+    assert terminal.worst_lines(session_of(searches=[SEARCH])) == []
 
 
 def tried(name, failing, runs=20, otherwise=0, **changes):
     """Return a search of the parameters ``name`` of a test, with counts of its random scenarios."""
-    counts = {"random_failing": failing, "random_otherwise": otherwise, "random_runs": runs}
-    return replace(SEARCH, node_id=f"t.py::test_it[{name}-search]", **{"finds": ()} | counts | changes)
+    random = Counter(at_fault=failing, otherwise=otherwise, runs=runs)
+    return replace(SEARCH, node_id=f"t.py::test_it[{name}-search]", **{"finds": (), "random": random} | changes)
 
 
 def test_parameters_of_a_test_that_fail_most_are_first():
@@ -137,7 +136,7 @@ def test_parameters_of_a_test_that_fail_most_are_first():
     ]
     assert terminal.parameter_lines([tried("a", 0), tried("b", 0)]) == []
     # The summary of a CI's job has the same rows.
-    told = markdown(SessionRecord(searches=searches))
+    told = markdown(session_of(searches=searches))
     assert "**Parameters of `t.py::test_it` that fail most**\n\n- `x::[y]` fails in 11 of 20 random scenarios\n" in told
     assert "fair" not in told
     assert max(map(len, terminal.parameter_lines(searches, 40)[1:])) <= 40
@@ -145,7 +144,7 @@ def test_parameters_of_a_test_that_fail_most_are_first():
 
 def test_a_listed_failure_names_the_parameters_of_its_test():
     test = {"test": "t.py::test_it[planner-a]"}
-    session = SessionSummary(searches=[replace(SEARCH, finds=(sighting("a", finding=test), sighting("b")))])
+    session = session_of(searches=[replace(SEARCH, finds=(sighting("a", finding=test), sighting("b")))])
     assert terminal.worst_lines(session)[1:] == ["  new: a [planner-a] has no measure", "  new: b has no measure"]
 
 
@@ -175,8 +174,8 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
     ],
 )
 def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks, end):
-    counts = {"random_failing": failing, "random_otherwise": otherwise, "random_checks": checks, "random_runs": 20}
-    lines = terminal.search_lines(replace(SEARCH, **counts), width=200)
+    random = Counter(at_fault=failing, otherwise=otherwise, checks=checks, runs=20)
+    lines = terminal.search_lines(replace(SEARCH, random=random), width=200)
     (line,) = [line for line in lines if "random scenarios" in line]
     assert line.partition(" %)")[2] == end
 
@@ -184,41 +183,40 @@ def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks
 def test_a_search_that_finds_nothing_has_five_lines():
     drawn = "3 to 6 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3"
     quiet = replace(
-        SEARCH, failing=0, finds=(), known={}, warnings=(), notes=(), unlike={}, random_runs=19, drawn=drawn,
-        invalid=0, npc=0, rejected=0, skipped=0, known_runs=0, no_interaction=0,
+        SEARCH, kinds=Counter(passed=48), finds=(), known={}, warnings=(), notes=(), unlike={}, drawn=drawn,
+        random=Counter(runs=19), more_runs=Counter(), no_interaction=0,
     )  # fmt: skip
     lines = terminal.search_lines(quiet)
     assert len(lines) == 5
     assert max(map(len, lines)) <= 80
     assert "  3 to 6 NPCs in hostile traffic" in lines
     many = [replace(quiet, node_id=f"t.py::test_{number}[search]") for number in range(500)]
-    told = terminal.session_lines(SessionSummary(searches=many))
+    told = terminal.session_lines(session_of(searches=many))
     assert len(told) == 501
     few = many[: terminal.MAX_WHOLE]
-    assert len(terminal.session_lines(SessionSummary(searches=few))) == 5 + 4 * (
+    assert len(terminal.session_lines(session_of(searches=few))) == 5 + 4 * (
         len(few) - 1
     )  # what they draw is said once
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
-    flaky = named("rear-6-222222", difference="running it again gave a different run", repeats=0)
+    flaky = named("rear-6-222222", flaky=NOT_REPEATED, alike=Alike())
     lost = named("left-8-333333", path="", detail="read-only file system")
     other = replace(
         SEARCH, node_id="tests/test_safety.py::test_other[search]", finds=(flaky, lost),
-        shrink_runs=49, known={}, warnings=(), notes=(),
+        more_runs=Counter(known=3, shrink=49), known={}, warnings=(), notes=(),
     )  # fmt: skip
-    session = SessionSummary(
-        searches=[SEARCH, other],
-        again="pytest FILE",
-        replays=[
+    running = Search(node_id="tests/test_safety.py::test_third[search]", seed=1)
+    session = session_of(
+        searches=[SEARCH, running, other],
+        seen=[
             sighting("saved-a", label="fixed"),
             sighting("saved-b", label="still failing"),
             sighting("saved-c", label="drifted", detail="numpy 1 then, 2 now"),
         ],
-        strays=[("2 saved scenarios", "corpus/x.pafot.yaml, corpus/y.pafot.yaml")],
+        left=["corpus/x.pafot.yaml", "corpus/y.pafot.yaml"],
         problems=["a fault in the page"],
         written=["report: report.html (1 finding)"],
-        interrupted=["tests/test_safety.py::test_third[search]"],
         notes=["processes are off"],
     )
     lines = terminal.session_lines(session)
@@ -229,18 +227,20 @@ def test_the_summary_of_a_session_reads_so(snapshot):
 
 def many_searches():
     passed = [
-        replace(SEARCH, node_id=f"t.py::test_{number}", failing=0, finds=(), known={}, warnings=(), notes=())
+        replace(
+            SEARCH, node_id=f"t.py::test_{number}", kinds=Counter(passed=48), finds=(), known={}, warnings=(), notes=()
+        )
         for number in range(9)
     ]
     warned = [replace(each, warnings=(f"only {3 + number} % reached",)) for number, each in enumerate(passed[:3])]
     failed = replace(SEARCH, node_id="t.py::test_failed")
-    untested = replace(SEARCH, node_id="t.py::test_untested", failing=0, finds=(), runs=2, skipped=2, invalid=0)
+    untested = replace(SEARCH, node_id="t.py::test_untested", kinds=Counter(skipped=2), finds=())
     return [*warned, *passed[3:], failed, untested]
 
 
 def test_many_searches_without_a_failing_run_have_a_line_each():
     searches = many_searches()
-    lines = terminal.session_lines(SessionSummary(searches=searches))
+    lines = terminal.session_lines(session_of(searches=searches))
     assert [line.split(": ")[0] for line in lines[:9]] == [f"t.py::test_{number}" for number in range(9)]
     assert "ended: " in lines[0]
     whole = terminal.search_lines(searches[9]) + terminal.search_lines(searches[10])
@@ -253,19 +253,22 @@ def test_many_searches_without_a_failing_run_have_a_line_each():
 
 
 def test_the_failure_of_a_search_reads_so(snapshot):
-    flaky = named("rear-6-222222", difference="running it again gave a different run", is_timed=True)
+    flaky = named("rear-6-222222", flaky=NOT_REPEATED)
     search = replace(SEARCH, finds=(FIND, flaky))
     assert terminal.failure_message(search) == snapshot
 
 
 def test_the_section_of_a_find_reads_so(snapshot):
-    find = replace(FIND, path="", detail="read-only file system", is_timed=True)
+    hang = replace(FIND.finding, expect=replace(FIND.finding.expect, outcome=Outcome.HANG))
+    find = replace(FIND, finding=hang, path="", detail="read-only file system")
     explanation = "E     At 0.9 s the ego was 42.7 m (safe: 48.4 m) behind NPC 0, which was 9.9 m/s slower."
     text = terminal.find_section(
-        find, explanation=explanation, advice="run it again", content="pafot: 1\ntest: t\n",
+        find, explanation=explanation, advice="run it again",
         details=["found      pafot, seed 7, generation 0, run 1", "worlds     highway"],
     )  # fmt: skip
-    assert text == snapshot
+    told, _, content = text.partition("the file would be:\n")
+    assert told == snapshot
+    assert content.splitlines() == [f"  {line}" for line in text_of(hang).splitlines()]
 
 
 @table(
@@ -323,9 +326,9 @@ def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, field
 
 
 def test_decisions_are_counted_where_they_take_the_time():
-    search = replace(SEARCH, seconds=99.0, decisions=3923, shrink_decisions=8357, moment_decisions=0)
+    search = replace(SEARCH, seconds=99.0, decisions=Counter(search=3923, shrink=8357))
     assert "  3,923 decisions and 8,357 to shrink" in terminal.search_lines(search)
-    confirmed = replace(search, confirm_decisions=198)
+    confirmed = replace(search, decisions=Counter(search=3923, confirm=198, shrink=8357))
     assert "  3,923 decisions, 198 to confirm and 8,357 to shrink" in terminal.search_lines(confirmed)
     assert "decisions" not in "\n".join(terminal.search_lines(replace(search, seconds=12.0)))
 
@@ -334,20 +337,20 @@ def test_decisions_are_counted_where_they_take_the_time():
     ("flags", "remark"),
     [
         ({}, ""),
-        ({"difference": "running it again gave a different run"}, "flaky: running it again gave a different run"),
-        ({"is_timed": True}, "depends on wall-clock time"),
+        ({"flaky": NOT_REPEATED}, "flaky: running it again gave a different run"),
+        ({"expect": replace(FIND.finding.expect, outcome=Outcome.HANG)}, "depends on wall-clock time"),
     ],
 )
 def test_finding_has_remark_when_reader_needs_it(flags, remark):
-    assert sighting(headline="c", **flags).remark == remark
+    assert sighting(headline="c", finding=flags).remark == remark
 
 
 def test_a_replay_says_what_was_driven_and_what_the_search_found():
     passes = replace(sighting("saved-a", label="passes"), test="t")
-    searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, runs=300, invalid=1)}
+    searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, kinds=Counter(passed=297, invalid=3))}
     other = {"t": replace(searches["t"], failures={passes.finding.signature.text: "hit-2", "miss": "miss-1"})}
     cut = {"t": replace(searches["t"], reason=Ending.INTERRUPTED)}
-    drawn, some = ({"t": replace(searches["t"], random_runs=runs)} for runs in (297, 20))
+    drawn, some = ({"t": replace(searches["t"], random=Counter(runs=runs))} for runs in (297, 20))
     told = [
         terminal.replay_lines([concluded(passes, each)], 200)[1:] for each in ({}, searches, other, cut, drawn, some)
     ]
@@ -382,10 +385,10 @@ def test_finding_that_is_told_whole_has_its_story_and_its_command():
 
 @table("width", [60, 80, 120])
 def test_lines_are_wrapped_to_the_terminal_width(width):
-    lines = terminal.session_lines(SessionSummary(searches=[SEARCH]), width=width)
+    lines = terminal.session_lines(session_of(searches=[SEARCH]), width=width)
     assert max(map(len, lines)) <= width
     assert " ".join(" ".join(lines).split()) == " ".join(
-        " ".join(terminal.session_lines(SessionSummary(searches=[SEARCH]), width=999)).split()
+        " ".join(terminal.session_lines(session_of(searches=[SEARCH]), width=999)).split()
     )
 
 

@@ -15,11 +15,13 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.labels import Observed
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Signature
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
-from pytest_pafot.plugin.messages import packed, unpacked
+from pytest_pafot.plugin.messages import packed
 from pytest_pafot.searching.evaluation import Evaluation, Health
 from pytest_pafot.searching.plain import from_plain, plain
 from pytest_pafot.strategies import scenarios
@@ -155,11 +157,13 @@ def test_infinite_and_nan_numbers_are_stored_as_text(text, number):
 
 @given(findings(), texts)
 def test_a_sighting_is_read_as_it_was_sent_without_what_stays_in_its_process(finding, text):
-    seen = Sighting(finding=replace(finding, trace=None), node_id=text, sentences=(text,))
-    here = replace(seen, exception=ValueError(text), number=3)
-    assert unpacked(Sighting, packed(here)) == seen
-    assert packed(here).isascii()
-    assert unpacked(Sighting, packed(here)).unwritten == ""
+    observed = Observed(new="new", sentences=(text,))
+    seen = Seen(finding=replace(finding, trace=None), node_id=text, observed=observed)
+    died = Verdict(kind="failed", exception=ValueError(text))
+    sent = packed(replace(seen, observed=replace(observed, verdict=died)))
+    assert from_plain(Seen, json.loads(sent)) == seen
+    assert sent.isascii()
+    assert from_plain(Seen, json.loads(sent)).observed.verdict is None
 
 
 def test_a_day_and_a_mapping_are_read_strictly():

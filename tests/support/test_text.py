@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from datetime import date
 from xml.etree import ElementTree
@@ -14,14 +15,14 @@ from hypothesis import strategies as st
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign import saved_scenario
-from pytest_pafot.campaign.events import Progress, SearchSummary
+from pytest_pafot.campaign.events import Progress, Search
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.plugin.marks import saved_part
 from pytest_pafot.plugin.messages import set_properties
 from pytest_pafot.report import page, session_record, terminal
-from pytest_pafot.report.session_record import SessionRecord, finding_entry, to_text
+from pytest_pafot.report.session_record import to_text
 from pytest_pafot.support.errors import CorpusError, FieldError
 from pytest_pafot.support.text import (
     ascii_text,
@@ -35,6 +36,7 @@ from pytest_pafot.support.text import (
 from tests.findings.builders import plain_finding, sighting
 from tests.helpers.hostile import TEXTS, obeyed
 from tests.helpers.tables import table
+from tests.report.builders import session_of
 
 WIDTHS = st.integers(20, 120)
 
@@ -68,39 +70,39 @@ def test_visible_text_is_one_harmless_line(text, width):
 
 @given(TEXTS, TEXTS, WIDTHS)
 def test_no_line_of_the_terminal_is_obeyed(text, other, width):
-    find = sighting(node_id=text, headline=other, path=text, detail=other, difference=text)
-    search = SearchSummary(
-        node_id=text, generations=1, runs=3, seconds=1.0, failing=1, finds=[find], known={text: 1}, rejected=0,
-        skipped=0, no_interaction=0, invalid=0, algorithm=other, seed=1, base_seed=1, reason=text,
-        warnings=[text], notes=[other], against=text, drawn=other,
+    find = sighting(node_id=text, headline=other, path=text, detail=other, finding={"flaky": f"- {text}"})
+    search = Search(
+        node_id=text, generations=1, kinds=Counter(failed=1, passed=2), seconds=1.0, finds=(find,), known={text: 1},
+        algorithm=other, seed=1, base_seed=1, reason=text, warnings=(text,), notes=(other,), against=text, drawn=other,
     )  # fmt: skip
-    session = terminal.SessionSummary(
-        searches=[search],
-        replays=[sighting(headline=text, node_id=text, label="drifted", detail=other, against=text)],
-        strays=[(text, other)],
-        problems=[text], written=[visible(text)], interrupted=[text], warnings=[text], notes=[text],
+    replay = sighting(headline=text, node_id=f"{text} again", label="drifted", detail=other, against=text)
+    session = session_of(
+        searches=[search, Search(node_id=other, seed=1)], seen=[replay], unnamed=[text], left=[other],
+        problems=[text], written=[visible(text)], warnings=[text], notes=[text],
     )  # fmt: skip
     progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
     lines = [*terminal.session_lines(session, width=width), *terminal.found_lines(find, width)]
-    section = terminal.find_section(find, explanation=text, content=text, details=[other], advice=text, width=width)
+    unsaved = replace(find, path="")
+    section = terminal.find_section(unsaved, explanation=text, details=[other], advice=text, width=width)
     assert obeyed("\n".join([*lines, terminal.progress_line(progress, width), section])) == []
     assert all("\n" not in line and line.isascii() for line in lines)
 
 
 @given(TEXTS, TEXTS)
 def test_job_summary_and_tables_contain_no_foreign_markup(text, other):
-    found = finding_entry(
-        None, node_id=text, id=other, test=text, status="drifted", file=other, replay=text, headline=other, detail=text,
-        flaky=text, xfail={"reason": other, "until": "2027-01-31"}, result="xfailed",
-    )  # fmt: skip
-    faulty = SearchSummary(node_id=text, message=other, result="failed", against=text)
-    record = SessionRecord(findings=[found], searches=[faulty], warnings=[text], problems=[text])
+    kept = {"test": f"- {text}", "flaky": f"- {text}", "xfail": f"- {other}", "xfail_until": date(2027, 1, 31)}
+    found = sighting("a", node_id=text, finding=kept, label="drifted", path=other, headline=other, detail=text)
+    record = session_of(seen=[found], searches=[Search(node_id=text, against=text)], warnings=[text], problems=[text])
+    record.results[text], record.reasons[text] = "failed", other
+    record.unread[f"{text} again"] = {"id": text, "file": text, "test": other, "replay": text}
+    record.reasons[f"{text} again"] = text
     shown = session_record.markdown(record)
     assert obeyed(shown.replace("\u200b", "")) == []
     outside = re.sub(r"(`+).*?(?<!`)\1(?!`)", "", shown)
     assert not re.search(r"<(?!br>|/?span>)|(?<!\\)\||@(?!&#8203;)|\$(?!</span>)", outside)
-    assert json.loads(to_text(record))["findings"][0]["xfail"]["reason"] == other
-    assert obeyed(to_text(record)) == []
+    written = to_text(record, root="")
+    assert json.loads(written)["findings"][0]["xfail"]["reason"] == kept["xfail"]
+    assert obeyed(written) == []
     table = markdown_table([text], [[other]])
     assert obeyed(table) == []
     assert table.count("\n") == 2

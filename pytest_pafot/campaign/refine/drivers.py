@@ -9,15 +9,15 @@ from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.judging import headline
 from pytest_pafot.campaign.refine.simplest import Simplest
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run, with_avoidance
 from pytest_pafot.support.errors import DriverError
 
 
 def with_reference_drivers(
-    sighting: Sighting, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
-) -> Refining[Sighting]:
+    sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
+) -> Refining[Seen]:
     """Return a finding as its confirmed scenario shows it, with what other drivers do in it.
 
     It keeps the scenario as found.
@@ -63,9 +63,8 @@ def with_reference_drivers(
         sighting,
         finding=finding,
         headline=finding.with_sight(headline(run, verdict)),
-        severity=verdict.severity,
+        observed=replace(
+            sighting.observed, run=shown, verdict=replace(verdict, exception=exception), severity=verdict.severity
+        ),
         unshrunk="",
-        exception=exception,
-        run=shown,
-        is_first=False,
     )

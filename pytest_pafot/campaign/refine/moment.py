@@ -31,7 +31,7 @@ from pytest_pafot.findings.decisions import (
     vehicle_of,
 )
 from pytest_pafot.findings.shrink import OutOfBudget
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import source_files
@@ -64,7 +64,7 @@ POSSIBLE = {"acceleration": possible_acceleration, "steering": possible_steering
 """The parts of a planner's decision with limits, and the functions that limit them to what an ego can do."""
 
 
-def with_moment(sighting: Sighting, state: State, bench: Bench) -> Refining[Sighting]:
+def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     """Return a finding with the last decision that could have avoided the failure, and what would change it.
 
     The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
@@ -92,7 +92,7 @@ def with_moment(sighting: Sighting, state: State, bench: Bench) -> Refining[Sigh
     return replace(sighting, moment=moment)
 
 
-def with_conditions(sighting: Sighting, state: State, bench: Bench) -> Refining[Sighting]:
+def with_conditions(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     """Return a finding with the conditions that a fresh policy evaluates in its moment, if it decides as the run's.
 
     They are compared with those of a decision that sees the vehicle elsewhere: where the moment says that the policy
@@ -174,7 +174,7 @@ def _first_difference(trace: Trace, state: State, bench: Bench) -> Moment | None
 
 
 def _decided_aside(
-    sighting: Sighting, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
+    sighting: Seen, trace: Trace, state: State, bench: Bench, npc: int | None, question: Question | None
 ) -> Refining[Aside | None]:
     """Drive a finding by its recorded actions, and return what a policy decides beside the run: see :data:`Ask`."""
     check_limits(bench)

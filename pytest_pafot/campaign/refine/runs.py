@@ -12,7 +12,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.failure_rate import RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead, OutOfBudget
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
@@ -22,7 +22,7 @@ from pytest_pafot.support.errors import OutOfTime
 
 
 def showing(
-    sighting: Sighting, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
+    sighting: Seen, scenario: Scenario, state: State, bench: Bench, store: Store, most: int | None = None
 ) -> Refining[Run | None]:
     """Run a scenario; return the run if it shows the failure of a finding in fewer than ``most`` decisions."""
     __tracebackhide__ = True
@@ -44,13 +44,13 @@ def showing(
     return run
 
 
-def shows(sighting: Sighting, run: Run, verdict: Verdict, state: State) -> bool:
+def shows(sighting: Seen, run: Run, verdict: Verdict, state: State) -> bool:
     """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
     shown = of_failure(run, verdict.failure) if verdict.failed and verdict.failure is not None else None
     return shown is not None and is_same(shown, signature_of(sighting, state))
 
 
-def signature_of(sighting: Sighting, state: State) -> Signature:
+def signature_of(sighting: Seen, state: State) -> Signature:
     """Return the signature that a finding had when it was found."""
     return next(signature for signature, id_ in state.finds.items() if id_ == sighting.id)
 
@@ -87,7 +87,7 @@ def check_limits(bench: Bench) -> None:
         raise OutOfBudget
 
 
-def failure_rate(sighting: Sighting, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
+def failure_rate(sighting: Seen, scenario: Scenario, state: State, bench: Bench) -> Refining[FailureRate]:
     """Return how often the policy fails in a scenario of a finding, with other seeds, or again and again if flaky."""
     yield Phase(f"measuring how often {sighting.id} fails", sighting.id)
     failing = 0

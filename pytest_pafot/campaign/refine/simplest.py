@@ -16,7 +16,7 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
-from pytest_pafot.findings.sighting import Sighting
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
@@ -109,7 +109,7 @@ class Simplest:
 
 
 def simplest_of(
-    sighting: Sighting, original: Scenario, state: State, bench: Bench, store: Store, turn: Turn
+    sighting: Seen, original: Scenario, state: State, bench: Bench, store: Store, turn: Turn
 ) -> Refining[Simplest]:
     """Shrink the scenario of a finding as it was found, in its turn."""
     __tracebackhide__ = True
@@ -181,7 +181,7 @@ def simplest_of(
     return Simplest(scenario=scenario, shrunk=shrunk, is_cut=turn.is_over)
 
 
-def _repeats_collision(sighting: Sighting, harness: Harness) -> Trace | None:
+def _repeats_collision(sighting: Seen, harness: Harness) -> Trace | None:
     """Return the run of a collision that another run with the same decisions of the ADS repeats here; else None."""
     trace = None if sighting.run is None else sighting.run.trace
     is_sure = not sighting.is_flaky and sighting.finding.rate is None and codec.is_built_in(harness.world)
@@ -189,7 +189,7 @@ def _repeats_collision(sighting: Sighting, harness: Harness) -> Trace | None:
 
 
 def _likely(
-    sighting: Sighting, turn: Turn, state: State, bench: Bench, actions_in: Callable[[Scenario], tuple[Any, ...]]
+    sighting: Seen, turn: Turn, state: State, bench: Bench, actions_in: Callable[[Scenario], tuple[Any, ...]]
 ) -> Callable[[Scenario, Scenario], bool] | None:
     """Return a function that says whether a small scenario is likely to fail, without a decision of the ADS.
 

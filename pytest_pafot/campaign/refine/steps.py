@@ -19,7 +19,7 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import ending
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
-from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Sighting
+from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
@@ -94,12 +94,12 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
         else:
             sighting, why = store.findings[id_], "at the limit of decisions" if bench.is_at_limit else "out of time"
             cut = f"not shrunk: {why}" if sighting.finding.shrunk is None else f"shrunk in part: {why}"
-            yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut, is_first=False))
+            yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
         bench.is_at_limit |= was_at_limit
     return done
 
 
-def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
+def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
     """Shrink a finding, run the result again, and try reference drivers in it; return True if nothing is left to do."""
     __tracebackhide__ = True
     original = sighting.finding.original or sighting.finding.scenario
@@ -108,7 +108,7 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
     is_new = sighting.is_random and sighting.finding.rate is None
     if is_new and (sighting.is_flaky or bench.rerun(sighting.finding.scenario).trace.drew):
         rate = yield from failure_rate(sighting, sighting.finding.scenario, state, bench)
-        sighting = replace(sighting, finding=replace(sighting.finding, rate=rate), is_first=False)
+        sighting = replace(sighting, finding=replace(sighting.finding, rate=rate))
         sighting = store.rewritten(sighting)
         yield from store.publish(sighting)
     if sighting.is_flaky:
@@ -125,7 +125,7 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
         simplest = replace(simplest, scenario=original, shrunk=shrunk, is_cut=False)
         simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
     if differs:
-        sighting = replace(store.call_flaky(sighting, differs), is_first=False)
+        sighting = store.call_flaky(sighting, differs)
         yield from store.publish(sighting)
         if sighting.is_random:  # the runs that confirmed it were the same by chance
             return (yield from _simplified(sighting, state, bench, store, turn))
@@ -139,7 +139,7 @@ def _simplified(sighting: Sighting, state: State, bench: Bench, store: Store, tu
 
 
 def _confirmed(
-    sighting: Sighting, simplest: Simplest, state: State, bench: Bench
+    sighting: Seen, simplest: Simplest, state: State, bench: Bench
 ) -> Refining[tuple[Simplest, Run, Verdict, str]]:
     """Run the simplest scenario of a finding again.
 
@@ -161,13 +161,12 @@ def _confirmed(
     return replace(simplest, rate=rate), run, verdict, differs
 
 
-def _examined(sighting: Sighting, state: State, bench: Bench, store: Store) -> Refining[None]:
+def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refining[None]:
     """Examine a finding, and report what each step learns, unless the time ends before.
 
     No error ends the search here, because a user's world may not expect scenarios other than those of a search.
     """
     __tracebackhide__ = True
-    sighting = replace(sighting, is_first=False)
     for about, step in EXAMINATIONS.items():
         try:
             check_limits(bench)
