@@ -72,7 +72,7 @@ QUESTIONS = {
     "campaign/request.py": 1,  # whether NPCs can cross at all
     "criticality/signals.py": 1,  # places on two ways are of use only together
     "testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes
-    "testing/traces.py": 10,  # the same
+    "testing/traces.py": 9,  # the same
     "model/trace.py": 1,  # the one place that chooses the kind
     "report/views.py": 1,  # two kinds of pictures, and the page has both
     "searching/evaluation.py": 1,  # how far ahead is along the ego's heading there; and whether NPCs can cross

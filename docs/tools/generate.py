@@ -68,7 +68,7 @@ _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generat
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 ROAD = ("lanes", "speed_limit", "clearance")
 """The arguments of the mark about the road."""
-OF_SEARCH = ("traffic", "vehicles", "blame", "runs", "seed", "against")
+OF_SEARCH = ("traffic", "blame", "runs", "seed", "against")
 """The options of ``search`` that are arguments of the mark."""
 _WORLD = re.compile(
     r"drive in this world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL

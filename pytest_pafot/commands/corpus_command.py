@@ -6,12 +6,11 @@ No scenario is run, and only ``accept`` changes a file: it writes one line.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from pytest_pafot.corpus.saved import Saved, named_file
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.errors import CorpusError, RequestError
 from pytest_pafot.support.files import Since, added_in, way_out, write_whole
-from pytest_pafot.support.text import ascii_text, day_of, quiet_json, visible, wrapped_to
+from pytest_pafot.support.text import ascii_text, day_of, visible, wrapped_to
 
 XFAIL_LINE = re.compile(rb"^(# )?xfail:.*$", re.MULTILINE)
 """The line ``xfail:`` in a file, which accepts the file's failure, or the comment in its place."""
@@ -38,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(required=True, metavar="WHAT", dest="what")
     about = "print what each saved scenario is about, which test it is of, and which commit added it"
     listing = kinds.add_parser("list", help=about, description=about.capitalize())
-    listing.add_argument("--json", action="store_true", help="print JSON, for programs")
     of_folders = "search this folder and all folders below (default: here)"
     listing.add_argument("folders", nargs="*", type=Path, default=[Path()], metavar="FOLDER", help=of_folders)
     about = "accept the failures of saved scenarios, so that they are expected to fail up to a day"
@@ -67,28 +65,9 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     saved = [Saved.read(file) for folder in sorted(below.values()) for file in files_in(folder)]
     added = added_in(arguments.folders)
     sinces = [added.get(Path(os.path.realpath(each.path.parent), each.path.name)) for each in saved]
-    if arguments.json:
-        rows = [_data(each, since) for each, since in zip(saved, sinces, strict=True)]
-        sys.stdout.write(quiet_json(json.dumps(rows, indent=2)) + "\n")
-    else:
-        lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios"]
-        sys.stdout.write("".join(f"{line}\n" for line in lines))
+    lines = list(_lines(saved, sinces, shutil.get_terminal_size().columns)) or ["no saved scenarios"]
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
     return int(bool(unlisted) or any(each.finding is None for each in saved))
-
-
-def _data(saved: Saved, since: Since | None) -> Mapping[str, object]:
-    """Return a saved scenario as plain data; ``error`` says why a file cannot be read."""
-    finding, about = saved.finding, {"file": saved.path.as_posix(), "id": saved.id}
-    if finding is None:
-        return about | {"error": saved.error}
-    until = None if finding.xfail_until is None else finding.xfail_until.isoformat()
-    return about | {
-        "test": finding.test,
-        "what": finding.expect.brief,
-        "since": None if since is None else dict(zip(("commit", "day"), since, strict=True)),
-        "xfail": finding.xfail,
-        "xfail_until": until,
-    }
 
 
 def _lines(saved: Iterable[Saved], sinces: Iterable[Since | None], width: int) -> Iterator[str]:

@@ -14,8 +14,8 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +32,13 @@ from pytest_pafot.commands.policy_reference import (
     whole_name,
 )
 from pytest_pafot.corpus.layout import CORPUS, files_below
-from pytest_pafot.model.vehicle_type import STYLES, named_vehicles
-from pytest_pafot.support.errors import OF_SEARCH, FieldError, RequestError, flag
+from pytest_pafot.model.vehicle_type import STYLES
+from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.process import Ended, taken_receipt, undisturbed, unfinished
 from pytest_pafot.support.references import PLANNER
-from pytest_pafot.support.text import one_line, visible
 
-CONFTEST, TEST = "conftest.py", "test_safety.py"
+TEST = "test_safety.py"
 PAGE = "pafot.html"
 OWN = ("runs", "seed", "report", "against")
 """The options of pytest that have a short name here."""
@@ -73,8 +72,6 @@ sys.exit(code)
 
 It ends with the process that started it, whose id is its first argument. Its receipt goes into the folder of its tests,
 which is its second one."""
-PLACE = 4
-"""Where in the command of a session the folder of its tests is."""
 NO_TESTS = "[pytest]\n"
 """An empty configuration of pytest, so that the project's settings do not apply to the session."""
 
@@ -86,8 +83,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_world_arguments(parser, "default: a highway, in SI units")
     of_traffic = "set how the other vehicles drive (default: hostile)"
     parser.add_argument("--traffic", choices=tuple(STYLES), help=of_traffic)
-    of_vehicles = "let NPCs be these vehicles, such as car,truck (default: all ready ones that fit the road)"
-    parser.add_argument("--vehicles", metavar="A,B", help=of_vehicles)
     of_runs = f"stop after N runs (default: {RUNS})"
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "draw the scenarios of this seed (default: 0)"
@@ -106,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report
     )
-    of_test = f"write {CONFTEST} and {TEST} here for `pytest`, and do not search"
+    of_test = f"write {TEST} here for `pytest`, and do not search"
     parser.add_argument("--write-test", action="store_true", help=of_test)
     parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
     # Messages of the session name options of pytest. All that do something in a search are options here, too.
@@ -130,52 +125,42 @@ class _ForPytest(argparse.Action):
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
-    here = Path.cwd()
-    files = {CONFTEST: _conftest(arguments), TEST: _test(arguments)}
+    test = _test(arguments)
     if arguments.write_test:
-        return _write_test(here, files, arguments.ads)
+        return _write_test(test)
     against = arguments.against
     if against is not None:
         ads_factory(against, "--against")
         against = whole_name(against)
     given = {name: getattr(arguments, name) for name in OWN}
-    corpus = here / arguments.corpus  # The tests are not in this folder.
+    corpus = Path.cwd() / arguments.corpus  # The tests are not in this folder.
     given |= {"against": against, "corpus": corpus}
     options = [f"{flag(name)}={value}" for name, value in given.items() if value is not None]
-    with _session(files) as session:
+    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
+        for name, text in {TEST: test, "pytest.ini": NO_TESTS}.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
+        session = [sys.executable, "-c", PYTEST, str(os.getpid()), folder, *fixed, *options]
         environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
-        code = _code_of([*session, *options, *arguments.options, *arguments.pytest], {**os.environ, **environ})
+        code = _code_of([*session, *arguments.options, *arguments.pytest], {**os.environ, **environ}, folder)
     if code == TESTS_FAILED and files_below(corpus / Path(TEST).stem):
         replay = "pytest FILE" if arguments.corpus == CORPUS else f"pytest FILE {flag('corpus', corpus)}"
-        kept = f"and commit {CONFTEST}, {TEST} and {arguments.corpus}/; `{replay}` needs them, too"
+        kept = f"and commit {TEST} and {arguments.corpus}/; `{replay}` needs them, too"
         own = command[: command.index("--")] if "--" in command else command
         again = [*own, "--write-test"]
         sys.stdout.write(f"keep it as a test: {shlex.join(again)}, {kept}\n")
     return BAD_USE if code == USAGE_ERROR else code
 
 
-@contextmanager
-def _session(files: Mapping[str, str]) -> Iterator[list[str]]:
-    """Write the files of a test into a temporary folder, and provide the start of a pytest command that runs it."""
-    with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-        for name, text in {**files, "pytest.ini": NO_TESTS}.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
-        yield [sys.executable, "-c", PYTEST, str(os.getpid()), folder, *fixed]
+def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) -> int:
+    """Run a session with its tests in a folder; return its exit code. An interrupt of this process ends the session.
 
-
-def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | None = None) -> int:
-    """Run the session of a command and return its exit code. If this process is interrupted, the session ends before.
-
-    A session has LAST_SECONDS for its summary and page, and is killed then. ``output`` is a file for all that it
-    prints, by default that of this process.
+    A session has LAST_SECONDS for its summary and page, and is killed then.
 
     Raises:
         ChildProcessError: if the session did not come to its end.
     """
-    with subprocess.Popen(  # noqa: S603  (the user's own arguments)
-        session, env=environ, stdout=output, stderr=output
-    ) as process:
+    with subprocess.Popen(session, env=environ) as process:  # noqa: S603  (the user's own arguments)
         try:
             left = process.wait()
         except KeyboardInterrupt as interrupt:
@@ -191,93 +176,50 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], output: int | N
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
-    code = taken_receipt(session[PLACE], left)
+    code = taken_receipt(folder, left)
     if code is None and left != STUCK:
         raise ChildProcessError(unfinished(left))
     return left if code is None else code
 
 
-def _write_test(here: Path, files: Mapping[str, str], ads: str) -> int:
-    """Write the files of a test, which have to be new, after a few runs of the test. Return the exit code.
+def _write_test(text: str) -> int:
+    """Write the file of a test, which has to be new. Return the exit code.
 
     Raises:
-        RequestError: if a file is there or cannot be written, or if the test cannot run.
+        RequestError: if the file is there or cannot be written.
     """
-    there = [name for name in files if os.path.lexists(here / name)]
-    if there:
-        raise RequestError(
-            f"--write-test: expected a folder without {' and '.join(there)}, received {here}; run the command in "
-            "another folder, or write the test by hand"
-        )
-    _check_that_it_runs(files, ads)
-    written: list[str] = []
+    here, elsewhere = Path.cwd(), "run the command in another folder"
     try:
-        for name, text in files.items():
-            if not write_if_free(here / name, text.encode()):
-                raise OSError(f"{name} was written meanwhile")
-            written.append(name)
+        if not write_if_free(here / TEST, text.encode()):
+            raise RequestError(
+                f"--write-test: expected a folder without {TEST}, received {here}; {elsewhere}, or write the test by "
+                "hand"
+            )
     except OSError as error:
-        for name in written:
-            (here / name).unlink(missing_ok=True)
-        fix = way_out(error, "or run the command in another folder")
         raise RequestError(
-            f"--write-test: expected a folder in which {' and '.join(files)} can be written, received {here}: "
-            f"{error.strerror or error}; {fix}"
+            f"--write-test: expected a folder in which {TEST} can be written, received {here}: "
+            f"{error.strerror or error}; {way_out(error, f'or {elsewhere}')}"
         ) from None
-    sys.stdout.write("".join(f"{name}\n" for name in files))
+    sys.stdout.write(f"{TEST}\n")
     return 0
-
-
-def _check_that_it_runs(files: Mapping[str, str], ads: str) -> None:
-    """Run a test on a few scenarios, so that only a test that can run is written. A failing run is a finding, no error.
-
-    Raises:
-        RequestError: if the test cannot run.
-    """
-    with tempfile.TemporaryDirectory(prefix="pafot-") as scratch, tempfile.TemporaryFile() as output:
-        told, environ = Path(scratch, "pafot.json"), {**os.environ, OF_COMMAND: ads}
-        given = {"runs": 4, "seed": 0, "save": "none", "shrink_rollouts": 0, "json": told}
-        once = [f"{flag(name)}={value}" for name, value in given.items()]
-        with _session(files) as session:
-            code = _code_of([*session, *once, f"{flag('corpus')}={scratch}", "-q"], environ, output.fileno())
-        record = json.loads(told.read_bytes()) if told.exists() else {"searches": []}
-        output.seek(0)
-        words = output.read().decode("utf-8", "replace").splitlines()
-    if code == 0 or any(search["finds"] for search in record["searches"]):
-        return
-    errors = [line[1:].strip() for line in words if line.startswith("E ")]
-    received = next((search["message"] for search in record["searches"] if search["message"]), " ".join(errors[-1:]))
-    raise RequestError(
-        f"--write-test: expected a test that can run, received {one_line(visible(received or 'no test'))}; nothing was "
-        "written: correct it, and see more by the same command without --write-test"
-    )
-
-
-def _conftest(arguments: argparse.Namespace) -> str:
-    """Return the content of the conftest.py with the fixture of the policy."""
-    ads_factory(arguments.ads, "ADS")
-    module, name, *argument = whole_name(arguments.ads).split(":", 2)
-    made = f"lambda: factory({argument[0]!r})" if argument else "factory"
-    return (
-        f"import pytest\n{_import(module, name, 'factory', 'ADS')}\n\n"
-        f"@pytest.fixture\ndef ads():  # a factory: one fresh policy per scenario\n    return {made}\n"
-    )
 
 
 def _test(arguments: argparse.Namespace) -> str:
     """Return the content of the file with the test."""
-    given = [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
+    ads_factory(arguments.ads, "ADS")
+    _check_module(arguments.ads, "ADS")
+    given = [f"ads={json.dumps(whole_name(arguments.ads))}"]
+    given += [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
     of_world, imports = _world(arguments)
     given += of_world
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
-    given += [] if arguments.vehicles is None else [f"vehicles={json.dumps(_vehicles(arguments.vehicles))}"]
     name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
     if arguments.blame != "ego":
         name = "never_in_a_collision"
     if arguments.check is not None:
         check_function(arguments.check)
-        module, name = arguments.check.split(":")
-        holds, imports = "return holds(run)", imports + _import(module, name, "holds", "--check")
+        name = arguments.check.partition(":")[2]
+        holds, imports = "return holds(run)", imports + _import(arguments.check, "--check")
     name = name if name.startswith("test") else f"test_{name}"
     return (
         f"import pytest_pafot as pafot\n{imports}\n\n@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"
@@ -292,32 +234,25 @@ def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:
         return [], ""
     module, _, name = arguments.world.partition(":")
     if name and getattr(world, "env_id", "") != name:
-        _import(module, name.partition(":")[0], "", "--world")  # it checks the names
+        _check_module(arguments.world, "--world")
         return [f"world={json.dumps(arguments.world)}"], ""
     of_config = "" if config is None else f", config={config!r}"
     of_planner = "" if world.planner_hz is None else f", planner_hz={world.planner_hz}"
     return [f"world=pafot.World({world.env_id!r}{of_config}{of_planner})"], f"import {module}\n" if name else ""
 
 
-def _vehicles(text: str) -> list[str]:
-    """Return the names of vehicles in the value of ``--vehicles``."""
-    names = [name.strip() for name in text.split(",")]
-    try:
-        named_vehicles(names)
-    except FieldError as error:
-        raise RequestError(f"--vehicles: expected {error.expected}, received {error.received}") from None
-    return names
+def _check_module(reference: str, option: str) -> None:
+    """Refuse the name of an object in the file of the search itself, which hides a file of that name."""
+    if reference.partition(":")[0] == Path(TEST).stem:
+        raise RequestError(f"{option}: expected a module other than {TEST}, received {reference}; rename it")
 
 
-def _import(module: str, name: str, alias: str, option: str) -> str:
+def _import(reference: str, option: str) -> str:
     """Return the import of a function. Its alias hides no fixture, and is no test or hook for pytest."""
-    if module in (Path(CONFTEST).stem, Path(TEST).stem):
-        received = f"{module}:{name}, in a file of the search itself"
-        raise RequestError(
-            f"{option}: expected a module other than {CONFTEST} and {TEST}, received {received}; rename it"
-        )
+    _check_module(reference, option)
+    module, name = reference.split(":")
     for part in (*module.split("."), name):
         if not part.isidentifier() or keyword.iskeyword(part):
-            received = f"{part!r} in {module}:{name}"
+            received = f"{part!r} in {reference}"
             raise RequestError(f"{option}: expected names that `import` takes, received {received}; rename it")
-    return f"from {module} import {name} as {alias}\n"
+    return f"from {module} import {name} as holds\n"

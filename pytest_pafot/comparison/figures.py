@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, first_failures, of, survival
+from pytest_pafot.comparison.run_measures import SECONDS_PER_HOUR, Results, of
 from pytest_pafot.support.files import write_whole
 
 SETTINGS: Any = {
@@ -95,22 +95,11 @@ def _is_discovery(rows: pd.DataFrame) -> pd.Series[bool]:
     return rows["is_ego_failure"] & ~known.reindex(rows.index, fill_value=False)
 
 
-def _first_failure(axes: Axes, results: Results) -> None:
-    for name, style, runs in _each(results):
-        estimate = survival(*first_failures(runs, results.horizon))
-        hours = np.array([0.0, *estimate.times]) / SECONDS_PER_HOUR
-        axes.step(hours, 100 * np.array([1.0, *estimate.shares]), where="post", markersize=4, label=name, **style.curve)
-    axes.set(xlim=(0, None), ylim=(0, 103))
-    axes.set(xlabel="simulated time of a run [h]", ylabel="runs without an ego-responsible failure [%]")
-    axes.legend(loc="upper right")
-
-
 FIGURES: Mapping[str, tuple[str, Callable[[Axes, Results], None]]] = {
     "discoveries": (
         "Distinct ego-responsible failures over simulated time",
         partial(_curves, label="distinct ego-responsible failures of a run", counts=_is_discovery),
     ),
-    "first-failure": ("Until the first ego-responsible failure (Kaplan-Meier)", _first_failure),
     "collisions-over-time": (
         "Collisions over simulated time",
         partial(_curves, label="unique collisions of a run", counts=lambda rows: rows["outcome"] == "collision"),

@@ -22,7 +22,6 @@ from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
-from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.testing import traces as rules
 from pytest_pafot.testing.simulators import SETTLED as LAG
@@ -55,8 +54,6 @@ BRAKING, BRAKING_SHARE = 6.0, 0.1
 """The braking of the driver steady-braking [m/s^2], and the share by which it may differ."""
 FEW = 2
 """The number of runs of a simulator that are made again in each of the checks that repeat runs."""
-QUIET = 5.0
-"""The time after which the check prints what it does [s]."""
 MORE = 4
 """The number of further runs, as a multiple of ``runs``, after which no collision is looked for any more."""
 
@@ -127,8 +124,8 @@ def check_world(
     - Traces have the form that test functions and reports expect, also for crossing NPCs if the world has ways for
       them.
     - The states agree with each other: positions with lanes, headings and speeds with the motion, accelerations with
-      the speeds, and all of them with the start of the scenario. Each tick has a row. On a road that bends, ``track``
-      and the points of the lanes agree with them, too.
+      the speeds, and all of them with the start of the scenario. Each tick has a row. On a road that bends, the points
+      of the lanes agree with them, too.
     - NPCs take on the speeds of their instructions and go to the sides of their cells, and the ego follows its ADS.
     - A contact of the ego's box with an NPC's is a collision, and the collision agrees with the states. If two NPCs
       touch, the outcome is ``invalid``.
@@ -149,8 +146,6 @@ def check_world(
     a second one, if there are two NPCs or more. Further runs are made until a collision came up, at most four times as
     many. If the ADS acts in SI units, their egos keep their speed, accelerate and brake.
 
-    At the end it prints what a search can do in this world, and what it lacks.
-
     Args:
         world: the world to check.
         seed: the seed of the scenarios.
@@ -167,12 +162,6 @@ def check_world(
         RuntimeWarning: if no run had a collision, so that nothing about collisions was checked; or if all had an event,
             so that nothing about ``lasting`` was checked.
     """
-    started = monotonic()
-
-    def tell(what: str) -> None:
-        if (seconds := monotonic() - started) > QUIET:
-            print(f"check_world: checks {what}, after {seconds:.0f} s", flush=True)
-
     lacking = base_world(world).missing
     _promise(not lacking, "a world has all that a search needs", f"no {', '.join(lacking)}")
     _check_members(world)
@@ -190,10 +179,7 @@ def check_world(
             kept = (True, "", "")
             broken = next((each for each in experiments(simulated, scenarios[0], seed) if not each[0]), kept)
         _promise(*broken)
-    done: list[_Done] = []
-    for scenario in scenarios:
-        tell(f"run {len(done) + 1} of {runs}")
-        done.append(_run(world, scenario, calls))
+    done = [_run(world, scenario, calls) for scenario in scenarios]
     # What may go wrong with a simulator has shown in the experiments, and the rest is done by this package.
     few = done[:FEW] if isinstance(simulated, SimulatorWorld) else done
     for each in done:
@@ -206,20 +192,15 @@ def check_world(
     for each in every:
         _keep(_decided(world, each))
     longest = max(done, key=lambda each: each.trace.ticks)
-    checks: tuple[tuple[str, Callable[[], None]], ...] = (
-        ("that equal scenarios give equal runs", lambda: _check_repetition(world, few)),
-        ("that NPCs and the ego obey", lambda: _check_obedience(world, done, egos, len(few))),
-        ("speeds of NPCs", lambda: _check_speed(world, staged[:1])),
-        ("sides of NPCs", lambda: _check_sides(world, done[0])),
-        ("decisions=", lambda: _check_decisions(world, few)),
-        ("drivers that take over", lambda: _check_drivers(world, staged, [*egos, *few][: len(few)])),
-        ("lasting", lambda: _check_lasting(world, done, ads)),
-        ("an ADS that fails", lambda: _check_faults(world, longest, ads)),
-        ("from_dict", lambda: _check_round_trip(world, done[0], ads)),
-    )
-    for what, check in checks:
-        tell(what)
-        check()
+    _check_repetition(world, few)
+    _check_obedience(world, done, egos, len(few))
+    _check_speed(world, staged[:1])
+    _check_sides(world, done[0])
+    _check_decisions(world, few)
+    _check_drivers(world, staged, [*egos, *few][: len(few)])
+    _check_lasting(world, done, ads)
+    _check_faults(world, longest, ads)
+    _check_round_trip(world, done[0], ads)
     if not any(each.trace.collision for each in every):
         warnings.warn(
             f"check_world: no collision in {len(every)} runs, so nothing about collisions was checked; give an ads= "
@@ -227,7 +208,6 @@ def check_world(
             RuntimeWarning,
             stacklevel=2,
         )
-    print("\n".join(_abilities(world, every)))
 
 
 FRESH = "rollout calls ads_factory once, for a fresh ADS"
@@ -562,28 +542,6 @@ def _brakes_steadily(taken: Trace, tick: int) -> bool:
     # A simulator may begin a tick later, and its brakes may be a little weaker or stronger.
     is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + 2 * rate
     return bool(is_braking.all() and (lane == lane[0]).all())
-
-
-def _abilities(world: Any, every: Sequence[_Done]) -> Iterator[str]:
-    """Yield a line for each thing that a search can do in some worlds: whether it can in this one, and by what."""
-    base, data = base_world(world), WorldData.of(world)
-    taking_over = base.taking_over(every[0].trace)
-    is_built_in, has_braking = base is world, taking_over is not None and STEADY_BRAKING in taking_over.drivers
-    hits = sum(each.trace.collision is not None for each in every)
-    name = base.maker.__name__ if isinstance(base, SimulatorWorld) else type(world).__name__
-    yield f"check_world: {name} kept its promises in {len(every)} runs, {hits} with a collision."
-    for has, what, by in (
-        (base.reference_drivers, "who would have prevented a collision", "reference_drivers, rollout_reference"),
-        (has_braking, "from when on braking avoids it", f"take_over with {STEADY_BRAKING}, or decisions= and SI units"),
-        (is_built_in, "what the ego answered to", "only worlds of this package"),
-        (base.can_go_on, "runs that are driven on after their end", "lasting"),
-        (base.has_traffic_styles, "styles of traffic", "has_traffic_styles"),
-        (base.has_lane_instructions, "Lane-Instructions", "has_lane_instructions"),
-        (base.can_drive(TRUCK), "trucks, vans and motorcycles", "has_vehicles"),
-        (bool(base.straight_road), "varied starts and patterns of traffic", "road, a straight one of this package"),
-        (data.is_plain and data.data["kind"] != "own", "export, and replays without the test", "from_dict, registered"),
-    ):  # fmt: skip
-        yield f"  {'has  ' if has else 'lacks'} {what} ({by})"
 
 
 def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:

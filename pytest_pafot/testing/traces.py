@@ -23,8 +23,8 @@ from pytest_pafot.world.guard.own_worlds import base_world
 Promises = Iterator[tuple[Any, str, str]]
 """For each promise: whether it is kept, its words, and what was received instead. A later one may need the earlier."""
 
-ALONG, ACROSS, ANGLE, OFFSET, STRETCH = range(5)
-"""The columns of :attr:`pytest_pafot.Trace.track`."""
+ALONG, ACROSS = 0, 1
+"""Columns of :attr:`pytest_pafot.Trace.track`."""
 
 ROUNDING = 1e-6
 SINGLE = 1e-4
@@ -62,15 +62,6 @@ WHEELS = 0.2, 4.0
 The distance between the axles is no part of a trace."""
 COARSE = 1.0
 """The largest difference between the data of a lane and the line through its points [m], which may be far apart."""
-BENDS = 0.02
-"""The turn of a road in :data:`SMOOTH` seconds from which it bends [rad]."""
-FLAT = 0.004
-"""The stretch of a bend that one vehicle in ten has to have before it counts that all have the same."""
-ASIDE = 0.05, 0.5
-"""The angle to the lane [rad] and the distance from its centre line [m] from which a vehicle is not simply in its lane.
-"""
-NEAR = 30.0, 15.0
-"""The distances up to which two vehicles are compared along the road, and across it [m]."""
 
 
 def is_straight(trace: Trace) -> bool:
@@ -140,9 +131,7 @@ def of_runs(world: Any, traces: Sequence[Trace]) -> Promises:
         yield from limits(world, trace)
         yield from road(world, trace)
     yield from motion(traces)
-    yield from way(traces)
     for trace in traces:
-        yield from ways_of_crossing(trace)
         yield from places_at_start(trace)
         yield from contacts(trace)
         yield from end(world, trace)
@@ -193,8 +182,8 @@ def road(world: Any, trace: Trace) -> Promises:
         states = trace.states[:, vehicle]
         is_off, is_inside = states[:, LANE] < 0, np.zeros(len(states), dtype=np.bool_)
         for number, lane in enumerate(lanes):
-            is_inside[is_off] |= beside(_line(lane), states[is_off])[0] < lane.width / 2 - DEEP
-            there = beside(_line(lane), states[states[:, LANE] == number])[0]
+            is_inside[is_off] |= _away(_line(lane), states[is_off]) < lane.width / 2 - DEEP
+            there = _away(_line(lane), states[states[:, LANE] == number])
             is_often_out = len(there) >= LEAST and (there > lane.width / 2 + DEEP).mean() > OUTLIERS
             promise = f"states[..., X] and states[..., Y] of {_name(vehicle)} are within the lane of states[..., LANE]"
             received = f"{there.max(initial=0):.1f} m from the centre line of lanes[{number}], {lane.width:g} m wide"
@@ -216,22 +205,15 @@ def _line(lane: Lane) -> FloatArray:
                                     for metres in (0.0, lane.length)])  # fmt: skip
 
 
-def beside(line: FloatArray, states: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return for rows of states how far they are from a line [m], how far to the right, and the line's heading there.
-
-    The line is that of the centre of a lane, from the start to the end.
-    """
+def _away(line: FloatArray, states: FloatArray) -> FloatArray:
+    """Return for rows of states how far they are from a line [m], that of the centre of a lane."""
     parts = np.diff(line, axis=0)
     length = np.maximum(np.hypot(*parts.T), ROUNDING)
     cos, sin = parts.T / length
     x, y = states[:, [X]] - line[:-1, 0], states[:, [Y]] - line[:-1, 1]
     along, across = x * cos + y * sin, y * cos - x * sin
-    away = np.hypot(across, along - np.clip(along, 0.0, length))
-    row, nearest = np.arange(len(states)), away.argmin(axis=1)
-    # Between far points a lane turns all the way, although the line through them does so only at the points.
-    starts = np.cumsum(length) - length
-    heading = np.interp((starts + along)[row, nearest], starts + length / 2, np.unwrap(np.arctan2(sin, cos)))
-    return away[row, nearest], across[row, nearest], heading
+    away: FloatArray = np.hypot(across, along - np.clip(along, 0.0, length)).min(axis=1)
+    return away
 
 
 def _bends(lane: Lane) -> bool:
@@ -366,141 +348,6 @@ def motion(traces: Iterable[Trace]) -> Promises:
         ratio = float(np.median(np.abs(wheels / turn))) if len(turn) >= LEAST else 1.0
         promise = f"states[..., STEERING] {whose}is the angle of the front wheels in rad"
         yield WHEELS[0] <= ratio <= WHEELS[1], promise, f"a turn by the wheels that is {ratio:.2g} times the heading's"
-
-
-def way(traces: Iterable[Trace]) -> Promises:
-    """Yield that the track of roads that bend is the place of the vehicles on the ego's way.
-
-    The lanes and the motion of the vehicles say where that is.
-    """
-    traces = [trace for trace in traces if not trace.road.is_straight]
-    if not traces:
-        return
-    lanes, windows = np.concatenate([_in_lanes(trace) for trace in traces]), [np.zeros((0, 6))]
-    yield from _along_lanes(*lanes.T)
-    pairs = [np.zeros((0, 4))]
-    for trace in traces:
-        track, rows = trace.road.track, max(round(SMOOTH * trace.physics_hz), 1)
-        direction = trace.states[..., HEADING] - track[..., ANGLE]
-        steps, turn = np.diff(trace.states[..., [X, Y]], axis=0), wrapped(np.diff(direction, axis=0))
-        ahead, right = _seen_along(steps, direction[:-1] + turn / 2)
-        stretch = (track[1:, :, STRETCH] + track[:-1, :, STRETCH]) / 2
-        along, across = np.moveaxis(np.diff(track[..., [ALONG, ACROSS]], axis=0), 2, 0)
-        each = np.stack([ahead, along * stretch, right, across, along, turn], axis=-1)
-        total = np.concatenate([np.zeros_like(each[:1]), np.cumsum(each, axis=0)])
-        windows.append((total[rows:] - total[:-rows]).reshape(-1, 6))
-        others = _on_grid(trace)[1:]
-        apart = track[:, others] - track[:, :1]
-        turned = wrapped(direction[:, others] - direction[:, :1])
-        both = _seen_along(trace.states[:, others, :2] - trace.states[:, :1, :2], direction[:, :1] + turned / 2)
-        driven = apart[..., ALONG] * (track[:, others, STRETCH] + track[:, :1, STRETCH]) / 2
-        is_near = (np.hypot(*both) < NEAR[0]) & (np.abs(turned) < ASIDE[0])
-        pairs.append(np.stack([both[0], driven, both[1], apart[..., ACROSS]], axis=-1)[is_near])
-    ahead, driven, right, across, along, turn = (every := np.concatenate(windows))[np.isfinite(every).all(axis=1)].T
-    near = np.concatenate(pairs)
-    is_moving = ahead > MOVING * SMOOTH
-    ratio = ahead[is_moving] / np.where(along[is_moving] == 0.0, ROUNDING, along[is_moving])
-    share = float(np.median(ratio)) if len(ratio) >= LEAST else 1.0
-    is_wild = (ratio < 0.4) | (ratio > 2.5)  # no road bends so much that a vehicle can follow it
-    promise = "track[..., ALONG] is the place along the ego's way in m, which grows in its direction"
-    received = f"{share:.2f} m driven for each m of it at half of the times"
-    yield 0.65 <= share <= 1.5 and is_wild.sum() <= max(2 * OUTLIERS * len(ratio), LEAST), promise, received
-    promise = "track[..., STRETCH] has the m that a vehicle drives per m of the ego's way, above 1 outside in a bend"
-    is_positive = all((trace.road.track[..., STRETCH] > 0).any(axis=1).all() for trace in traces)
-    yield is_positive, promise, "0, less, or nothing"
-    promise = "track[..., ALONG] is the place along the ego's way in m, which grows in its direction"
-    yield _agrees(near[:, 0], near[:, 1], 5.0, 0.3), promise, "other distances between vehicles than states has"
-    promise = "track[..., ACROSS] is the distance from the ego's way in m, positive to the right of it"
-    for found, told in ((near[np.abs(near[:, 0]) < NEAR[1]][:, 2:]).T, (right, across)):
-        yield _agrees(found, told, ASIDE[1], 0.5), promise, "the opposite, or other distances than states has"
-    told = driven[is_moving] / np.where(along[is_moving] == 0.0, ROUNDING, along[is_moving])
-    promise = "track[..., STRETCH] has the m that a vehicle drives per m of the ego's way, above 1 outside in a bend"
-    received = "other distances than states has where the road bends"
-    is_flat = len(ratio) >= LEAST and np.ptp(told) < ROUNDING and np.quantile(np.abs(ratio - 1.0), 0.9) > FLAT
-    yield _agrees(ratio - 1.0, told - 1.0, 0.05, 0.5) and not is_flat, promise, received
-    is_wrong = np.abs(ahead - driven)[is_moving] > DISTANCE[0] * ahead[is_moving] + APART
-    promise = "track[..., ALONG] times track[..., STRETCH] grows by what the vehicle drives along the ego's way"
-    received = f"something else at {is_wrong.sum()} of {len(is_wrong)} times"
-    yield is_wrong.sum() <= max(OUTLIERS * len(is_wrong), LEAST), promise, received
-
-
-def _agrees(found: FloatArray, told: FloatArray, least: float, share: float) -> bool:
-    """Return whether values agree apart from a share of them, at most of the times at which they are not small."""
-    size = np.maximum(np.abs(found), np.abs(told))
-    counts = size > least
-    return counts.sum() < LEAST or bool((np.abs(found - told) <= share * size)[counts].mean() >= 0.5)
-
-
-def _seen_along(steps: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far steps go along a heading, and to the right of it [m]."""
-    cos, sin = np.cos(heading), np.sin(heading)
-    return steps[..., 0] * cos + steps[..., 1] * sin, steps[..., 1] * cos - steps[..., 0] * sin
-
-
-def _in_lanes(trace: Trace) -> FloatArray:
-    """Return for vehicles in lanes that they drive along, what the lanes and the trace say, one row for each tick.
-
-    The columns are the angle to the lane as states and as track have it, the place to the right of its centre line,
-    in the same way, the turns of lane and of vehicle in :data:`SMOOTH` seconds, and the bend of the lane [1/m].
-    """
-    rows, made = max(round(SMOOTH * trace.physics_hz), 1), [np.zeros((0, 7))]
-    for vehicle in _on_grid(trace):
-        states, track = trace.states[:, vehicle], trace.road.track[:, vehicle]
-        across, heading = np.full((2, len(states)), np.nan)
-        for number in {int(each) for each in states[:, LANE]} - {-1}:
-            there = states[:, LANE] == number
-            _, across[there], heading[there] = beside(_line(trace.lanes[number]), states[there])
-        steps = np.hypot(*np.diff(states[:, [X, Y]], axis=0).T)
-        turn, own = (np.full(len(states), np.nan) for _ in range(2))
-        if len(states) > rows:
-            is_same = states[rows:, LANE] == states[:-rows, LANE]  # the lanes of a junction have other directions
-            turn[rows:] = np.where(is_same, wrapped(heading[rows:] - heading[:-rows]), np.nan)
-            own[rows:] = wrapped(states[rows:, HEADING] - states[:-rows, HEADING])
-        driven = np.concatenate([[0.0], np.cumsum(steps)])
-        metres = np.full(len(states), np.nan)
-        metres[rows:] = driven[rows:] - driven[:-rows]
-        angle = wrapped(states[:, HEADING] - heading)
-        bend = np.where(metres > MOVING * SMOOTH, turn / np.maximum(metres, ROUNDING), np.nan)
-        made.append(np.stack([angle, track[:, ANGLE], across, track[:, OFFSET], turn, own, bend], axis=-1))
-    return np.concatenate(made)
-
-
-def _along_lanes(
-    angle: FloatArray, told: FloatArray, across: FloatArray, offset: FloatArray, turn: FloatArray, own: FloatArray,
-    bend: FloatArray,
-) -> Promises:  # fmt: skip
-    """Yield what the lanes of a road that bends say of headings and of track, see :func:`_in_lanes`."""
-    turns = np.isfinite(bend) & (np.abs(turn) > BENDS)
-    slope = float(turn[turns] @ own[turns] / (turn[turns] @ turn[turns])) if turns.sum() >= LEAST else 1.0
-    promise = f"states[..., HEADING] turns as lanes bend, in rad, {CLOCKWISE}"
-    yield 0.5 <= slope <= 1.5, promise, f"{slope:.2f} times the turn of the lanes"
-    is_along = np.abs(angle) < 1.0
-    # The way turns at the place of the track's vehicle, the lane at the place of the state's.
-    known = turns & is_along & np.isfinite(told)
-    early, bend = wrapped(angle - told)[known], bend[known]
-    shift = float(early @ bend / (bend @ bend)) if known.sum() >= LEAST else 0.0
-    is_shifted = abs(shift) > COARSE and np.median(np.abs(early - shift * bend)) < np.median(np.abs(early)) / 2
-    promise = "states[..., X] and states[..., Y] are of the centre of a vehicle, at its place in track"
-    yield not is_shifted, promise, f"{abs(shift):.1f} m {'ahead of' if shift > 0 else 'behind'} the place in track"
-    promise = "track[..., ANGLE] is the heading less that of the ego's way, in rad"
-    away = np.abs(wrapped(angle - told))[is_along & np.isfinite(told)]
-    median = float(np.median(away)) if len(away) >= LEAST else 0.0
-    yield median <= DIRECTION / 2, promise, f"{median:.2f} rad from the heading less that of the lane"
-    angles = np.where(is_along, angle, np.nan), np.where(is_along, told, np.nan)
-    yield _agrees(*angles, ASIDE[0], 0.5), promise, "other angles than those to the lane"
-    offsets = np.where(is_along, across, np.nan), np.where(is_along, offset, np.nan)
-    promise = "track[..., OFFSET] is the distance from the centre line of the vehicle's lane in m, to the right"
-    yield _agrees(*offsets, ASIDE[1], 0.5), promise, "other distances than those of states from lanes"
-
-
-def ways_of_crossing(trace: Trace) -> Promises:
-    """Yield that the places of crossing NPCs on their own ways grow by what they drive."""
-    if trace.on_way is None:
-        return
-    by_speed = (trace.npcs[1:, :, SPEED] + trace.npcs[:-1, :, SPEED]) / 2 * trace.dt
-    for npc, (metres, by) in enumerate(zip(np.diff(trace.on_way, axis=0).sum(0), by_speed.sum(0), strict=True)):
-        is_alike = math.isnan(metres) or abs(metres - by) <= DISTANCE[0] * max(abs(metres), by) + DISTANCE[1]
-        yield is_alike, f"on_way of NPC {npc} is its place along its own way in m", f"{metres:.1f} m and {by:.1f} m"
 
 
 def places_at_start(trace: Trace) -> Promises:
@@ -663,24 +510,6 @@ def end(world: Any, trace: Trace) -> Promises:
     yield trace.off_road_tick in (None, first), promise, received
     is_told = trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
     yield is_told, "the outcome is off_road if the ego was in lane -1 and nothing else ended the run", received
-    if not trace.arrivals:
-        return
-    yield len(trace.arrivals) == len(scenario.npcs), "arrivals has one entry for each NPC", f"{len(trace.arrivals)}"
-    length, positions = scenario.gene_seconds * trace.physics_hz, Encounters(trace)
-    for npc, ticks in enumerate(trace.arrivals):
-        for gene, tick in enumerate(() if math.isinf(scenario.seconds) else ticks):
-            begin, stop = gene * length, min((gene + 1) * length, trace.ticks)
-            is_tick = tick is None or (plain_whole(tick) is not None and begin - 1 <= tick <= stop + 1)
-            received = f"{tick!r} for ticks {begin:g} to {stop:g}"
-            yield is_tick, f"arrivals[{npc}][{gene}] is a tick of this gene, or None", received
-            told = trace.chains[npc][gene]
-            if tick is None or not told.on_grid or tick > trace.ticks:
-                continue
-            cell = positions.cell(npc, tick)
-            lane = int(trace.ego[tick, LANE]) + told.cell.column
-            is_there = cell is None or told.cell in (cell, *cell.neighbours) or not 0 <= lane < len(trace.lanes)
-            promise = f"arrivals[{npc}][{gene}] is the tick at which the NPC reached cell {int(told.cell)} of this gene"
-            yield is_there, promise, f"tick {tick}, at which it was in cell {cell!r}"
 
 
 def _name(vehicle: int) -> str:

@@ -1,7 +1,6 @@
 """The command ``python -m pytest_pafot corpus``, which lists saved scenarios without running them."""
 
 import errno
-import json
 import os
 import sys
 from datetime import date
@@ -21,19 +20,6 @@ def folder(tmp_path):
     for name, changes in (("a-111111", {}), ("b-222222", {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)})):
         write(tmp_path / "test_it" / "test_x" / f"{name}.pafot.yaml", plain_finding(id=name, **changes))
     return tmp_path
-
-
-def test_json_list_has_each_file_once(folder, capsys):
-    assert main(["corpus", "list", "--json", str(folder), str(folder / "test_it")]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [(row["id"], row["xfail"]) for row in rows] == [("a-111111", None), ("b-222222", "issue 12")]
-
-
-def test_unreadable_file_is_listed_and_exits_with_1(folder, capsys):
-    (folder / "test_it" / "test_x" / "c.pafot.yaml").write_text("pafot: 99\n")
-    assert main(["corpus", "list", "--json", str(folder)]) == 1
-    *_, last = json.loads(capsys.readouterr().out)
-    assert last.keys() == {"file", "id", "error"}
 
 
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, capsys):

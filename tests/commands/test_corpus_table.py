@@ -1,11 +1,9 @@
 """The table of ``python -m pytest_pafot corpus list``: a row for each saved scenario, and what failed below it."""
 
-import json
 import os
 import shlex
 import subprocess
 from dataclasses import replace
-from datetime import date
 from itertools import pairwise
 
 import pytest
@@ -93,20 +91,6 @@ def test_nothing_is_listed_where_nothing_is_saved(here, capsys):
     assert printed(capsys) == "no saved scenarios\n"
 
 
-def test_the_same_is_printed_for_programs(here, capsys):
-    save(here, finding("a", more={"xfail": "issue 12", "xfail_until": date(2027, 1, 31)}))
-    (data,) = json.loads(printed(capsys, "--json"))
-    assert data == {
-        "file": "pafot_corpus/test_it/test_x/a.pafot.yaml",
-        "id": "a",
-        "test": "test_it.py::test_x",
-        "what": "collision after 12.4 s: NPC 0 in cell 2 (front)",
-        "since": None,
-        "xfail": "issue 12",
-        "xfail_until": "2027-01-31",
-    }
-
-
 def git(root, *arguments):
     names = ["-c", "user.name=Ann", "-c", "user.email=ann@example.org", "-c", "init.defaultBranch=main"]
     done = subprocess.run(["git", "-C", root, *names, *arguments], check=True, capture_output=True, text=True)
@@ -187,7 +171,7 @@ def test_texts_of_strangers_change_no_table(here, capsys):
     save(here, finding("a", more={"flaky": nasty}, assertion=nasty, failure="KeyError", **AHEAD))
     name = "-1+1|\n\x1b[2J.pafot.yaml"
     (here / "pafot_corpus" / "test_it" / "test_x" / name).write_text("pafot: 99\n")
-    assert "\x1b" not in printed(capsys, code=1) + printed(capsys, "--json", code=1)
+    assert "\x1b" not in printed(capsys, code=1)
     assert sorted(ids(listed(capsys, code=1))) == ["-1+1|\\n\\x1b[2J", "a"]
 
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.processes
 
 COMMANDS = {
     "rate": "rate --ads planner:make@planner --world highway-fast-v0 --episodes 8 --workers 1 --fail-above 60%",
-    "compare": "compare --ads planner:make --algorithms random --runs 1 --generations 1 --workers 1 --out out",
+    "compare": "compare --ads planner:make --algorithms random --runs 1 --seconds 20 --workers 1 --out out",
 }
 LONG = {
     "compare": "compare --ads slow:make --algorithms random --runs 4 --out out --workers=2",

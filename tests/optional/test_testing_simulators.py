@@ -320,15 +320,13 @@ def test_npc_that_a_simulator_pushes_backwards_is_driven_on():
 
 
 @pytest.mark.filterwarnings("ignore:check_world. no:RuntimeWarning")
-def test_ego_that_obeys_late_is_right_where_a_simulator_states_it(capsys):
+def test_ego_that_obeys_late_is_right_where_a_simulator_states_it():
     check_world(made(DelayedEgo, ticks=7), runs=2)
-    assert "kept its promises" in capsys.readouterr().out
 
 
 @pytest.mark.filterwarnings("ignore:check_world. no:RuntimeWarning")
-def test_check_of_a_road_of_one_lane_needs_no_arguments(capsys):
+def test_check_of_a_road_of_one_lane_needs_no_arguments():
     check_world(made(lanes=1), runs=2)
-    assert "kept its promises" in capsys.readouterr().out
 
 
 @dataclass(frozen=True, kw_only=True)

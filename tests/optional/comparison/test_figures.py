@@ -25,7 +25,7 @@ def test_runs_without_duration_end_and_are_drawn_without_warning(tmp_path, quick
     )
     results = Results.of(plan, tmp_path / "results.csv")
     assert (len(rows), results.horizon) == (12, 0.0)
-    assert "first-failure" in draw_all(results, tmp_path)
+    assert "discoveries" in draw_all(results, tmp_path)
 
 
 def failing_in_two_ways():
