@@ -20,6 +20,7 @@ from tests.test_layers import MODULES, ROOMS
 ROOT = Path(__file__).parents[1]
 OF_ONE_NAME = {
     "plan": "the scenarios of one search in their order, and the searches of a comparison",
+    "session": "what a session of pytest holds for its items, and the record of what they say",
     "run": "a finished run as checks read it, and a run of the world that proceeds",
 }
 """The reasons why modules of different rooms have the same name."""

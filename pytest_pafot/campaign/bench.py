@@ -4,33 +4,44 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from typing import NamedTuple
 
-from pytest_pafot.campaign.harness import Harness, is_same_run, refusals
-from pytest_pafot.campaign.judging import evaluated
-from pytest_pafot.campaign.tallies import Driver, Tally
+from pytest_pafot.campaign.harness import Harness, refusals
+from pytest_pafot.campaign.results import Driver, Examiner, Result, fingerprint, signature_of
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated, Runner
-from pytest_pafot.execution.scenario_pool import trace_of
 from pytest_pafot.findings.finding import disagreement, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Trace
-from pytest_pafot.oracle.run import Facts, Run
-from pytest_pafot.searching.evaluation import Evaluation
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in
+
+JUDGED_OTHERWISE = "the same run was judged otherwise when it was made again"
+"""What differs if the runs are the same, and only the test function decides otherwise."""
+
+
+class Confirmed(NamedTuple):
+    """What the second run of a failure shows.
+
+    Its fields are that run, None if it does not show the failure; the verdict on it, None if the test function was not
+    called; and what differs from the first run, empty if nothing does, None if no time was left to tell.
+    """
+
+    run: Run | None
+    verdict: Verdict | None
+    differs: str | None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -45,9 +56,9 @@ class Bench:
     record: CrashRecord
     reference: Runner | None = None  # the runner of the reference
     driver: Driver | None = None  # how other processes drive chunks; None if they cannot
-    fitness: Callable[[Run], float]  # the fitness of a run; higher is worse for the ego
+    examiner: Examiner  # examines the runs of the search that no other process has examined
     clock: Callable[[], float] = monotonic  # returns the seconds since some fixed moment
-    counted_decisions: int = 0  # number of decisions of the ADS in runs that others judged, and beside runs
+    decisions_beside: int = 0  # number of decisions of the ADS beside runs
     refining_end: float = math.inf  # the time at which the work on findings ends [s]
     refining_most: float = math.inf  # the most decisions of the ADS for which the work on findings may ask
     asked: int = 0  # the number of decisions for which it has asked; the same for any number of processes
@@ -55,52 +66,34 @@ class Bench:
     confirm_decisions: int = 0  # the number of decisions of the ADS that confirmed findings
     confirm_seconds: float = 0.0  # the time that this took [s]
     pace: float = 0.0  # the longest time to confirm one second of a run so far [s]
-    # runs that this process has judged and not counted yet, with their verdicts
-    _judged_ahead: dict[Scenario, tuple[Run, Verdict]] = field(default_factory=dict)
 
     @property
     def decisions(self) -> int:
-        """The number of decisions that the ADS has made so far in this session, except to confirm findings."""
-        return self.counted_decisions + self.runner.decisions - self.confirm_decisions
+        """The number of decisions that the ADS has made so far in further runs, except to confirm findings."""
+        return self.decisions_beside + self.runner.decisions - self.confirm_decisions
 
-    def evaluation(self, run: Run, verdict: Verdict, signature: Signature | None) -> Evaluation:
-        """Return what the algorithm sees of a run that this process has judged."""
-        return evaluated(run, verdict, signature, self.fitness)
+    def result(self, scenario: Scenario, known: Collection[Signature]) -> Result:
+        """Return the result of the next scenario of a search, of which another process may have made the run.
 
-    def make(self, scenario: Scenario) -> Run | Tally:
-        """Return the run of the next scenario of a plan, or its tally if another process has made and judged it.
-
-        A run may have been made, and judged by :meth:`judge_ahead`, before. The caller must call :meth:`finish` next.
+        If it fails in a way that is not ``known``, the reference is run in the scenario, too.
 
         Raises:
             ProcessLostError, RequestError, OutOfTime: as for :meth:`run`.
         """
         __tracebackhide__ = True
-        with self._recorded(), refusals():
-            made: Any = self.runner.made(scenario, announced=True)
-        if isinstance(made, Tally):
-            return made
-        run = self.harness.run_of(made)
-        judged, _ = self._judged_ahead.get(scenario, (run, None))
-        return judged if judged.trace is run.trace else run
-
-    def judge_ahead(self, made: Trace | Facts) -> tuple[Run, Verdict] | None:
-        """Judge a run before its turn, so that :meth:`finish` need not; return it with its verdict.
-
-        Return None if a run of its scenario was judged before.
-        """
-        scenario = trace_of(made).scenario
-        if scenario in self._judged_ahead:
-            return None
-        self.record.write(scenario)
-        run = self.harness.run_of(made)
-        self._judged_ahead[scenario] = run, self.finish(run)
-        return self._judged_ahead[scenario]
+        with self._recorded():
+            with refusals():
+                made = self.runner.made(scenario)
+            result: Result = made if isinstance(made, Result) else self.examiner(made, known)
+            if result.kind == "failed" and self.reference is not None:
+                result = result.beside(self.harness.judge_reference(self.reference, scenario))
+        self.record.clear()
+        return result
 
     def run(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.
 
-        For ``announced`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.made`.
+        For ``announced`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.run`.
 
         Raises:
             ProcessLostError: if the run was in another process, and that process died or hung.
@@ -119,11 +112,6 @@ class Bench:
         If it fails, the reference is run in ``scenario``, by default in the run's scenario.
         """
         __tracebackhide__ = True
-        judged, verdict = self._judged_ahead.pop(run.trace.scenario, (None, None))
-        # Another run of the scenario may have another verdict.
-        if judged is not None and verdict is not None and judged.trace is run.trace:
-            self.record.clear()
-            return verdict
         with self._recorded():
             verdict = self.harness.judge(run)
             if verdict.failed and self.reference is not None:
@@ -169,22 +157,53 @@ class Bench:
         self.record.clear()
         return Run(trace)
 
-    def confirm(self, run: Run) -> str:
-        """Repeat the run of a finding; return what differs, empty if nothing does. Measure how long that takes.
+    def confirm_new(self, result: Result) -> Confirmed:
+        """Drive the scenario of a new failure again; see :meth:`confirm`."""
+        failed, signature = result.failed, result.evaluation.kind
+        if failed is None or not isinstance(signature, Signature):
+            raise ValueError(f"result: expected that of a run with a new failure, received {result!r:.200}")
+        return self.confirm(failed.finding.scenario, failed.fingerprint, signature)
 
-        Raises:
-            OutOfTime: if the time of the search is over.
+    def confirm(self, scenario: Scenario, expected: str, found: Signature | None = None) -> Confirmed:
+        """Drive the scenario of a failure again, also in highway-env's own environment; measure how long that takes.
+
+        Args:
+            scenario: the scenario as it was driven.
+            expected: the fingerprint of the run that failed, to the last bit; empty if wall-clock time decides.
+            found: the signature of the failure; None if the run need not be judged.
         """
-        began, before = self.clock(), self.runner.decisions
+        began, before, seconds_of_run = self.clock(), self.runner.decisions, 1.0
+        run = verdict = None
+        differs: str | None = ""
         try:
             with runs_end_in(self.refining_end - began):
-                differs = difference(run, self)
-        finally:
-            seconds = self.clock() - began
-            self.confirm_seconds += seconds
-            self.confirm_decisions += self.runner.decisions - before
-        self.pace = max(self.pace, seconds / max(run.duration, 1.0))
-        return differs
+                again = self.run(scenario)
+                seconds_of_run = max(again.duration, seconds_of_run)
+                if found is not None:
+                    with self._recorded():
+                        verdict = self.harness.judge(again)
+                self.record.clear()
+                if verdict is None or signature_of(again, verdict) == found:
+                    run = again
+                if expected and fingerprint(again.trace) != expected:
+                    differs = NOT_REPEATED
+                elif expected:
+                    differs = JUDGED_OTHERWISE if run is None else self._told(_difference_in_gym(again, self))
+        except ProcessLostError as error:
+            differs = f"the process that ran it again {error.end}"
+        except OutOfTime:
+            differs = None
+        seconds = self.clock() - began
+        self.confirm_seconds += seconds
+        self.confirm_decisions += self.runner.decisions - before
+        self.pace = max(self.pace, seconds / seconds_of_run)
+        return Confirmed(run, verdict, differs)
+
+    def _told(self, difference: str) -> str:
+        """Return what differs in highway-env's own environment, with its likely cause; empty if nothing does."""
+        cause = "" if self.harness.policy.drives_itself else left_out_text(self.harness.world)
+        told = "; ".join(filter(None, [difference, cause]))
+        return f"in highway-env's own environment: {told}" if difference else ""
 
     @contextmanager
     def _recorded(self) -> Iterator[None]:
@@ -195,25 +214,6 @@ class Bench:
         except OutOfTime:
             self.record.clear()
             raise
-
-
-def difference(run: Run, bench: Bench) -> str:
-    """Return what differs when the scenario of a run is run again; empty if the finding is confirmed.
-
-    The same world must give a run that is equal to the last bit. In highway-env's own environment, if the world has
-    it, the run must end in the same way.
-    """
-    try:
-        if not is_same_run(run, bench.rerun(run.scenario)):
-            return NOT_REPEATED
-        differs = _difference_in_gym(run, bench)
-    except ProcessLostError as error:
-        return f"the process that ran it again {error.end}"
-    if not differs:
-        return ""
-    harness = bench.harness
-    likely_cause = "" if harness.policy.drives_itself else left_out_text(harness.world)
-    return f"in highway-env's own environment: {differs}" + (f"; {likely_cause}" if likely_cause else "")
 
 
 def left_out_text(world: BaseWorld) -> str:
@@ -230,11 +230,13 @@ def left_out_text(world: BaseWorld) -> str:
 
 
 def _difference_in_gym(run: Run, bench: Bench) -> str:
+    """Return how a run ends otherwise in highway-env's own environment, if the world has it; or empty."""
     try:
         other = bench.rerun_in_gym(run.scenario)
-    except ProcessLostError:
+        differs = "" if other is None else disagreement(run, other)
+    except (ProcessLostError, OutOfTime):
         raise
     except UNFIT as error:  # any exception of the environment or the ADS is the difference
         let_through(error)
-        return f"{type(error).__name__}: {message_of(error)}"[:165]
-    return "" if other is None else disagreement(run, other)
+        differs = f"{type(error).__name__}: {message_of(error)}"[:165]
+    return differs

@@ -6,13 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple, Self, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Event
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import hits_more
@@ -246,38 +243,7 @@ class SearchStarted:
     seed: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
-    """The event of a run of the search, with the verdict of the test function on the run.
-
-    Attributes:
-        scenario: the scenario that was run.
-        executed: the scenario as it was driven.
-        verdict: the verdict; without the checks if another process judged the run.
-        run: the run; None if another process judged it, and sent only a digest of it.
-        known_responsibility: the responsibility, from the process that judged the run; None if there is ``run``.
-        columns: the values of the run for the table of runs, from that process; None if there is ``run`` or no table.
-    """
-
-    scenario: Scenario
-    executed: Scenario
-    verdict: Verdict
-    run: Run | None = None
-    known_responsibility: str | None = None
-    columns: Mapping[str, Any] | None = None
-
-    @classmethod
-    def here(cls, run: Run, verdict: Verdict) -> Self:
-        """Make the event of a run that this process has judged."""
-        return cls(scenario=run.trace.scenario, executed=run.scenario, verdict=verdict, run=run)
-
-    @property
-    def responsibility(self) -> str | None:
-        """The side responsible for the run's collision, ``"ego"``, ``"npc"`` or ``"both"``; None if neither is."""
-        return self.known_responsibility if self.run is None else self.run.responsibility
-
-
-SearchEvent = SearchStarted | Judged | Seen | Progress | Search | Event
+SearchEvent = SearchStarted | Seen | Progress | Search | Event
 
 Listener = Callable[[SearchEvent], None]
 """A function that receives the events of a search, one by one in their order."""

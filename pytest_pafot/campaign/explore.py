@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Literal, NoReturn, Unpack
 
 from pytest_pafot.campaign import run_table
-from pytest_pafot.campaign.events import Judged, Listener, Search, SearchEvent
+from pytest_pafot.campaign.events import Listener, Search, SearchEvent
 from pytest_pafot.campaign.harness import Harness, reference_of
 from pytest_pafot.campaign.judging import source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
@@ -29,11 +29,11 @@ from pytest_pafot.campaign.request import (
 )
 from pytest_pafot.campaign.run_table import RunTable
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
-from pytest_pafot.campaign.tallies import Tally
 from pytest_pafot.corpus.layout import folder_of_test, link_below, refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, RandomSearch
 from pytest_pafot.searching.evaluation import Evaluated
@@ -65,36 +65,21 @@ class Exploration:
     Attributes:
         findings: all distinct new failures, shrunk, each with the trace of a run that shows it.
         summary: the summary of the search: runs, warnings, notes.
-        seen: the events as the search reported them, one for several runs if another process has counted these.
+        events: the events of the algorithm and of the search in their order.
         runs: a row for each scenario that was tried, with the columns of ``run_table.COLUMNS``, ready for
             ``pandas.DataFrame(...)``.
     """
 
     findings: tuple[Finding, ...]
     summary: Search
-    seen: tuple[SearchEvent, ...] = field(repr=False)
+    events: tuple[SearchEvent, ...] = field(repr=False)
     runs: tuple[dict[str, Any], ...] = field(repr=False)
-
-    @property
-    def events(self) -> tuple[SearchEvent, ...]:
-        """The events of the algorithm and of the search in their order, without the event ``Judged`` of each run."""
-        return tuple(_unpacked(self.seen))
 
     @property
     def sightings(self) -> tuple[Seen, ...]:
         """The last event of each finding, in the order of discovery, with the finding's run, exception and headline."""
-        last = {event.finding.id: event for event in self.seen if isinstance(event, Seen)}
+        last = {event.finding.id: event for event in self.events if isinstance(event, Seen)}
         return tuple(last[finding.id] for finding in self.findings)
-
-
-def _unpacked(events: Iterable[SearchEvent]) -> Iterator[SearchEvent]:
-    """Yield events with one for each run in place of those on several runs."""
-    for event in events:
-        if not isinstance(event, Tally):
-            yield event
-            continue
-        for number, each in enumerate(event.unpacked, event.generation):
-            yield Evaluated(generation=number, local_generation=0, index=0, evaluation=each, reused=False)
 
 
 def explore(
@@ -117,7 +102,7 @@ def explore(
     Args:
         ads: the factory, called once for each run, its ``module:factory[:argument]``, or a highway-env vehicle class.
         holds: the property: a function that receives a :class:`~pytest_pafot.oracle.run.Run` and asserts, like a test
-            function. With several workers and without ``on_event``, it is called in the processes that make the runs.
+            function. With several workers, it is called in the processes that make the runs.
         world: the world, such as ``pafot.World("highway-v0")``, or the name of one, such as ``"module:factory"``; by
             default ``pafot.Highway()``.
         runs: the number of runs after which the search ends; 100 if ``generations`` is not given.
@@ -144,9 +129,9 @@ def explore(
     table = RunTable()
 
     with tempfile.TemporaryDirectory(prefix="pafot-") as scratch:
-        replays = replays_of(request, holds, name, Path(scratch), needs_only_run=on_event is None)
+        replays = replays_of(request, holds, name, Path(scratch))
         now = monotonic()
-        with prepared(replays.harness, has_table=True) as parts:
+        with prepared(replays.harness, note=run_table.note_of) as parts:
             max_time = request.settings.max_time
             limit = math.inf if max_time is None else now + max_time
             session = SearchSession(watch=parts.watch(name, limit, progress_seconds=0.5), replays=replays)
@@ -155,8 +140,7 @@ def explore(
                 with happens:
                     for event in happens:
                         table.see(event)
-                        if not isinstance(event, Judged):  # its trace is large: all of them would fill the memory
-                            events.append(event)
+                        events.append(event)
                         if on_event is not None:
                             on_event(event)
     result = happens.result
@@ -168,7 +152,7 @@ def explore(
     findings = tuple(
         replace(each.finding, trace=None if each.run is None else each.run.trace) for each in result.findings
     )
-    return Exploration(findings=findings, summary=result.summary, seen=tuple(events), runs=tuple(table.rows))
+    return Exploration(findings=findings, summary=result.summary, events=tuple(events), runs=tuple(table.rows))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,7 +222,7 @@ class AlgorithmRun:
         """
         given = {"ads": self.ads, "world": self.world, "algorithm": self.algorithm.made_by}
         request = request_of({**given, "fitness": self.fitness, "blame": self.blame})
-        table, seconds = RunTable(seed=self.seed, more=_of_collision), 0.0
+        table, seconds = RunTable(seed=self.seed), 0.0
         runs = POPULATION * self.generations if self.algorithm.draws_by_number else None
 
         def see(event: Any) -> None:
@@ -261,7 +245,7 @@ class AlgorithmRun:
             harness = replays_of(request, self.holds, "compare", Path(scratch)).harness
             # Blame affects all fitnesses except AV-Fuzzer's, which its authors used without it.
             is_steered = request.fitness != "av-fuzzer"
-            with prepared(harness, space=self.space, is_steered=is_steered) as parts:
+            with prepared(harness, space=self.space, is_steered=is_steered, note=_note_of) as parts:
                 events = parts.search(
                     self._made(),
                     generations=self.generations,
@@ -283,15 +267,15 @@ COLLISION = Failure(kind="AssertionError", assertion="not run.collision")
 """The failure that tells the collisions of an :class:`AlgorithmRun` apart, also those that its property accepts."""
 
 
-def _of_collision(run: Run) -> run_table.Row:
-    """Return the values of a run for the columns of an :class:`AlgorithmRun` that the table of runs lacks."""
+def _note_of(run: Run, verdict: Verdict) -> run_table.Row:
+    """Return the note of a run's evaluation, with the columns of an :class:`AlgorithmRun` that the table lacks."""
     hit, signature = run.collision, None
     failure = ads_failure(run) or (None if hit is None else COLLISION)
     if failure is not None:
         found = of_failure(run, failure)
         # It begins with readable words, and two texts are equal only if the signatures are equal.
         signature = f"{found.mistake or found.slug}-{hashlib.sha256(repr(found).encode()).hexdigest()[:6]}"
-    return {
+    return run_table.note_of(run, verdict) | {
         "cell": None if hit is None or hit.cell is None else int(hit.cell),
         "zone": None if hit is None else event_of(run, failure).zone,
         "position_responsibility": None if hit is None else run.second_opinion or "none",
@@ -323,12 +307,8 @@ def request_of(given: dict[str, Any]) -> Request:
     return checked_request(given, Settings(**values), place=PLACE)
 
 
-def replays_of(
-    request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path, *, needs_only_run: bool = False
-) -> Replays:
+def replays_of(request: Request, holds: Callable[[Run], None], node_id: str, scratch: Path) -> Replays:
     """Return what :func:`explore` needs to run scenarios: a harness, and the replays of saved scenarios.
-
-    For ``needs_only_run`` see :class:`Harness`.
 
     Raises:
         RequestError: if the search cannot be run with these arguments.
@@ -361,6 +341,6 @@ def replays_of(
         root=Path.cwd(),
         versions=installed_versions(world.packages),
         against=reference_of(settings.against, fixture, policy),
-        needs_only_run=needs_only_run,
+        needs_only_run=True,
     )
     return Replays(harness=harness)

@@ -18,14 +18,14 @@ from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Runner, runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job, trace_of
+from pytest_pafot.execution.scenario_pool import ExecutionError, Job
 from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.oracle.run import Facts, ReferenceOutcome, Run
+from pytest_pafot.oracle.run import ReferenceOutcome, Run
 from pytest_pafot.support.errors import DriverError, RequestError
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.support.references import factory_named, name_of, source_files
@@ -170,10 +170,9 @@ class Harness:
             root=self.root,
         )
 
-    def run_of(self, made: Trace | Facts, world: BaseWorld | None = None) -> Run:
+    def run_of(self, trace: Trace, world: BaseWorld | None = None) -> Run:
         """Return a trace as the test function sees it; ``world`` is by default the world of the search."""
-        run = (self.world if world is None else world).run_of(trace_of(made))
-        return replace(run, facts=made) if isinstance(made, Facts) else run
+        return (self.world if world is None else world).run_of(trace)
 
     def judge(self, run: Run) -> Verdict:
         """Return the verdict on a run. The test function decides, unless the ADS itself failed."""

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 from pytest_pafot.attribution.sentences import AT_FAULT
-from pytest_pafot.findings.finding import Expect, ads_failure, raised_failure
+from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.severity import severity_of
-from pytest_pafot.findings.signature import Failure, Signature
+from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import WORLD_HANG, Outcome
+from pytest_pafot.model.trace import WORLD_HANG, Outcome, Trace
 from pytest_pafot.oracle.checks import Recording, Rejected, recorded
 from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
-from pytest_pafot.searching.evaluation import Evaluation
 from pytest_pafot.support.errors import DriverError, RequestError
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.hang_guard import UNFIT, is_interruption
+from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
+from pytest_pafot.world.limits import TOP_SPEED
 
 Test = Callable[[Run], Any]
 """The user's test function with all arguments except the run filled in. It asserts, and returns None."""
@@ -170,87 +172,6 @@ def collision_in_short(run: Run) -> str:
     return f"collision after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s: {what}{place}, {who}"
 
 
-@dataclass(slots=True)
-class Counts:
-    """Numbers of runs by kind of verdict, by outcome, and by who was responsible; each adds up to all runs."""
-
-    kinds: Counter[str] = field(default_factory=Counter)
-    outcomes: Counter[str] = field(default_factory=Counter)
-    responsibilities: Counter[str] = field(default_factory=Counter)
-
-    def add(self, kind: str, outcome: str, responsible: str | None = None) -> None:
-        """Count a run; its outcome is ``lost`` if its process died or hung."""
-        self.kinds[kind] += 1
-        self.outcomes[str(outcome)] += 1
-        self.responsibilities[responsible or "none"] += 1
-
-    def __iadd__(self, other: Counts) -> Self:
-        """Count the runs of another process."""
-        self.kinds.update(other.kinds)
-        self.outcomes.update(other.outcomes)
-        self.responsibilities.update(other.responsibilities)
-        return self
-
-
-FAILING = ("failed", "unpreventable", "common")
-"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
-
-
-def fails_by_ego(verdict: Verdict, responsible: str | None) -> bool:
-    """Return whether a run failed by a collision for which the ego is ``responsible``, alone or with the NPC.
-
-    An ADS that raised or hung has failed by itself, even if a collision followed.
-    """
-    return verdict.kind in FAILING and not verdict.is_ads and responsible in ("ego", "both")
-
-
-def caught_in(verdict: Verdict) -> tuple[str, ...]:
-    """Return the names of the checks that failed in a run that passed, because the test function caught the error."""
-    return tuple({check.name for check in verdict.checks if not check.holds}) if verdict.kind == "passed" else ()
-
-
-def evaluated(
-    run: Run,
-    verdict: Verdict,
-    signature: Signature | None,
-    fitness: Callable[[Run], float],
-) -> Evaluation:
-    """Return what the algorithm sees of a judged run: how bad it was and how it failed, to look for other failures.
-
-    ``signature`` is None if the run is no failure that counts.
-    """
-    facts = run.facts
-    return Evaluation.of(
-        run.trace,
-        fitness=fitness(run) if facts is None or facts.fitness is None else facts.fitness,
-        failing=verdict.failed,
-        discarded=verdict.discarded,
-        kind=signature,
-        margins=verdict.margins,
-        interaction=None if facts is None else facts.interaction,
-    )
-
-
-def unknown(scenario: Scenario, expect: Expect | None = None) -> Evaluation:
-    """Return the evaluation of a scenario in which a process died: the algorithm learns nothing from it.
-
-    ``expect`` is the failure, None if it does not count or if the scenario was not run again.
-    """
-    return Evaluation(
-        scenario=scenario,
-        executed=scenario,
-        fitness=0.0,
-        failing=expect is not None,
-        kind=None if expect is None else expect.signature,
-        outcome=Outcome.ADS_ERROR if expect is None else expect.outcome,
-        duration=0.0,
-        genes_started=0,
-        genes_reached=0,
-        interaction=False,
-        discarded=True,
-    )
-
-
 def skips() -> tuple[type[BaseException], ...]:
     """Return the exception classes that pytest reports as a skip or an xfail. Only the test function may raise a skip.
 
@@ -280,3 +201,116 @@ def no_skip(who: str, error: BaseException) -> str:
         f"{type(error).__name__}: {error}; call pytest.skip() in the fixture or in the test function, or mark the test "
         "with @pytest.mark.skipif"
     )
+
+
+Cause = tuple[str, str]
+"""The class of an exception, and where it was raised."""
+
+NO_STEERING = math.pi / 2
+"""A steering angle beyond which the units of an action are doubtful [rad]: no car reaches it."""
+NO_ACCELERATION = 30.0
+"""An acceleration above which the units of an action are doubtful [m/s^2]: no car reaches it.
+
+Large negative accelerations are allowed, because planners use them to brake as hard as possible.
+"""
+
+
+class SetupFaultError(Exception):
+    """An error of the set-up: all runs of the first generation ended in the same exception.
+
+    For a replay, these are its own run and those of some random scenarios.
+    """
+
+    def __init__(self, run: Run, verdict: Verdict, runs: str, *, is_replay: bool = False) -> None:
+        super().__init__(f"{runs} ended in {verdict.exception!r}")
+        self.run, self.verdict, self.runs, self.is_replay = run, verdict, runs, is_replay
+
+    @property
+    def received(self) -> str:
+        """The class and the message of what was raised in all runs."""
+        failure = self.verdict.failure
+        return "" if failure is None else f"{failure.kind}: {failure.message}"
+
+    def first_decision(self, world: Any, policy: Policy, *, of_si: str, of_env: str) -> str:
+        """Return a paragraph on the first decision that the world asks an ADS for; empty if no world can say it.
+
+        It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
+        """
+        asked = None if policy.drives_itself else base_world(world).first_decision(self.run.trace.scenario)
+        return "" if asked is None else f"\n\n{asked.text} {of_si if asked.is_si else of_env}"
+
+    def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
+        """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""
+        verdict = self.verdict
+        nothing = "so nothing was saved" if not self.is_replay else "so it says nothing about any saved scenario"
+        again = "replay" if self.is_replay else "search"
+        if verdict.is_ads or verdict.exception is None:
+            asked = self.first_decision(
+                world,
+                policy,
+                of_si='A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...).',
+                of_env="A policy needs the config= and the wrappers= with which it was trained; a planner in SI units "
+                "needs pafot.Highway, which is the default world, or pafot.World(..., planner_hz=5).",
+            )
+            return PlainFailure(
+                f"{verdict.exception}\n\n"
+                f"This happened in {self.runs}, at the first decision: it is an error of the set-up and no finding, "
+                f"{nothing}. Correct the ADS, its factory, or the world= in which it drives, and {again} again.{asked}"
+            )
+        verdict.exception.add_note(
+            f"This happened in {self.runs}, whatever the ego did: it is an error of the test function and no finding, "
+            f"{nothing}. Correct the line and {again} again; if it is meant as a finding, use assert."
+        )
+        return verdict.exception
+
+
+def cause_of(run: Run, verdict: Verdict) -> Cause | None:
+    """Return the cause of a failure if it can be a fault of the set-up; otherwise None.
+
+    An assertion is never such a fault. Neither is an ADS that fails after its first decision, or that hangs: the cause
+    can be the scenario or the machine.
+    """
+    failure = verdict.failure
+    if failure is None or failure.kind == AssertionError.__name__ or isinstance(verdict.exception, assertions()):
+        return None
+    if not verdict.is_ads:
+        return failure.kind, failure.assertion
+    error = run.ads_error
+    if error is None or error.tick > 0 or error.interrupted:
+        return None
+    return error.kind, next((line for line in reversed(error.traceback.splitlines()) if "File " in line), "")
+
+
+def unit_doubt(trace: Trace) -> str:
+    """Return what to check if the actions of a planner seem to have wrong units; empty if they do not.
+
+    It is always empty for policies of an environment, whose actions are not in SI units.
+    """
+    steering = speed = acceleration = 0.0
+    for action in trace.actions:  # one loop without calls, because each run is looked at
+        if type(action) is tuple and len(action) == 2:
+            wanted, angle = action
+            steering = abs(angle) if not -steering <= angle <= steering else steering
+        elif isinstance(action, Drive):
+            wanted = action.acceleration or 0.0
+            speed = max(speed, action.speed or 0.0)
+        else:
+            continue
+        acceleration = wanted if wanted > acceleration else acceleration
+    if steering > NO_STEERING:
+        return (
+            f"the ADS requested a steering angle of {steering:.3g} rad, of which {possible_steering(steering):.2f} rad "
+            "take effect: convert degrees with math.radians(...); an action is (acceleration, steering), in this order"
+        )
+    if speed > TOP_SPEED:
+        return (
+            f"the ADS requested a speed of {speed:.3g} m/s, but no vehicle drives faster than {TOP_SPEED:g} m/s: "
+            "divide km/h by 3.6"
+        )
+    if acceleration > NO_ACCELERATION:
+        return (
+            f"the ADS requested an acceleration of {acceleration:.3g} m/s^2, of which "
+            f"{possible_acceleration(acceleration):g} m/s^2 take effect: an action is (acceleration, steering), not a "
+            "speed"
+        )
+    return ""

@@ -14,9 +14,10 @@ from itertools import islice
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Paired, Phase, Refining, SearchEvent
-from pytest_pafot.campaign.state import State, lose
-from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.results import State
+from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.scenario_pool import Whole
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Outcome
@@ -59,11 +60,9 @@ class MadeWorse:
         # Numbers that follow those of a generation, so no generation of the search draws the same.
         drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(self.most))
         runner = self.bench.runner
-        # Other processes judge by the failures that the search knows, which do not matter here.
-        runner.read_here()
         with runner, suppress(OutOfTime):
             while ahead := list(islice(drawn, AHEAD)):
-                runner.announce(ahead)
+                runner.announce(map(Whole, ahead))
                 for scenario in ahead:
                     yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
                     with runs_end_in(self.end - self.state.clock()):
@@ -84,9 +83,9 @@ class MadeWorse:
         if scenario in self.state.fatal or bench.reference is None:
             return False, False
         try:
-            verdict = bench.finish(bench.run(scenario))
+            verdict = bench.finish(bench.run(scenario, announced=True))
         except ProcessLostError as error:
-            return (yield from lose(error, self.state, bench, self.store)) == "failed", False
+            return (yield from lose(error, self.state, bench, self.store)).kind == "failed", False
         if not verdict.passes:
             return verdict.failed, False
         reference = bench.harness.judge_reference(bench.reference, scenario)

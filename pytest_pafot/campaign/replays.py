@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 
 from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
-from pytest_pafot.campaign.judging import headline
+from pytest_pafot.campaign.judging import SetupFaultError, cause_of, headline
 from pytest_pafot.campaign.request import AgainstError, build_space
-from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
+from pytest_pafot.campaign.results import UNJUDGED
 from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution import scenario_pool
@@ -164,16 +164,17 @@ class Replays:
             SetupFaultError: if all of them do.
         """
         __tracebackhide__ = True
-        harness, first = self.harness, FirstGeneration()
-        first.see(run, verdict)
+        harness, cause = self.harness, cause_of(run, verdict)
+        if cause is None:
+            return
         isolate = self.is_apart(saved, owner)
         try:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
                 for number in range(PROBES):
                     probe = harness.run_of(runner.run(sample(space, rng_of(number))))
-                    first.see(probe, harness.judge(probe))
-                    if not first.is_alike:
+                    judged = harness.judge(probe)
+                    if judged.kind not in UNJUDGED and cause_of(probe, judged) != cause:
                         return
         except (RequestError, ProcessLostError):  # They end differently than the replay; the search reports them.
             return

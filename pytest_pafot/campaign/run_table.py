@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_pafot.campaign.events import Judged, SearchEvent, SearchStarted
+from pytest_pafot.campaign.events import SearchEvent, SearchStarted
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import Evaluated, Evaluation, RunsEvaluated
+from pytest_pafot.searching.evaluation import Evaluated
 
 COLUMNS: Mapping[str, str] = {
     "test": "node id of the search",
@@ -23,7 +22,7 @@ COLUMNS: Mapping[str, str] = {
     "local_generation": "number in a local search from 1, or 0",
     "scenario": "id of the scenario, six digits",
     "scenario_seed": "its own seed",
-    "reused": "True if an earlier run showed the result; verdict and measures may then be empty",
+    "reused": "True if an earlier run showed the result",
     "ego_lane": "the ego's first lane",
     "ego_speed": "the ego's first speed [m/s]",
     "npcs": "number of NPCs",
@@ -56,43 +55,29 @@ Row = dict[str, Any]
 
 @dataclass(slots=True)
 class RunTable:
-    """A collector of rows from the events of a search."""
+    """A collector of rows from the events of a search whose evaluations have notes, see :func:`note_of`."""
 
     test: str = ""
     seed: int = 0
     rows: list[Row] = field(default_factory=list)
-    more: Callable[[Run], Row] = lambda run: {}  # returns the values of a run for columns that only one table has
-    # the columns of the runs, by the scenario as driven
-    _judged: dict[Scenario, Row] = field(default_factory=dict)
 
     def see(self, event: SearchEvent) -> None:
         """Process an event of the search."""
         match event:
             case SearchStarted():
                 self.test, self.seed = event.node_id, event.seed
-            case Judged():
-                known, run = event.columns, event.run
-                self._judged[event.executed] = (
-                    dict(known or {}) if run is None else columns_of(run, event.verdict) | self.more(run)
-                )
             case Evaluated():
-                row = row_of(event.evaluation, event.generation, event.local_generation, reused=event.reused)
-                # A run knows its scenario as it was driven.
-                self._add(row | self._judged.get(event.evaluation.executed, {}))
-            case RunsEvaluated():
-                for row in event.rows:
-                    self._add(row)
-
-    def _add(self, row: Row) -> None:
-        self.rows.append(row | {"test": self.test, "seed": self.seed, "run": len(self.rows) + 1})
+                of_search = {"test": self.test, "seed": self.seed, "run": len(self.rows) + 1}
+                self.rows.append(row_of(event) | (event.evaluation.note or {}) | of_search)
 
 
-def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *, reused: bool = False) -> Row:
-    """Return the columns of a row that the evaluation shows, without the search and the number of the run."""
+def row_of(event: Evaluated) -> Row:
+    """Return the columns of a row that an evaluation shows, without the search and the number of the run."""
+    evaluation, reused = event.evaluation, event.reused
     scenario, hit, kind = evaluation.scenario, evaluation.collision, evaluation.kind
     row = dict.fromkeys(COLUMNS) | {
-        "generation": generation,
-        "local_generation": local_generation,
+        "generation": event.generation,
+        "local_generation": event.local_generation,
         "scenario": scenario.id,
         "scenario_seed": scenario.seed,
         "reused": reused,
@@ -115,8 +100,8 @@ def row_of(evaluation: Evaluation, generation: int, local_generation: int = 0, *
     return row
 
 
-def columns_of(run: Run, verdict: Verdict) -> Row:
-    """Return the columns of a row that only the run itself and its verdict show."""
+def note_of(run: Run, verdict: Verdict) -> Row:
+    """Return the columns of a row that only the run itself and its verdict show, as the note of its evaluation."""
     blame = None if run.collision is None else run.attribution
     return {
         "verdict": verdict.kind,

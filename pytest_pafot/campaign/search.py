@@ -6,25 +6,188 @@ What is around it, such as the replays of saved scenarios and the simplification
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 from pytest_pafot.campaign.bench import Bench
-from pytest_pafot.campaign.events import Judged, SearchEvent
-from pytest_pafot.campaign.judging import caught_in, unknown
-from pytest_pafot.campaign.scenarios import FIRST, Bred, Numbers, PendingFailure
-from pytest_pafot.campaign.setup_fault import unit_doubt
-from pytest_pafot.campaign.state import State, lose
-from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.tallies import Tally
-from pytest_pafot.campaign.watch import Watch
+from pytest_pafot.campaign.events import Progress, SearchEvent
+from pytest_pafot.campaign.judging import SetupFaultError, cause_of
+from pytest_pafot.campaign.refine.simplest import rollouts_for
+from pytest_pafot.campaign.results import Counts, Result, State, lost
+from pytest_pafot.campaign.scenarios import FIRST, Bred, Early, Numbers
+from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import expectation
-from pytest_pafot.findings.finding import failed_as
-from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.searching.evaluation import Evaluation, Event
+from pytest_pafot.findings.signature import Signature
+from pytest_pafot.searching.evaluation import (
+    CampaignFinished,
+    EndReason,
+    Evaluated,
+    Evaluation,
+    Event,
+    GenerationFinished,
+    Health,
+)
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
+
+RUNS_TO_CONFIRM = 4
+"""The time to find and confirm a failure, as a number of runs.
+
+The scenario is run, run again, and run in highway-env's own environment, which takes about as long as two runs.
+"""
+
+RUNS_FOR_MOMENT = 40
+"""About how many runs it takes to find the moment of a finding."""
+
+LEAST = 2.0
+"""The time that a search has for its replays, its first run and the confirmation of a finding in it, even if its limit
+is over by then [s]. So a search of a fast policy tests something even with a very short limit."""
+
+
+@dataclass(slots=True)
+class Watch:
+    """The limits of a search, with reports on how far it is. This one asks a function, and reports nothing."""
+
+    stop: Callable[[], bool] = lambda: False
+
+    def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
+        """Return the limit that is reached between two scenarios; None if there is none."""
+        return "stopped" if self.stop() else "runs" if scenarios.has_all_runs else None
+
+    def seconds_left(self) -> float:
+        """Return the time after which a run ends between two decisions [s]."""
+        return math.inf
+
+    def after_event(self) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due after an event of the plan."""
+        yield from ()
+
+    def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due before a finding is run again."""
+        yield from ()
+
+
+@dataclass(slots=True, kw_only=True)
+class TimedWatch(Watch):
+    """The watch of a search that has a limit of time or of findings, and a listener that wants to see its progress.
+
+    Attributes:
+        node_id: the node id of the search in reports.
+        limit: the time at which the search has to end, with shrinking, or infinity [s].
+        most: the number of findings after which it ends, or None.
+        progress_seconds: the interval between reports of progress [s].
+        began: the time at which the loop began [s].
+        earliest_end: the earliest time at which it ends for lack of time [s].
+        last: the time of the last event of the plan [s].
+    """
+
+    node_id: str
+    state: State
+    bench: Bench
+    store: Store
+    limit: float
+    most: int | None
+    progress_seconds: float
+    began: float = 0.0
+    earliest_end: float = math.inf
+    last: float = 0.0
+    _runs_before: int = 0
+    _reported_at: float = field(init=False)
+    # the time [s], without what confirmed findings, and the number of runs after the first one, which loads libraries
+    _since: tuple[float, int] | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._reported_at = self.state.clock()
+
+    def begin(self, earliest_end: float) -> None:
+        """Note that the loop begins now, and the earliest time at which it may end [s]."""
+        self.began = self.last = self.state.clock()
+        self.earliest_end, self._runs_before = earliest_end, self.state.runs
+
+    def reached(self, scenarios: Bred | Numbers) -> EndReason | None:
+        """Return the limit that is reached between two scenarios; None if there is none."""
+        if self.most is not None and self.store.count >= self.most:
+            return "stopped"
+        if scenarios.has_all_runs:
+            return "runs"
+        return "time" if self.state.clock() >= self._ends() else None
+
+    def seconds_left(self) -> float:
+        """Return the time after which a run may be cut [s]. The first run gets its time in any case."""
+        ends = self._ends() if self.store.firm else self.limit
+        ends = ends if self.state.runs > self._runs_before else max(ends, self.began + LEAST)
+        return ends - self.state.clock()
+
+    def _ends(self) -> float:
+        """Return when the loop has to end, given its findings so far [s].
+
+        That leaves the time to simplify its findings, or without any, to confirm one in its last run, as far as can be
+        told from the runs so far.
+        """
+        harness, state = self.bench.harness, self.state
+        settings, firm = harness.request.settings, self.store.firm
+        if self.limit == math.inf:
+            return self.earliest_end
+        to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT
+        to_compare = 0 if harness.against is None else 2 * settings.pairs
+        run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
+        seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
+        return max(self.earliest_end, self.limit - seconds)
+
+    def after_event(self) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due after an event of the plan."""
+        self.last = self.state.clock()
+        if self._since is None and self.state.runs > self._runs_before:
+            self._since = self.last - self.bench.confirm_seconds, self.state.runs
+        return self.progress()
+
+    def before_rerun(self, find_id: str) -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due before a finding is run again."""
+        return self.progress(f"found {find_id}, running it again")
+
+    @property
+    def _run_seconds(self) -> float:
+        """The mean time of a run in the process that makes it [s]; 0 if it is not known yet.
+
+        Confirming a finding is left out: at first most failures are new, and later hardly any.
+        """
+        runner = self.bench.runner
+        if runner.in_use:
+            return runner.run_seconds
+        # The first runs of a cluster come at the same time, after that of one run.
+        if self._since is None or (runner.is_elsewhere and not self.state.generation):
+            return 0.0
+        began, before = self._since
+        made = self.state.runs - before
+        return (self.state.clock() - self.bench.confirm_seconds - began) / made if made else 0.0
+
+    def progress(self, phase: str = "", of: str = "") -> Iterator[SearchEvent]:
+        """Yield a report of the progress if one is due, in a phase of the work on a finding."""
+        state, runner = self.state, self.bench.runner
+        now = state.clock()
+        if now - self._reported_at < self.progress_seconds:
+            return
+        self._reported_at = now
+        settings = self.bench.harness.request.settings
+        run_seconds = self._run_seconds
+        runs_left = 0 if settings.runs is None else settings.runs - state.runs
+        decisions = state.counts.decisions
+        yield Progress(
+            node_id=self.node_id,
+            generation=min(state.generation + 1, settings.generations or state.generation + 1),
+            generations=settings.generations,
+            runs=state.runs,
+            budget=settings.runs,
+            failing=state.counts.kinds["failed"],
+            finds=self.store.count,
+            seconds=state.seconds,
+            left=runs_left * run_seconds / max(runner.in_use, 1),
+            decision_seconds=run_seconds * state.runs / decisions if decisions else 0.0,
+            is_limited=self.limit < math.inf,
+            phase=phase,
+            of=of,
+        )
 
 
 def search(
@@ -37,109 +200,98 @@ def search(
         RequestError: for a world, factory, test function or scenario that does not fit.
     """
     began, reason = state.clock(), None
-    first = state.first_generation
-    yield from _counted([scenarios.started], state, watch)
+    yield from _told([scenarios.started], state, bench, watch)
     while not scenarios.is_over:
         # Limits count after the first scenario, so that a search tests something.
         reason = watch.reached(scenarios) if state.runs else None
         if reason is not None:
             break
         state.generation = scenarios.generation
-        state.number = state.generation if isinstance(scenarios, Numbers) else state.runs
-        # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once. Until
-        # two runs differ, this process must see each failure, since it may be a fault of the set-up.
-        happened: Sequence[Event] = ()
+        # Drive the next scenario and judge it. Other processes may have done so, for several scenarios at once.
         try:
             with runs_end_in(watch.seconds_left()):
-                done = scenarios.next(state.fatal, None if first.is_alike else (state.shown, state.finds))
-                if isinstance(done, Run):
-                    happened = scenarios.take((yield from _judge_and_count(done, state, bench, store, watch)))
+                done = scenarios.next(state)
         except OutOfTime:
             reason = "time"
             break
+        happened: Sequence[Event] = ()
         match done:
-            case Run():
-                pass
+            case Early():
+                store.add_early(done.result, done.number, state.known)
+                continue
+            case Counts() if isinstance(scenarios, Numbers):
+                state.counts += done
+                scenarios.count(done.runs)
+                yield from watch.after_event()
+            case ProcessLostError():
+                result = yield from lose(done, state, bench, store)
+                state.take(result)
+                happened = scenarios.take(result.evaluation)
+            case Result():
+                state.take(done)
+                yield from _released(state, store)
+                signature = done.evaluation.kind
+                # It is on disk before the next scenario, so nothing is lost.
+                if isinstance(signature, Signature) and signature not in state.known:
+                    state.finds[signature] = yield from _save_and_confirm(done, state, bench, store, watch)
+                happened = scenarios.take(done.evaluation)
             case Evaluation():
                 happened = scenarios.take(done, reused=True)
-            case Tally():
-                yield from done.judged or ()
-                bench.counted_decisions += done.decisions
-                state.take_tally(done)
-                evaluated, *happened = scenarios.take_tally(done)
-                yield evaluated  # which the state has counted
-                yield from watch.after_event()
-            case PendingFailure():
-                store.add_pending(done, {*state.shown, *state.finds})
-                continue
-            case ProcessLostError() | None:  # It died or hung now, or in the same scenario before.
-                first.is_alike = False
-                yield from _released(state, store)
-                expect = None
-                if done is not None:
-                    kind = yield from lose(done, state, bench, store, 1)
-                    state.counts.add(kind, "lost")
-                    expect = expectation(done) if kind == "failed" else None
-                happened = scenarios.take(unknown(scenarios.scenario(), expect), reused=done is None)
+            case None:  # a process died in it before
+                happened = scenarios.take(lost(scenarios.scenario(), None).evaluation, reused=True)
+            case Counts():
+                raise TypeError("scenarios: expected counts only of random scenarios, whose order does not matter")
             case _:
                 happened = done
         yield from _released(state, store)
-        yield from _counted(happened, state, watch)
-        if isinstance(scenarios, Numbers) and scenarios.number >= FIRST and first.is_alike:
-            first.end(" at the beginning")
-    if isinstance(scenarios, Numbers) and first.is_alike and reason == "runs":
-        first.end("")
-    yield from _counted(scenarios.finished(reason or "generations", state.clock() - began), state, watch)
+        yield from _told(happened, state, bench, watch)
+        if isinstance(scenarios, Numbers) and scenarios.number == FIRST:
+            check_set_up(state, bench, " at the beginning")
+    if isinstance(scenarios, Numbers) and reason == "runs" and scenarios.number < FIRST:
+        check_set_up(state, bench, "")
+    yield from _told(scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch)
 
 
-def _counted(happened: Iterable[Event], state: State, watch: Watch) -> Iterator[SearchEvent]:
-    """Yield events of the plan, and count what they say."""
+def _told(happened: Iterable[Event], state: State, bench: Bench, watch: Watch) -> Iterator[SearchEvent]:
+    """Yield events of the algorithm, and keep what matters of them for the search."""
     for event in happened:
         yield event
-        state.see(event)
+        match event:
+            case Evaluated(reused=True):
+                state.counts.health += Health(evaluated=1)
+            case GenerationFinished(generation=0, local_generation=0):
+                check_set_up(state, bench, " of the first generation")
+            case CampaignFinished():
+                state.finished = event
         yield from watch.after_event()
 
 
-def _judge_and_count(
-    run: Run, state: State, bench: Bench, store: Store, watch: Watch
-) -> Generator[SearchEvent, None, Evaluation]:
-    """Judge and count a run, and save a new failure before the next run; return what the algorithm sees of it."""
-    __tracebackhide__ = True
+def check_set_up(state: State, bench: Bench, where: str) -> None:
+    """Check that not all runs so far ended in the same exception.
+
+    Raises:
+        SetupFaultError: if they did, and the first of them does so again.
+    """
+    counts, is_alike, state.is_set_up = state.counts, state.is_alike, True
+    if not is_alike or state.first is None:
+        return
+    run = bench.run(state.first)
     verdict = bench.finish(run)
-    judged = Judged.here(run, verdict)
-    yield judged
-    state.see(judged)
-    doubt = unit_doubt(run.trace) if run.facts is None else run.facts.doubt
-    state.take(run, verdict, caught_in(verdict), doubt)
-    yield from _released(state, store)
-    signature = None
-    if verdict.failed and verdict.failure is not None:
-        signature, manner = failed_as(run, verdict.failure)
-        state.see_manner(signature, manner, run.scenario.id)
-        if state.knows(signature):
-            state.repeat(signature)
-        else:
-            found = yield from save_and_confirm(run, verdict, state.generation, bench, store, watch)
-            state.add(signature, found)
-        state.see_severity(signature, verdict.severity, state.number)
-    return bench.evaluation(run, verdict, signature)
+    if cause_of(run, verdict) in counts.causes:
+        judged = counts.causes.total()
+        judged_only = " that were judged" if judged < counts.runs else ""
+        raise SetupFaultError(run, verdict, f"all {judged} runs{where}{judged_only}")
 
 
-def save_and_confirm(
-    run: Run, verdict: Verdict, generation: int, bench: Bench, store: Store, watch: Watch
+def _save_and_confirm(
+    result: Result, state: State, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, str]:
     """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id."""
-    sighting = store.add(run, verdict, generation)
+    sighting = store.add(result, state.generation)
     if isinstance(sighting, str):
         return sighting
-    # It is saved before it is confirmed, so that nothing is lost if the session dies in the second run.
-    if not verdict.is_timed:
-        yield from watch.before_rerun(sighting.id)
-        try:
-            if differs := bench.confirm(run):
-                sighting = store.call_flaky(sighting, differs)
-        except OutOfTime:
-            sighting = store.call_unconfirmed(sighting)
+    yield from watch.before_rerun(sighting.id)
+    sighting = store.confirmed(sighting, bench.confirm_new(result))
     if not store.is_holding:
         yield from store.publish(sighting)
     return sighting.id
@@ -147,5 +299,5 @@ def save_and_confirm(
 
 def _released(state: State, store: Store) -> Iterator[SearchEvent]:
     """Report the findings that were held back, as soon as two runs differ, which is no fault of the set-up."""
-    if store.is_holding and not state.first_generation.is_alike:
+    if store.is_holding and not state.is_alike:
         yield from store.release()

@@ -6,9 +6,8 @@ Read :meth:`SearchSession.run` from the top. The loop over scenarios is :func:`p
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -26,30 +25,29 @@ from pytest_pafot.campaign.events import (
     SearchStarted,
 )
 from pytest_pafot.campaign.harness import Harness, refusals
-from pytest_pafot.campaign.judging import no_skip, skips
+from pytest_pafot.campaign.judging import SetupFaultError, no_skip, skips
 from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.campaign.options import RUNS
 from pytest_pafot.campaign.refine.steps import refine
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import build_space
+from pytest_pafot.campaign.results import Driver, Examiner, State
 from pytest_pafot.campaign.scenarios import Bred, Numbers
-from pytest_pafot.campaign.search import search
-from pytest_pafot.campaign.setup_fault import SetupFaultError
-from pytest_pafot.campaign.state import State
+from pytest_pafot.campaign.search import LEAST, TimedWatch, Watch, search
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.tallies import Driver, Reader
-from pytest_pafot.campaign.watch import LEAST, TimedWatch, Watch
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.runner import Retried, retry, runner_for
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import EndReason
 from pytest_pafot.searching.fitness import FitnessError, Steered, is_built_in, resolve
-from pytest_pafot.searching.plan import Algorithm, Plan
+from pytest_pafot.searching.plan import Algorithm
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime, RequestError, flag
@@ -199,13 +197,13 @@ def prepared(
     *,
     space: SearchSpace | None = None,
     is_steered: bool = True,
-    has_table: bool = False,
+    note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None,
 ) -> Iterator[Prepared]:
     """Build the parts of a search that run scenarios, count, and save findings. Stop their processes at the end.
 
     The search has the space that its request describes, unless one is given. It is steered towards collisions for which
-    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. With ``has_table``, the events have
-    all that a table of runs needs, also those of runs that another process judges.
+    the ego is responsible, unless ``blame="any"`` or ``is_steered`` is False. A function ``note`` returns what a table
+    of runs needs of a run; the evaluations in the events have it as their notes.
 
     Raises:
         RequestError: for a fitness that does not exist, or a world that cannot be used.
@@ -219,19 +217,13 @@ def prepared(
     except FitnessError as error:
         raise request.error("fitness=...", error) from None
     job, settings = harness.job(), request.settings
-    # The user's own fitness runs only in this process, where its errors are reported.
+    examiner = Examiner(harness=harness, fitness=fitness, seed=seed, note=note)
+    # Forked processes judge the runs that they make. The user's own fitness runs only in this process, where its errors
+    # are reported.
     why_here = _why_judged_here(harness)
-    reader = Reader(
-        harness=None if why_here else harness,
-        fitness=fitness if is_built_in(request.fitness) else None,
-        has_table=has_table,
-    )
-    can_drive = not why_here and harness.against is None  # only this process runs the reference
-    driver = Driver(reader=reader) if can_drive else None
-    if settings.isolate:  # Isolated processes also make the runs that confirm findings, which the session judges.
-        reader = replace(reader, harness=None)
+    driver = Driver(examiner=examiner) if not why_here and harness.against is None else None
     remark = f"; this process judges all runs, since {why_here}" if why_here else ", which also judge their runs"
-    job = replace(job, read=reader, drive=driver, remark=remark)
+    job = replace(job, read=None if why_here else examiner, drive=driver, remark=remark)
     with ExitStack() as stack:
         record = stack.enter_context(harness.recording(job))
         with refusals():
@@ -246,9 +238,7 @@ def prepared(
         reference = harness.reference_runner(harness.job(), record, isolate=settings.isolate)
         if reference is not None:
             stack.push(reference.__exit__)
-        state = State()
-        state.clock, state.space = monotonic, space
-        state.began = state.clock()
+        state = State(clock=monotonic, space=space, began=monotonic())
         yield Prepared(
             state=state,
             bench=Bench(
@@ -257,7 +247,7 @@ def prepared(
                 record=record,
                 reference=reference,
                 driver=driver,
-                fitness=fitness,
+                examiner=examiner,
                 clock=state.clock,
             ),
             store=Store(harness=harness, seed=seed),
@@ -271,8 +261,7 @@ def scenarios_of(
     if isinstance(algorithm, RandomSearch):
         return Numbers(algorithm=algorithm, seed=seed, runs=runs, bench=bench)
     seeds_matter = (bench.harness.policy.sight or Sight()).is_drawn
-    plan = Plan(algorithm, generations=generations, runs=runs, seed=seed, seeds_matter=seeds_matter)
-    return Bred(plan=plan, bench=bench)
+    return Bred(bench, algorithm, generations=generations, runs=runs, seed=seed, seeds_matter=seeds_matter)
 
 
 def _why_judged_here(harness: Harness) -> str:
@@ -412,16 +401,25 @@ class SearchSession:
             count=store.count,
             first_exception=store.first_exception,
             fault=None if fault is None else fault.shown(harness.world, harness.policy),
-            skip=state.skip if state.skip is not None and state.counts.kinds["skipped"] == state.runs else None,
-            is_vacuous=state.health.vacuous or bool(state.broken),
+            skip=self._skip(),
+            is_vacuous=state.counts.health.vacuous or bool(state.counts.broken),
         )
+
+    def _skip(self) -> BaseException | None:
+        """Return a skip of the test function, from another run of the first such scenario, if it skipped every run."""
+        __tracebackhide__ = True
+        state, bench = self.state, self.bench
+        if state.first_skipped is None or state.counts.kinds["skipped"] < state.runs:
+            return None
+        verdict = bench.finish(bench.run(state.first_skipped))
+        return verdict.exception if verdict.kind == "skipped" else None
 
     def _settle(self, reason: Ending) -> None:
         """Take the failures before their turn as findings, or forget them if the order says so."""
         is_cut = reason.is_broken_off or reason is Ending.MAX_TIME
-        for signature, find_id, ended in self.store.settle(keeps=is_cut):
-            self.state.add(signature, find_id)
-            self.state.counts.add("failed", *ended)
+        for signature, id_, counts in self.store.settle(keeps=is_cut):
+            self.state.finds[signature] = id_
+            self.state.counts += counts
 
     def _refine(self) -> Iterator[SearchEvent]:
         """Shrink the findings, and look at the decisions that led to them."""
@@ -482,7 +480,7 @@ class SearchSession:
             algorithm = request.algorithm.make(space, **given)
         except ValueError as error:
             raise RequestError(str(error)) from None
-        state.random.most = math.inf if isinstance(algorithm, RandomSearch) else 0.0
+        state.is_random = isinstance(algorithm, RandomSearch)
         self.store.replayed = frozenset(each.path for each in saved)
         state.fatal |= {each.finding.scenario for each in saved if each.finding is not None and each.is_crash}
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
@@ -528,10 +526,11 @@ class SearchSession:
                 return Ending.FINDINGS
 
     def _summary(self, reason: Ending) -> Search:
-        settings, state, health = self.harness.request.settings, self.state, self.state.health
+        settings, state, counts = self.harness.request.settings, self.state, self.state.counts
+        health = counts.health
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
         notes = (
-            state.doubt,
+            counts.doubt,
             self._excused_late,
             state.known_alone,
             self._unused,
@@ -540,12 +539,18 @@ class SearchSession:
             "" if health.hides_most or reason not in WITH_WARNINGS else health.early_ends,
             self.harness.policy.loading_hint if state.runs else "",
         )
-        random = state.random
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
-        is_cut_short = reason is Ending.ERROR or (reason is Ending.FINDINGS and not random.is_whole)
+        is_told = state.is_random and reason not in (Ending.ERROR, Ending.FINDINGS)
+        fails = counts.fails if is_told else Counter[str]()
+        random = Counter(
+            runs=fails.total(),
+            at_fault=fails["ego"],
+            otherwise=fails["check"] + fails["otherwise"],
+            checks=fails["check"],
+        )
         budgets = {"generations": settings.generations, "runs": settings.runs}
         decisions = {
-            "search": self.bench.decisions - state.shrink_decisions - state.moment_decisions,
+            "search": counts.decisions,
             "confirm": self.bench.confirm_decisions,
             "shrink": state.shrink_decisions,
             "moment": state.moment_decisions,
@@ -558,12 +563,12 @@ class SearchSession:
             seed=self.store.seed,
             generations=state.generation if state.finished is None else state.finished.generations,
             asked={name: most for name, most in budgets.items() if most is not None},
-            kinds=Counter({kind: state.counts.kinds[kind] for kind in KINDS}),
-            outcomes=state.counts.outcomes,
-            responsibilities=state.counts.responsibilities,
+            kinds=Counter({kind: counts.kinds[kind] for kind in KINDS}),
+            outcomes=counts.outcomes,
+            responsibilities=counts.responsibilities,
             more_runs=Counter(shrink=state.shrink_runs, moment=state.moment_runs, known=health.reused),
             decisions=Counter(decisions),
-            random=Counter() if is_cut_short else random.counts,
+            random=random,
             no_interaction=health.no_interaction,
             reached=health.reached_share,
             finds=tuple(replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()),
@@ -586,12 +591,12 @@ class SearchSession:
         Those that differ most are first, then those that came first.
         """
         found: dict[str, tuple[str, ...]] = {}
-        for signature, manners in self.state.manners.items():
-            id_ = self.state.shown[signature]
+        for signature, id_ in self.state.shown.items():
             own = self._manners.get(id_)
             if own is None:
                 continue
-            unlike = [(differs, each) for manner, each in manners.items() if (differs := manner.unlike(own))]
+            manners = [(each[1], seen) for each, seen in self.state.counts.manners.items() if each[0] == signature]
+            unlike = [(differs, seen) for manner, seen in manners if (differs := manner.unlike(own))]
             unlike.sort(key=lambda pair: -len(pair[0]))
             found[id_] = tuple(f"{each} ({'; '.join(differs)})" for differs, each in unlike[:MAX_UNLIKE])
         return {id_: told for id_, told in sorted(found.items()) if told}
@@ -604,7 +609,7 @@ class SearchSession:
             return ""
         return (
             f"the rules excuse {plural(count, 'collision')} that 6 m/s^2 from 1.4 s after the danger began would have "
-            f'avoided, such as: {self.state.avoidable} blame="avoidable" counts them as failures'
+            f'avoided, such as: {self.state.counts.excused} blame="avoidable" counts them as failures'
         )
 
     @property

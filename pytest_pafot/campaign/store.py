@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_pafot.campaign.bench import Bench, Confirmed
+from pytest_pafot.campaign.events import SearchEvent
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.judging import PlainFailure, headline
-from pytest_pafot.campaign.scenarios import PendingFailure
+from pytest_pafot.campaign.judging import PlainFailure
+from pytest_pafot.campaign.results import Counts, Failed, Result, State, found_by, lost
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS, ProcessLostError
+from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
 from pytest_pafot.execution.scenario_pool import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, portable
 from pytest_pafot.findings.labels import Observed
@@ -25,7 +27,6 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.process import REPLACED, postponed
 from pytest_pafot.world import codec
@@ -58,8 +59,8 @@ class Store:
     first_exception: BaseException | None = None  # the exception of the first finding, for a debugger
     held: list[str] = field(default_factory=list)  # ids of findings that are saved and not reported yet
     dismissed: dict[str, str] = field(default_factory=dict)  # headlines of findings that do not count, by id
-    # failures before their turn, and their files, if any
-    pending: dict[Signature, tuple[Path | None, PendingFailure]] = field(default_factory=dict)
+    # failures before their turn with the numbers of their runs, and their files, if any
+    early: dict[Signature, tuple[Path | None, Result, int]] = field(default_factory=dict)
     is_holding: bool = True  # False once findings are reported at once, because they are no fault of the set-up
 
     @property
@@ -72,72 +73,71 @@ class Store:
         """The number of findings that can be shrunk."""
         return sum(each.is_firm for each in self.findings.values())
 
-    def add(self, run: Run, verdict: Verdict, generation: int) -> Seen | str:
+    def add(self, result: Result, generation: int) -> Seen | str:
         """Save a new finding, and hold it back; return its id alone if failures are only counted.
 
         ``generation`` is counted from 0.
         """
-        if verdict.exception is None:
-            raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
-        finding = self._failure(run, verdict, generation)
-        self._forget_pending(finding)
+        finding, failed = self._finding(result, generation)
+        self._forget_early(finding)
         if self.only_counts:
             return finding.id
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
-            return self._held(self._saved(finding, finding.with_sight(headline(run, verdict)), verdict, run))
+            verdict = Verdict(kind="failed", exception=PlainFailure(failed.text), severity=result.severity)
+            return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
 
-    def add_pending(self, pending: PendingFailure, known: Collection[Signature]) -> None:
+    def confirmed(self, sighting: Seen, again: Confirmed) -> Seen:
+        """Return a finding with the run that confirms it, or with what differs in its second run."""
+        if again.differs:
+            sighting = self.call_flaky(sighting, again.differs)
+        elif again.differs is None:
+            sighting = replace(sighting, unshrunk=UNCONFIRMED)
+        if again.run is not None and again.verdict is not None:
+            observed = replace(sighting.observed, run=again.run, verdict=again.verdict)
+            sighting = replace(sighting, observed=observed)
+        self.findings[sighting.id] = sighting
+        return sighting
+
+    def add_early(self, result: Result, number: int, known: Collection[Signature]) -> None:
         """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
-        if isinstance(pending.of, ProcessLostError):
-            finding = self._death(pending.of.task, expectation(pending.of), self._found(pending.generation), None)
-        else:
-            finding = self._failure(*pending.of, pending.generation)
+        finding, _ = self._finding(result, number)
         signature, saved = finding.signature, None
-        if signature in known or signature in self.pending:
+        if signature in known or signature in self.early:
             return
         with postponed():  # A file that an interrupt leaves unnoted would be in no report.
             if self.harness.request.settings.save != "none":
                 path, finding = free_path(self.harness.folder, finding, self.replayed)
                 with suppress(CorpusWriteError):  # which is reported in its turn
                     saved = path if write(path, finding) else None
-            self.pending[signature] = saved, pending
+            self.early[signature] = saved, result, number
 
-    def _forget_pending(self, finding: Finding) -> None:
+    def _forget_early(self, finding: Finding) -> None:
         """Remove what was saved before its turn if a failure of its kind has come before it."""
-        path, _ = self.pending.pop(finding.signature, (None, None))
+        path, *_ = self.early.pop(finding.signature, (None,))
         if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
-            _remove_pending(path)
+            _remove_early(path)
 
-    def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, tuple[str, str | None]]]:
+    def settle(self, *, keeps: bool) -> Iterator[tuple[Signature, str, Counts]]:
         """End the search with failures that are saved before their turn: take them as findings, or remove their files.
 
-        Yield what is taken: its id, its outcome and who was responsible.
+        Yield what is taken: its signature, its id, and the counts of its run.
         """
-        for signature, (path, pending) in [*self.pending.items()]:
-            if not keeps:
-                if path is not None:
-                    _remove_pending(path)
-            elif isinstance(pending.of, ProcessLostError):
-                yield signature, self.add_lost(pending.of, pending.generation).id, ("lost", None)
-            else:
-                sighting = self.add(*pending.of, pending.generation)
-                id_ = sighting if isinstance(sighting, str) else self.call_unconfirmed(sighting).id
-                yield signature, id_, (pending.of[0].outcome, pending.of[0].responsibility)
-        self.pending.clear()
+        for signature, (path, result, number) in [*self.early.items()]:
+            if keeps:
+                sighting = self.add(result, number - 1)
+                id_ = sighting if isinstance(sighting, str) else sighting.id
+                if not isinstance(sighting, str):
+                    self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
+                yield signature, id_, Counts.of(result, number - 1)
+            elif path is not None:
+                _remove_early(path)
+        self.early.clear()
 
-    def _failure(self, run: Run, verdict: Verdict, generation: int) -> Finding:
-        if verdict.failure is None:
-            raise ValueError(f"verdict: expected the verdict on a failed run, received {verdict!r}")
-        return Finding.of(
-            run,
-            verdict.failure,
-            test=self.harness.node_id,
-            world=codec.described(self.harness.world),
-            found=self._found(generation),
-            perception=self.harness.policy.sight,
-            against="" if self.harness.against is None else self.harness.against.name,
-            root=str(self.harness.root),
-        )
+    def _finding(self, result: Result, generation: int) -> tuple[Finding, Failed]:
+        if result.failed is None:
+            raise ValueError(f"result: expected that of a run with a new failure, received {result!r:.200}")
+        found = replace(result.failed.finding.found, generation=generation)
+        return replace(result.failed.finding, found=found), result.failed
 
     def release(self) -> Iterator[Seen]:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
@@ -202,11 +202,6 @@ class Store:
         self.findings[sighting.id] = self.rewritten(marked)
         return self.findings[sighting.id]
 
-    def call_unconfirmed(self, sighting: Seen) -> Seen:
-        """Mark a finding as one that there was no time to run again; return it."""
-        self.findings[sighting.id] = replace(sighting, unshrunk=UNCONFIRMED)
-        return self.findings[sighting.id]
-
     @REPLACED.shown(False)
     def rewritten(self, sighting: Seen) -> Seen:
         """Write a finding of which more is known to its file, whose ``xfail`` stays; return it.
@@ -240,7 +235,7 @@ class Store:
         expect, line = UNSEEN_CRASH, "crash: a process died while it ran this scenario"
         if again is not None:
             expect, line = expectation(again), _headline(again)
-        finding = self._death(scenario, expect, self._found(0, "crash"), leftover.world)
+        finding = self._death(scenario, expect, found_by(self.harness, self.seed, algorithm="crash"), leftover.world)
         with postponed():
             return self._held(self._saved(finding, line, Verdict(kind="failed", exception=PlainFailure(text))))
 
@@ -249,8 +244,8 @@ class Store:
         again = "" if lost.is_hang else ", also when it was tried again"
         text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
-        finding = self._death(lost.task, expectation(lost), self._found(generation), None)
-        self._forget_pending(finding)
+        finding = self._death(lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None)
+        self._forget_early(finding)
         with postponed():
             died = Verdict(kind="failed", exception=PlainFailure(text))
             return self._held(self._saved(finding, _headline(lost), died))
@@ -259,15 +254,6 @@ class Store:
         self.findings[sighting.id] = sighting
         self.held.append(sighting.id)
         return sighting
-
-    def _found(self, generation: int, algorithm: str = "") -> Found:
-        algorithm = algorithm or self.harness.request.algorithm.name
-        return Found(
-            seed=self.seed,
-            generation=generation,
-            algorithm=algorithm,
-            versions=self.harness.versions,
-        )
 
     def _death(self, scenario: Scenario, expect: Expect, found: Found, world: Mapping[str, Any] | None) -> Finding:
         return Finding(
@@ -281,7 +267,7 @@ class Store:
         )
 
     @REPLACED.shown(False)  # also what the test function itself has replaced
-    def _saved(self, finding: Finding, line: str, verdict: Verdict, run: Run | None = None) -> Seen:
+    def _saved(self, finding: Finding, line: str, verdict: Verdict, *, has_drawn: bool = False) -> Seen:
         path, finding = free_path(self.harness.folder, finding, self.replayed)
         while finding.id in self.findings:
             finding = replace(finding, id=f"{finding.id}-again")
@@ -304,11 +290,11 @@ class Store:
             headline=line,
             path="" if problem else relative(path, self.harness.root),
             detail=problem,
-            observed=Observed(new="new", fails=True, run=run, verdict=verdict, severity=verdict.severity),
+            observed=Observed(new="new", fails=True, verdict=verdict, severity=verdict.severity, has_drawn=has_drawn),
         )
 
 
-def _remove_pending(path: Path) -> None:
+def _remove_early(path: Path) -> None:
     """Remove a file that was saved before its turn, unless somebody has accepted its failure or put another there."""
     with suppress(OSError, CorpusError):
         if load(path).xfail is None:
@@ -331,3 +317,18 @@ def cause(lost: LostRun, way_out: str) -> str:
         "the ADS hangs in code that does not return to the interpreter, ignores the interrupt, or uses a library that "
         f"does not work in a forked process (then {way_out})"
     )
+
+
+def lose(death: LostRun, state: State, bench: Bench, store: Store) -> Generator[SearchEvent, None, Result]:
+    """Record a scenario whose process died or hung, so that it is never run again, not even in later sessions.
+
+    Return its result. It is no failure if the reference does not pass the scenario either.
+    """
+    state.fatal.add(death.task)
+    result = lost(death.task, death, is_common=bench.is_common(death.task))
+    signature = result.evaluation.kind
+    if isinstance(signature, Signature) and signature not in state.known:
+        sighting = store.add_lost(death, state.generation)
+        yield from store.publish(sighting)
+        state.finds[signature] = sighting.id
+    return result

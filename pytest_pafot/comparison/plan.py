@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from pytest_pafot import Highway, Run, World, WorldLike
 from pytest_pafot.campaign.explore import AlgorithmRun
+from pytest_pafot.campaign.judging import SetupFaultError
 from pytest_pafot.campaign.request import drawn_space
-from pytest_pafot.campaign.setup_fault import SetupFaultError
 from pytest_pafot.commands.policy_reference import ads_factory, chosen_world
 from pytest_pafot.oracle.checks import require
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm

@@ -17,7 +17,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import count
@@ -27,7 +27,7 @@ from types import ModuleType
 from typing import Any, TypeAlias
 
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
-from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, InGym, Job, LostRun, Timed
+from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, Whole
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.process import installed_versions
@@ -43,7 +43,7 @@ SOON = 5.0
 IDLE = 60.0
 """The time without a task after which the child process of a worker ends [s]."""
 
-Task = Scenario | InGym
+Task = Scenario | Whole
 
 
 @contextmanager
@@ -190,7 +190,7 @@ def _named(error: Exception) -> str:
 
 
 def _lost(task: Task, error: Exception) -> LostRun:
-    scenario = task.scenario if isinstance(task, InGym) else task
+    scenario = task.scenario if isinstance(task, Whole) else task
     return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")
 
 
@@ -229,9 +229,7 @@ def packed(job: Job) -> Parcel:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         try:
-            content = cloudpickle.dumps(
-                Job(world=job.world, policy=job.policy, read=job.read, records=Path(), owner="")
-            )
+            content = cloudpickle.dumps(Job(world=job.world, policy=job.policy, records=Path(), owner=""))
         except Exception as error:  # noqa: BLE001  (pickling the user's objects may raise anything)
             raise ExecutionError(
                 f"{OPTION}: expected a world and an ADS factory that can be sent to other machines, received one "
@@ -305,12 +303,8 @@ def _kept(parcel: Parcel) -> tuple[Parcel, SimpleQueue[WorkerPool[Any, Any]]]:
 
 def _run(parcel: Parcel, task: Task, tell: object) -> Timed:
     """Run a scenario in the child process of a worker."""
-    if isinstance(task, InGym):
-        return Job.run(partial(_unpacked, parcel), task.scenario, "rollout_in_gym")
-    trace, output, seconds = Job.run(partial(_unpacked, parcel), task)
-    with suppress(Exception):  # it is raised again in the session, which reads the trace
-        return _unpacked(parcel).read(trace) or trace, output, seconds
-    return trace, output, seconds
+    scenario, method = (task.scenario, task.method) if isinstance(task, Whole) else (task, "rollout")
+    return Job.run(partial(_unpacked, parcel), scenario, method)
 
 
 @lru_cache(maxsize=1)

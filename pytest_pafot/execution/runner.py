@@ -20,24 +20,19 @@ from pytest_pafot.execution.scenario_pool import (
     NOT_REPEATED,
     Answer,
     Chunk,
-    Digest,
     ExecutionError,
-    InGym,
     Job,
     LostRun,
-    Made,
     ScenarioPool,
-    Timed,
+    Whole,
     capture_output,
     made_apart,
     made_from,
     pool_for,
-    read_nothing,
-    trace_of,
 )
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.oracle.run import Facts, Run
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.support import isolates, monotonic
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import plural
@@ -108,11 +103,9 @@ class Runner:
     ) -> None:
         self.job = job
         self.decisions = 0
-        """The number of decisions that the ADS made in the runs with a trace so far."""
-        self.announced: dict[Scenario, None] = {}
-        """The announced scenarios that were not requested yet, in order."""
-        self.ready: dict[Scenario, Timed] = {}
-        """Runs from chunks that other processes drive, which this process must judge."""
+        """The number of decisions that the ADS made in the runs of :meth:`run`."""
+        self.announced: dict[Scenario | Whole, None] = {}
+        """The announced runs that were not requested yet, in order."""
         self.recovered: list[LostRun] = []
         """The deaths of processes of earlier pools, and in chunks, in scenarios that ran to their end later."""
         self._record = record
@@ -137,22 +130,11 @@ class Runner:
             self._pool.close(at_once=kind is not None)
 
     def run(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Trace:
-        """Return the trace of a run that no other process has judged; arguments and errors as :meth:`made`."""
-        __tracebackhide__ = True
-        made = self.made(scenario, announced=announced, most=most)
-        if isinstance(made, Digest):
-            raise TypeError(f"scenario: expected one that no other process has judged, received {scenario}")
-        return trace_of(made)
-
-    def made(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Made:
-        """Return the trace of a run of a scenario, or what the process has sent that made an announced run.
-
-        Without a digest, the crash record of the scenario stays on disk, because the evaluation of the run may end the
-        process, too.
+        """Return the trace of a run of a scenario; its crash record stays on disk, as for :meth:`made`.
 
         Args:
             scenario: the scenario to run.
-            announced: True if it may have been announced, so that another process may have made its run.
+            announced: True if the :class:`Whole` run may have been announced, so that another process may have made it.
             most: the number of decisions after which the run is of no interest, and ends with an error of the ADS. A
                 run in a different process has more decisions.
 
@@ -162,20 +144,35 @@ class Runner:
             Exception: any exception of the world or the factory.
         """
         __tracebackhide__ = True
-        made = self._collect(scenario, announced=announced)
-        if isinstance(made, Digest):
+        trace: Trace = self._made(Whole(scenario), scenario, announced=announced, most=most)
+        self.decisions += len(trace.actions)
+        return trace
+
+    def made(self, scenario: Scenario) -> Any:
+        """Return what the process has sent that made an announced run of a scenario, or the trace of its run.
+
+        The crash record of a trace's scenario stays on disk, because the judgement of the run may end the process, too.
+
+        Raises:
+            Exception: as for :meth:`run`.
+        """
+        __tracebackhide__ = True
+        return self._made(scenario, scenario, announced=True)
+
+    def _made(self, task: Scenario | Whole, scenario: Scenario, *, announced: bool, most: int | None = None) -> Any:
+        __tracebackhide__ = True
+        made = self._collect(task, announced=announced)
+        if made is not None and not isinstance(made, Trace):
             return made
-        trace = None if made is None else trace_of(made)
         self._record.write(scenario, reference=self.job.reference)
-        if trace is None:
+        if made is None:
             factory = self.job.policy.factory
             started = self._clock()
-            trace = rollout_of(self.job.world)(scenario, factory if most is None else ending_after(factory, most))
+            made = rollout_of(self.job.world)(scenario, factory if most is None else ending_after(factory, most))
             if self._is_measured:
                 self._is_measured = False
                 self._learn(self._clock() - started)
-        self.decisions += len(trace.actions)
-        return made or trace
+        return made
 
     @property
     def is_elsewhere(self) -> bool:
@@ -210,21 +207,21 @@ class Runner:
         """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if there is none."""
         return self._warm_seconds / (self._runs - 1) if self._runs > 1 else 0.0
 
-    def announce(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
-        """Announce the next scenarios in the order in which they will be requested.
+    def announce(self, tasks: Iterable[Scenario | Whole], *, more: bool = False) -> None:
+        """Announce the next runs in the order in which they will be requested.
 
-        Other processes start to run them if they are in use. Earlier scenarios that were not requested are dropped,
+        Other processes start to make them if they are in use. Earlier ones that were not requested are dropped,
         unless these are ``more`` of them.
         """
         if not more:
             self.announced = {}
         if self._pool is None:
             if self.is_elsewhere or self._workers > 1:
-                self.announced.update(dict.fromkeys(scenarios))
+                self.announced.update(dict.fromkeys(tasks))
         elif more:
-            self._pool.add_all(self._noted(scenarios))
+            self._pool.add_all(self._noted(tasks))
         else:
-            self._pool.expect(self._noted(scenarios))
+            self._pool.expect(self._noted(tasks))
 
     def drive(self, task: Chunk) -> bool:
         """Let a process drive a chunk by itself; return False if none can."""
@@ -240,15 +237,6 @@ class Runner:
         """Return what one of the processes says next that drive chunks, as :meth:`WorkerPool.hear` does."""
         return self._pool.hear(waits=waits) if isinstance(self._pool, WorkerPool) else None
 
-    def read_here(self) -> None:
-        """Let this process read the traces of all runs that are announced from now on; other processes judge none.
-
-        Workers on other machines judge no runs anyway.
-        """
-        if not self.is_elsewhere:
-            self.job = replace(self.job, read=read_nothing, drive=None)
-            self.end()
-
     def end(self) -> None:
         """End the pool, so that processes with another task can be started."""
         if self._pool is not None:
@@ -261,28 +249,26 @@ class Runner:
         """Notes on processes that died in runs that later succeeded."""
         return [lost.recovery for lost in (*self.recovered, *([] if self._pool is None else self._pool.recovered))]
 
-    def _noted(self, scenarios: Iterable[Scenario]) -> Iterator[Scenario]:
-        for scenario in scenarios:
-            self.announced[scenario] = None
-            yield scenario
+    def _noted(self, tasks: Iterable[Scenario | Whole]) -> Iterator[Scenario | Whole]:
+        for task in tasks:
+            self.announced[task] = None
+            yield task
 
-    def _collect(self, scenario: Scenario, *, announced: bool) -> Made | None:
-        """Return what became of an announced scenario; None if the scenario must be run in this process.
+    def _collect(self, task: Scenario | Whole, *, announced: bool) -> Any:
+        """Return what became of an announced run; None if it must be made in this process.
 
         Each run can be collected once. Without ``announced`` the result is always None.
         """
         __tracebackhide__ = True
-        if announced and scenario in self.ready:
-            return made_from(self.ready.pop(scenario))
-        if not announced or scenario not in self.announced:
+        if not announced or task not in self.announced:
             return None
         if self.is_elsewhere and self._pool is None:
             self._begin()
-        del self.announced[scenario]
+        del self.announced[task]
         self._is_measured = self._pool is None
         if self._pool is None:
             return None
-        answer = self._pool.fetch(scenario)
+        answer = self._pool.fetch(task)
         if isinstance(answer, tuple) and not self.is_elsewhere:
             self._learn(answer[2])
         return made_from(answer)
@@ -324,16 +310,14 @@ class Isolated(Runner):
         """Notes on processes that died in runs that later succeeded, and on a cluster that made all runs."""
         return super().notes if self.is_elsewhere else self._retried
 
-    def _collect(self, scenario: Scenario, *, announced: bool) -> Trace | Facts:
-        """Return the run of a scenario from a different process, and raise the exceptions of that process.
+    def _collect(self, task: Scenario | Whole, *, announced: bool) -> Any:
+        """Return what a different process sends of a run, and raise the exceptions of that process.
 
         No run is repeated in this process. So if a worker on another machine raises, for example because it
         lacks a package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
-        if announced and scenario in self.ready:
-            return made_apart(self.ready.pop(scenario))
-        answer = self._fetched(scenario)
+        answer = self._fetched(task)
         if isinstance(answer, tuple):
             self.count(1, answer[2])
         return made_apart(answer)
@@ -345,7 +329,8 @@ class Isolated(Runner):
         workers.
         """
         __tracebackhide__ = True
-        return trace_of(made_apart(self._fetched(InGym(scenario))))
+        trace: Trace = made_apart(self._fetched(Whole(scenario, "rollout_in_gym")))
+        return trace
 
     def _fetched(self, task: Any) -> Answer:
         __tracebackhide__ = True
@@ -452,7 +437,8 @@ def run_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object], *,
     answer = answer_apart(job, scenario, judge, isolate=True)
     assert answer is not None  # noqa: S101  (only without isolation it may be None)
     try:
-        return trace_of(made_apart(answer))
+        trace: Trace = made_apart(answer)
+        return trace
     except ProcessLostError:
         raise
     except Exception as error:

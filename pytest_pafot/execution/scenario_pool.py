@@ -24,7 +24,6 @@ from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
-from pytest_pafot.oracle.run import Facts
 from pytest_pafot.support import monotonic
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
@@ -126,23 +125,9 @@ NOT_REPEATED = (
 LostRun: TypeAlias = ProcessLostError[Scenario]
 
 
-class Digest:
-    """All that a search needs of a run that another process has judged. It replaces the trace, which is far larger."""
-
-    __slots__ = ()
-
-    @property
-    def facts(self) -> Facts | None:
-        """The run, if the session must judge it again."""
-        return None
-
-
-Made: TypeAlias = Trace | Facts | Digest
-"""What a process sends of a run: its trace, the trace with what the process has read of it, or the digest alone."""
-
 Timed: TypeAlias = tuple[Any, CapturedOutput, float]
-"""What a process sends of a run (:data:`Made`), or of the chunk that it drives, with the captured output of the runs
-that this is about, and their duration in wall-clock time [s]."""
+"""What a process sends: the trace of a run, what it has made of the trace, or what it has counted of a chunk; with the
+captured output of the runs that this is about, and their duration in wall-clock time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,10 +150,11 @@ class Chunk:
 
 
 @dataclass(frozen=True, slots=True)
-class InGym:
-    """A task of a process that runs a scenario with ``env.step`` of highway-env's own environment."""
+class Whole:
+    """A task of a process that runs a scenario by a method of the world, and sends the trace in any case."""
 
     scenario: Scenario
+    method: str = "rollout"
 
     def __str__(self) -> str:
         return str(self.scenario)
@@ -179,12 +165,8 @@ Answer: TypeAlias = Timed | Exception
 :class:`~pytest_pafot.execution.pool.ProcessLostError`."""
 
 ScenarioPool: TypeAlias = WorkerPool[Any, Any]
-"""Its tasks are scenarios, also :class:`InGym`, with an :data:`Answer`, or a :class:`Chunk`, of which it says
+"""Its tasks are scenarios, also :class:`Whole`, with an :data:`Answer`, or a :class:`Chunk`, of which it says
 several :data:`Timed`."""
-
-
-def read_nothing(said: object) -> None:
-    """Read nothing; the default of ``Job.read`` for runs outside of a search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,9 +184,8 @@ class Job:
     world_data: Mapping[str, Any] | None = None
     root: Path = Path()
     """The folder of the project, whose modules are sent with the ADS to other machines."""
-    read: Callable[[Trace], Facts | Digest | None] = read_nothing
-    """A function that reads a trace in the process that made the run, and returns what is sent instead of the trace;
-    None if the trace is sent."""
+    read: Callable[[Trace], Any] | None = None
+    """A function that returns what a process sends of a run instead of its trace; None if it sends the trace."""
     drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
     """A function that drives a chunk in a process, with this job and its crash record; None if there is none."""
     remark: str = ""
@@ -282,15 +263,15 @@ def _close_simulators() -> CapturedOutput:
 
 
 def _run_task(
-    job: Job, record: CrashRecord, task: Scenario | InGym | Chunk, say: Callable[[Timed], object]
+    job: Job, record: CrashRecord, task: Scenario | Whole | Chunk, say: Callable[[Timed], object]
 ) -> Timed | None:
     """Run a scenario or a chunk in a process of the pool; the crash record of each scenario is on disk during its run.
 
     The record is closed after each task, since nothing would remove it after the session.
     """
     with record, GENERATORS.held():
-        if isinstance(task, InGym):
-            return run_recorded(job, record, task.scenario, read_nothing, "rollout_in_gym")
+        if isinstance(task, Whole):
+            return run_recorded(job, record, task.scenario, None, task.method)
         if not isinstance(task, Chunk):
             return run_recorded(job, record, task, job.read)
         assert job.drive is not None  # noqa: S101  (only then there are such tasks)
@@ -299,21 +280,17 @@ def _run_task(
 
 
 def run_recorded(
-    job: Job,
-    record: CrashRecord,
-    scenario: Scenario,
-    read: Callable[[Trace], Facts | Digest | None],
-    method: str = "rollout",
+    job: Job, record: CrashRecord, scenario: Scenario, read: Callable[[Trace], Any] | None, method: str = "rollout"
 ) -> Timed:
-    """Run a scenario by a method of the world, with its crash record on disk. The trace is read as by ``Job.read``."""
-    made = None
+    """Run a scenario by a method of the world, with its crash record on disk; the trace is read as by ``Job.read``."""
     record.write(scenario, reference=job.reference)
     trace, output, seconds = Job.run(lambda: job, scenario, method)
+    if read is None:
+        return trace, output, seconds
+    made = None
     with capture_output() as said, suppress(Exception):  # it is raised again in the session, which reads the trace
         made = read(trace)
-    if isinstance(made, Digest) and made.facts is None:
-        output = output.followed_by(said)
-    return made or trace, output, seconds
+    return (trace, output, seconds) if made is None else (made, output.followed_by(said), seconds)
 
 
 def _forget(job: Job, pid: int) -> None:
@@ -323,7 +300,7 @@ def _forget(job: Job, pid: int) -> None:
             leftover.discard()
 
 
-def made_from(answer: Answer) -> Made | None:
+def made_from(answer: Answer) -> Any:
     """Return what an answer says of its run and repeat its output here; None if the scenario must be run here.
 
     Raises:
@@ -334,30 +311,22 @@ def made_from(answer: Answer) -> Made | None:
         raise answer
     if isinstance(answer, Exception):
         return None
-    made: Made = answer[0]
     answer[1].repeat()
-    return made
+    return answer[0]
 
 
-def trace_of(made: Trace | Facts) -> Trace:
-    """Return the trace of a run that no other process has judged."""
-    return made.trace if isinstance(made, Facts) else made
-
-
-def made_apart(answer: Answer) -> Trace | Facts:
-    """Return the run of an answer; raise if there is none, because the ADS must not run in this process.
+def made_apart(answer: Answer) -> Any:
+    """Return what an answer says of its run; raise if nothing, because the ADS must not run in this process.
 
     Raises:
         Exception: the exception of the other process.
     """
     __tracebackhide__ = True
     made = made_from(answer)
-    if isinstance(made, (Trace, Facts)):
-        return made
-    if isinstance(answer, Exception):
+    if made is None and isinstance(answer, Exception):
         answer.add_note(NOT_REPEATED)
         raise answer
-    raise TypeError(f"answer: expected a trace or an exception, received {answer!r:.100}")
+    return made
 
 
 def expectation(lost: LostRun) -> Expect:

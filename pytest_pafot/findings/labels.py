@@ -61,6 +61,7 @@ class Observed:
         note: a text on the time after the file's end, or on the rate; empty if nothing is to be said.
         is_lost: True if a process died or hung in that time. Then the crash record must stay, or the next session would
             drive on in its own process, and die.
+        has_drawn: whether the policy drew random numbers in the run that showed a new finding.
         run: the run that shows the failure; the first run if all of them pass; None if the process died or hung.
         verdict: the verdict on that run; None in another process than that of the item.
     """
@@ -87,6 +88,7 @@ class Observed:
     rate: FailureRate | None = None
     note: str = ""
     is_lost: bool = False
+    has_drawn: bool = field(default=False, compare=False, repr=False, metadata=IN_MEMORY)
     run: Run | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
     verdict: Verdict | None = field(default=None, compare=False, repr=False, metadata=IN_MEMORY)
 

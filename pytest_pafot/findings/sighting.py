@@ -38,7 +38,7 @@ class Alike:
     """The runs of a search that failed like a finding.
 
     Attributes:
-        runs: the number of the other runs.
+        runs: the number of the runs; in what is seen of a finding, of all but the one that it was found in.
         number: the number of the worst of all these runs in the search, from 0.
         severity: how bad the worst one was; None if nothing measures it.
     """
@@ -48,11 +48,11 @@ class Alike:
     severity: Severity | None = None
 
 
-def worse(one: Alike | None, other: Alike) -> Alike:
+def worse(one: Alike, other: Alike) -> Alike:
     """Return the runs whose worst run is the worse one; the first of two equal ones."""
-    if one is None or one.severity is None:
-        return other
-    return other if other.severity is not None and one.severity < other.severity else one
+    if other.severity is None:
+        return one
+    return other if one.severity is None or one.severity < other.severity else one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,8 +140,8 @@ class Seen:
         If it is flaky for another reason, the same seed gives the same run here, and no rate can be measured.
         """
         is_other = (self.finding.flaky or "").startswith((NOT_REPEATED, ENDED_OTHERWISE))
-        has_drawn = self.run is not None and (is_other or (self.run.trace.drew and not self.is_flaky))
-        return (self.finding.rate is not None or has_drawn) and not self.is_timed
+        has_drawn = is_other or (self.observed.has_drawn and not self.is_flaky)
+        return (self.finding.rate is not None or has_drawn) and not (self.is_timed or self.finding.expect.is_crash)
 
     @property
     def label(self) -> Label | New:

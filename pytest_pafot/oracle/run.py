@@ -116,27 +116,6 @@ def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
     return "hit" if run.responsibility == "npc" else "at-fault"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Facts:
-    """The trace of a run, with what its search needs to know of it besides the verdict and is expensive to compute.
-
-    The process that has made the run computes it, so that the process of the session need not.
-
-    Attributes:
-        trace: the trace.
-        attribution: the attribution of its collision.
-        interaction: see :func:`pytest_pafot.searching.evaluation.has_interaction`.
-        doubt: see :func:`pytest_pafot.campaign.setup_fault.unit_doubt`.
-        fitness: the fitness of the run; None if the user's own function computes it, which only the session calls.
-    """
-
-    trace: Trace
-    attribution: Attribution
-    interaction: bool
-    doubt: str
-    fitness: float | None
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
@@ -148,7 +127,6 @@ class Run:
         avoided_by: last decision from which braking, or staying in the lane, avoids the collision in simulation, which
             a search finds out for its findings. The sentences require no braking later than a braking that avoids it.
         driver: name of the reference driver that drives the ego; None if the ADS does.
-        facts: what the process that made the run has computed of its trace, or None if it has computed nothing.
     """
 
     trace: Trace
@@ -156,7 +134,6 @@ class Run:
     take_over: TakeOver | None = field(default=None, kw_only=True)
     avoided_by: Avoidance | None = field(default=None, kw_only=True)
     driver: str | None = field(default=None, kw_only=True)
-    facts: Facts | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -315,7 +292,7 @@ class Run:
 
     @cached_property
     def _attributed(self) -> Attribution:
-        return attributed(self.trace) if self.facts is None else self.facts.attribution
+        return attributed(self.trace)
 
     @property
     def responsibility(self) -> Responsibility | None:

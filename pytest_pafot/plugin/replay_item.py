@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.events import Note
-from pytest_pafot.campaign.judging import headline
+from pytest_pafot.campaign.judging import Cause, SetupFaultError, cause_of, headline
 from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
-from pytest_pafot.campaign.setup_fault import Cause, SetupFaultError, cause_of
 from pytest_pafot.campaign.store import cause
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.saved import Saved

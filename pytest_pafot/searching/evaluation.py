@@ -102,12 +102,9 @@ class Evaluation:
         discarded: bool = False,
         kind: Hashable | None = None,
         margins: tuple[tuple[str, float], ...] = (),
-        interaction: bool | None = None,
+        note: Any = None,
     ) -> Self:
-        """Make the evaluation of a run from its trace and from the given fitness and verdict.
-
-        ``interaction`` is the result of :func:`has_interaction`, if it is known.
-        """
+        """Make the evaluation of a run from its trace and from the given fitness, verdict and note."""
         ended = ended_by(trace)
         return cls(
             scenario=trace.scenario,
@@ -118,7 +115,7 @@ class Evaluation:
             duration=trace.duration,
             genes_started=sum(map(len, trace.arrivals)),
             genes_reached=sum([tick is not None for arrivals in trace.arrivals for tick in arrivals]),
-            interaction=has_interaction(trace) if interaction is None else interaction,
+            interaction=has_interaction(trace),
             discarded=discarded,
             barely_moved=bool(np.mean(trace.ego[:, SPEED]) < BARELY_MOVING),
             kind=kind,
@@ -127,6 +124,7 @@ class Evaluation:
             ended=ended,
             gap=min(math.inf, min_gap(trace)) if ended else math.inf,  # and not NaN
             is_close=bool(ended and (ttc(trace)[-1] < CLOSE).any()),
+            note=note,
         )
 
     @property
@@ -311,18 +309,6 @@ class Evaluated:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunsEvaluated:
-    """Consecutive scenarios of a random search were evaluated in another process, which sent only what it counted.
-
-    What it counts is in a subclass.
-    """
-
-    generation: int  # the number of the first one
-    runs: int  # the number of scenarios; each was simulated
-    rows: tuple[dict[str, Any], ...] = ()  # of the table of runs, if the process makes them
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationFinished:
     """All scenarios of a generation were evaluated, or the limit on runs was reached inside the generation."""
 
@@ -382,7 +368,7 @@ class CampaignFinished:
 AlgorithmEvent = GenerationFinished | NewBest | LocalSearchStarted | LocalSearchFinished | Restarted
 """The events that an algorithm returns from ``tell``."""
 
-Event = CampaignStarted | Evaluated | RunsEvaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields
+Event = CampaignStarted | Evaluated | AlgorithmEvent | CampaignFinished  # what a campaign yields
 
 
 BROKEN = (Outcome.ADS_ERROR, Outcome.HANG)  # outcomes of runs that an error of the ADS cut short

@@ -35,10 +35,11 @@ from matplotlib.figure import Figure
 
 import pytest_pafot as pafot
 from pytest_pafot import Run, Scenario
-from pytest_pafot.campaign.events import Judged, SearchStarted
+from pytest_pafot.campaign.events import SearchStarted
 from pytest_pafot.campaign.judging import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch
+from pytest_pafot.searching.evaluation import Evaluated
 from tests.benchmarks.command import as_they_end, holds, options, print_head, seeds_of
 from tests.benchmarks.planted import PLANTED
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
@@ -96,18 +97,18 @@ def searched(policy: str, arm: str, seed: int, runs: int, seconds: float) -> Sea
         nonlocal began, spent, simulated, count, shared, found
         if isinstance(event, SearchStarted):
             began = time.perf_counter()
-        if not isinstance(event, Judged):
+        if not isinstance(event, Evaluated):
             return
         now = time.perf_counter()
         spent = now - began
         count += 1
-        simulated += event.run.duration
-        if event.verdict.failed:
-            found = not twin_fails(event.run.scenario)
+        simulated += event.evaluation.duration
+        if event.evaluation.failing:
+            found = not twin_fails(event.evaluation.executed)
             shared += not found
             began += time.perf_counter() - now
         if found or count >= runs or spent >= seconds:
-            raise EndedError  # before the search confirms and simplifies its finding
+            raise EndedError  # before the search simplifies its finding
 
     with suppress(EndedError):
         pafot.explore(

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from pytest_pafot.campaign import bench, explore, scenarios, search, store, tallies
+from pytest_pafot.campaign import bench, explore, results, run_table, scenarios, search, store
+from pytest_pafot.campaign.search import TimedWatch
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.campaign.watch import TimedWatch
 from pytest_pafot.execution import runner
 from tests.helpers.sessions import remember_reference_runs
 
@@ -50,10 +50,11 @@ def searched(tmp_path, monkeypatch):
     remember_reference_runs(monkeypatch)
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")  # the session itself makes that run
     monkeypatch.setattr(scenarios, "chunk_size", lambda run_seconds, left, workers: min(16, left))
-    given, task = [], scenarios.Chunk
+    given, task, note_of = [], scenarios.Chunk, run_table.note_of
     monkeypatch.setattr(scenarios, "Chunk", lambda first, *more: given.append(first) or task(first, *more))
 
-    def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, **settings):
+    def search(name, *, drives=False, ads=keep, test=holds, runs=RUNS, saves=True, has_table=True, **settings):
+        monkeypatch.setattr(run_table, "note_of", note_of if has_table else None)  # without one, runs are only counted
         monkeypatch.setattr(scenarios, "WORTH_SECONDS", 0.0 if drives else math.inf)
         settings = SPACE | {"shrink_rollouts": 0} | settings
         given.clear()
@@ -96,6 +97,12 @@ def test_whoever_drives_the_chunks_the_search_is_the_same(searched):
         assert found == alone
         assert numbers[0] < 8
         assert numbers == [*range(numbers[0], RUNS, 16)]
+    counted, _ = searched("counted", drives=True, workers=2, has_table=False)
+    in_rows = ("rows", "events")
+    assert len(counted["rows"]) < RUNS
+    assert [counted[each] for each in counted if each not in in_rows] == [
+        alone[each] for each in alone if each not in in_rows
+    ]
 
 
 def test_a_dead_process_costs_its_run_and_not_its_chunk(searched, monkeypatch):
@@ -161,12 +168,12 @@ class Early(list):
 @pytest.fixture
 def saved_early(monkeypatch):
     """Return the files that are saved before their chunk is counted. The first chunk waits for one that is awaited."""
-    saved, add_pending, drive = Early(), Store.add_pending, tallies.Driver.__call__
+    saved, add_early, drive = Early(), Store.add_early, results.Driver.__call__
 
     def add(self, *given):
-        before = {*self.pending}
-        add_pending(self, *given)
-        saved.extend(self.pending[each][0] for each in self.pending.keys() - before)
+        before = {*self.early}
+        add_early(self, *given)
+        saved.extend(self.early[each][0] for each in self.early.keys() - before)
         if any(map(saved.is_awaited, saved)):
             saved.is_any.set()
 
@@ -175,8 +182,8 @@ def saved_early(monkeypatch):
             saved.is_any.wait(30)  # however slow the machine is
         drive(self, task, *given)
 
-    monkeypatch.setattr(Store, "add_pending", add)
-    monkeypatch.setattr(tallies.Driver, "__call__", late)
+    monkeypatch.setattr(Store, "add_early", add)
+    monkeypatch.setattr(results.Driver, "__call__", late)
     return saved
 
 
@@ -253,27 +260,29 @@ def test_a_failure_of_a_later_chunk_that_is_not_repeated_is_flaky(searched, save
     assert "flaky: " in found["files"][early.name]
 
 
-def test_a_test_function_that_judges_otherwise_in_other_processes_does_not_end_the_search(searched):
+def test_what_the_test_function_judges_otherwise_in_the_session_is_flaky(searched):
     def holds_here(run):
         assert os.getpid() == SESSION or not run.collision
 
     found, numbers = searched("elsewhere", test=holds_here, drives=True, workers=2)
     assert numbers
     assert len(found["rows"]) == RUNS
-    assert not found["files"]
+    flaky = ["judged otherwise" in text for text in found["files"].values()]
+    assert flaky
+    assert all(flaky)
 
 
 @pytest.mark.parametrize("change", ["xfail: known\n", "no YAML: ["])
 def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, saved_early, monkeypatch, change):
-    add_pending, changed = Store.add_pending, {}
+    add_early, changed = Store.add_early, {}
 
     def add(self, *given):
-        add_pending(self, *given)
+        add_early(self, *given)
         for path in {*saved_early} - {*changed}:
             changed[path] = path.read_text() + change
             path.write_text(changed[path])
 
-    monkeypatch.setattr(Store, "add_pending", add)
+    monkeypatch.setattr(Store, "add_early", add)
     searched("early", drives=True, workers=2, stop_after=STOP)
     assert changed
     assert {path: path.read_text() for path in changed} == changed
@@ -282,7 +291,7 @@ def test_a_file_that_somebody_changes_before_its_turn_is_not_removed(searched, s
 def test_an_interrupt_while_a_failure_is_saved_early_leaves_no_file_that_the_session_does_not_know(
     searched, saved_early, tmp_path, monkeypatch
 ):
-    add_pending, write, noted = Store.add_pending, store.write, []
+    add_early, write, noted = Store.add_early, store.write, []
 
     def interrupted(*given):
         assert write(*given)
@@ -293,11 +302,11 @@ def test_an_interrupt_while_a_failure_is_saved_early_leaves_no_file_that_the_ses
         with monkeypatch.context() as patched:
             patched.setattr(store, "write", interrupted)
             try:
-                add_pending(self, *given)
+                add_early(self, *given)
             finally:
-                noted.extend(path for path, _ in self.pending.values())
+                noted.extend(path for path, *_ in self.early.values())
 
-    monkeypatch.setattr(Store, "add_pending", add)
+    monkeypatch.setattr(Store, "add_early", add)
     with pytest.raises(KeyboardInterrupt):
         searched("early", drives=True, workers=2)
     assert noted
@@ -308,8 +317,8 @@ def end_when_something_is_saved_early(end, search, monkeypatch):
     """Search in a process that gets a signal as soon as a failure is saved early."""
 
     def ended():
-        add_pending = Store.add_pending
-        monkeypatch.setattr(Store, "add_pending", lambda *given: add_pending(*given) or os.kill(os.getpid(), end))
+        add_early = Store.add_early
+        monkeypatch.setattr(Store, "add_early", lambda *given: add_early(*given) or os.kill(os.getpid(), end))
         search()
 
     session = multiprocessing.get_context("fork").Process(target=ended)

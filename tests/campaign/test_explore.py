@@ -17,7 +17,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign import explore
-from pytest_pafot.campaign.events import Judged, Search, SearchStarted
+from pytest_pafot.campaign.events import Search, SearchStarted
 from pytest_pafot.campaign.refine import simplest
 from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.corpus.reader import load
@@ -102,10 +102,10 @@ def test_table_has_a_row_for_each_tried_scenario(exploration):
         assert row["duration"] <= 20.0
 
 
-def test_events_equal_those_a_listener_hears_except_runs(exploration, heard):
-    runs = [event for event in heard if isinstance(event, Judged)]
+def test_events_equal_those_a_listener_hears(exploration, heard):
+    runs = [event for event in heard if isinstance(event, Evaluated) and not event.reused]
     assert len(runs) == exploration.summary.runs
-    assert list(exploration.events) == [event for event in heard if not isinstance(event, Judged)]
+    assert list(exploration.events) == heard
     assert isinstance(heard[0], SearchStarted)
     assert isinstance(heard[-1], Search)
     assert {told.finding.id for told in heard if isinstance(told, Seen)} == {

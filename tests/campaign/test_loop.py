@@ -7,13 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pytest_pafot.campaign.judging import evaluated, unknown
+from pytest_pafot.campaign.results import Result, State, signature_of
+from pytest_pafot.campaign.results import lost as result_of_death
 from pytest_pafot.campaign.run_table import row_of
 from pytest_pafot.campaign.scenarios import Bred
-from pytest_pafot.campaign.search import search
+from pytest_pafot.campaign.search import Watch, search
 from pytest_pafot.campaign.search_session import search_seed
-from pytest_pafot.campaign.state import State
-from pytest_pafot.campaign.watch import Watch
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.scenario_pool import expectation
 from pytest_pafot.findings.finding import of_failure
@@ -23,7 +22,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import SearchSpace, sample
-from pytest_pafot.searching.plan import Plan
+from pytest_pafot.searching.evaluation import Evaluated, Evaluation
 from tests.helpers.campaigns import Fresh
 from tests.helpers.tables import table
 
@@ -65,8 +64,8 @@ class Store:
     finds: list = field(default_factory=list)
     is_holding = False
 
-    def add(self, run, verdict, generation):
-        self.finds.append((verdict.failure.kind, generation))
+    def add(self, result, generation):
+        self.finds.append((result.evaluation.kind.failure, generation))
         return f"id-{len(self.finds)}"
 
     def add_lost(self, lost, generation):
@@ -86,26 +85,17 @@ class Bench:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def finish(self, run):
-        return self.verdicts(next(self.numbers))
-
-    def evaluation(self, run, verdict, signature):
-        return evaluated(run, verdict, signature, lambda run: 0.0)
+    def result(self, scenario, known):
+        run, verdict = self.simulate(scenario), self.verdicts(next(self.numbers))
+        kind = signature_of(run, verdict)
+        evaluation = Evaluation.of(
+            run.trace, fitness=0.0, failing=verdict.failed, discarded=verdict.discarded, kind=kind
+        )
+        return Result(evaluation=evaluation, kind=verdict.kind, ended=run.outcome)
 
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""
         return self.has_reference and next(self.numbers) % 2 == 1
-
-
-class Scenarios(Bred):
-    """The scenarios of an algorithm that run here, because there are no other processes."""
-
-    def next(self, fatal, known):
-        scenario = self.plan.scenario()
-        try:
-            return None if scenario in fatal else self.bench.simulate(scenario)
-        except ProcessLostError as error:
-            return error
 
 
 def searched(
@@ -122,9 +112,10 @@ def searched(
     """Return the state of a random search with these verdicts, and what it saved."""
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
-    plan = Plan(Fresh(SPACE, population=population), generations=generations, seed=1)
     bench = Bench(verdicts, run, has_reference=has_reference)
-    for _ in search(Scenarios(plan=plan, bench=bench), state, bench, store, watch or Watch()):
+    bench.runner = SimpleNamespace(announce=list)
+    scenarios = Bred(bench, Fresh(SPACE, population=population), generations=generations, seed=1)
+    for _ in search(scenarios, state, bench, store, watch or Watch()):
         pass
     counts = state.counts
     assert counts.kinds.total() == counts.outcomes.total() == counts.responsibilities.total() == state.runs
@@ -142,7 +133,7 @@ class Reached(Watch):
         self.runs = runs
 
     def reached(self, scenarios):
-        return "time" if scenarios.plan.sums.simulated >= self.runs else None
+        return "time" if scenarios.sums.simulated >= self.runs else None
 
 
 @table(
@@ -163,7 +154,7 @@ def test_whoever_stops_it_still_gets_the_last_event():
 def test_failures_with_one_signature_are_one_finding():
     found, finds = searched(lambda number: failed())
     assert finds == [("AssertionError", 0)]
-    assert found.repeats == {"id-1": found.runs - 1}
+    assert found.alike("id-1").runs == found.runs - 1
 
 
 def test_each_signature_is_reported_once_with_its_generation():
@@ -192,16 +183,16 @@ def test_scenario_of_a_dead_process_is_not_run():
         lambda number: Verdict(kind="passed"), run=lambda scenario: scenarios.append(scenario) or quiet_run(scenario)
     )
     found, _ = searched(lambda number: Verdict(kind="passed"), fatal=scenarios[:1])
-    assert found.runs == found.health.simulated == found.health.valid == everything.runs - 1
-    assert found.health.reused == 1
+    assert found.runs == found.counts.health.simulated == found.counts.health.valid == everything.runs - 1
+    assert found.counts.health.reused == 1
 
 
 def test_dying_processes_are_one_finding_with_count():
     found, finds = searched(lambda number: failed(), run=lost)
     assert finds == [("crash", 0)]
-    assert found.repeats == {"id-1": 5}
+    assert found.alike("id-1").runs == 5
     assert found.counts.kinds == {"failed": 6}
-    assert len(found.fatal) == found.health.failing == 6
+    assert len(found.fatal) == found.counts.health.failing == 6
     assert found.finished.best is None, "a death must teach the search nothing"
 
 
@@ -214,10 +205,10 @@ def test_hanging_process_differs_from_a_dying_one():
 def test_process_crash_shared_with_reference_is_no_finding():
     found, finds = searched(lambda number: failed(), run=lost, has_reference=True)
     assert finds == [("crash", 0)]
-    assert found.repeats == {"id-1": 2}
+    assert found.alike("id-1").runs == 2
     assert found.counts.kinds == {"failed": 3, "common": 3}
-    assert found.runs == found.health.simulated == found.health.valid == 6
-    assert (found.health.failing, found.health.vacuous) == (3, False)
+    assert found.runs == found.counts.health.simulated == found.counts.health.valid == 6
+    assert (found.counts.health.failing, found.counts.health.vacuous) == (3, False)
 
 
 def test_dying_processes_are_known_from_saved_scenario():
@@ -226,7 +217,8 @@ def test_dying_processes_are_known_from_saved_scenario():
     found, finds = searched(lambda number: failed(), run=lost, shown={signature: "saved"})
     assert finds == []
     assert found.covered == {"saved": 6}
-    row = row_of(unknown(lost_run.task, expectation(lost_run)), 0)
+    evaluation = result_of_death(lost_run.task, lost_run).evaluation
+    row = row_of(Evaluated(generation=0, local_generation=0, index=0, evaluation=evaluation, reused=False))
     assert [row[name] for name in ("failing", "verdict", "outcome")] == [True, "failed", "ads_error"]
     assert row["kind"] == signature.slug
 

@@ -11,7 +11,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.campaign import bench, explore, search_session, watch
+from pytest_pafot.campaign import bench, explore, search, search_session
 from pytest_pafot.campaign.events import Progress
 from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
@@ -74,14 +74,14 @@ def attempts(exploration):
 
 
 def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkeypatch):
-    def confirming(run, bench):
+    def confirming(*given):
         confirmed.append(clock.now)
         clock.now += 30
-        return ""
+        return bench.Confirmed(None, None, "")
 
     confirmed = []
     clock.step = lambda: 20.0
-    monkeypatch.setattr(bench, "difference", confirming)
+    monkeypatch.setattr(bench.Bench, "confirm", confirming)
     result = searched(clock, fails_in_three_ways, runs=4, shrink_rollouts=0)
     told = {event.id: event for event in result.events if isinstance(event, Seen)}.values()
     phases = {event.phase: event.seconds for event in result.events if isinstance(event, Progress)}
@@ -126,9 +126,9 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
         clock.now += 10 if ended else 15  # the first run loads libraries
         return rollout_of(world)
 
-    def confirming(run, bench):
+    def confirming(*given):
         clock.now += 30
-        return ""
+        return bench.Confirmed(None, None, "")
 
     def judged(run):
         ended.append(clock.now)
@@ -137,7 +137,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     ended = []
     monkeypatch.setattr(runner, "pool_for", Pool)
     monkeypatch.setattr(runner, "rollout_of", here)
-    monkeypatch.setattr("pytest_pafot.campaign.bench.difference", confirming)
+    monkeypatch.setattr(bench.Bench, "confirm", confirming)
     monkeypatch.setattr(search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "shrink_rollouts": 0}
     result = pafot.explore(constant_speed.make, holds=judged, corpus="corpus", **SHORT | given)
@@ -150,7 +150,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 def test_search_with_finding_leaves_third_for_shrinking(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=36)
     assert result.summary.reason == "--pafot-max-time"
-    assert result.summary.runs == 24
+    assert result.summary.runs == 21
     assert 0 < result.summary.more_runs["shrink"] < 10
     assert clock.now <= 36
 
@@ -158,7 +158,7 @@ def test_search_with_finding_leaves_third_for_shrinking(clock):
 def test_search_with_findings_goes_on_until_these_need_the_rest_of_its_time(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=600)
     assert len(result.findings) == 3
-    to_simplify = 3 * (15 + watch.RUNS_TO_CONFIRM + watch.RUNS_FOR_MOMENT)  # a run takes a second
+    to_simplify = 3 * (15 + search.RUNS_TO_CONFIRM + search.RUNS_FOR_MOMENT)  # a run takes a second
     assert 600 - to_simplify - 3 <= result.summary.runs <= 600 - to_simplify
     assert not any(unshrunk(result))
 
@@ -233,15 +233,13 @@ def test_run_that_is_cut_counts_nowhere(clock):
 @pytest.fixture
 def confirming(monkeypatch):
     """Return the confirming runs so far; there is no time for the first three."""
-    calls, compare = [], bench.difference
+    calls, confirm = [], bench.Bench.confirm
 
-    def difference(run, bench):
-        calls.append(run)
-        if len(calls) <= 3:
-            raise OutOfTime
-        return compare(run, bench)
+    def confirming(*given):
+        calls.append(given)
+        return bench.Confirmed(None, None, None) if len(calls) <= 3 else confirm(*given)
 
-    monkeypatch.setattr(bench, "difference", difference)
+    monkeypatch.setattr(bench.Bench, "confirm", confirming)
     return calls
 
 

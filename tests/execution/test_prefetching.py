@@ -68,7 +68,7 @@ def runner_of(tmp_path, monkeypatch):
 def asked(runner, scenarios=SCENARIOS):
     """Return the numbers of the runs, in order."""
     runner.announce(scenarios)
-    return [runner.run(each, announced=True).scenario.seed for each in scenarios]
+    return [runner.made(each).scenario.seed for each in scenarios]
 
 
 class TestProcesses:
@@ -96,9 +96,9 @@ class TestProcesses:
         world, pool = World(1.5), Pool(seconds=0.005)
         with runner_of(world, pool) as runner:
             runner.announce(SCENARIOS)
-            runner.run(SCENARIOS[0], announced=True)
+            runner.made(SCENARIOS[0])
             world.seconds = 0.005
-            assert [runner.run(each, announced=True).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+            assert [runner.made(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
         assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
@@ -107,9 +107,9 @@ class TestProcesses:
         world, pool = World(0.005), Pool()
         runner = runner_of(world, pool)
         runner.announce(SCENARIOS)
-        runner.run(SCENARIOS[0], announced=True)
+        runner.made(SCENARIOS[0])
         world.seconds = 0.02
-        assert [runner.run(each, announced=True).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+        assert [runner.made(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
         assert world.ran == [0, 1]
 
     def test_one_worker_is_this_process_and_says_nothing(self, runner_of):
@@ -123,7 +123,7 @@ class TestProcesses:
         world = World(1.0)
         runner = runner_of(world)
         for each in SCENARIOS:
-            runner.run(each, announced=True)
+            runner.made(each)
         assert world.ran == list(range(8))
 
     def test_fresh_runs_are_made_in_this_process(self, runner_of):

@@ -9,7 +9,7 @@ from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
-from pytest_pafot.oracle.run import Facts, Run
+from pytest_pafot.oracle.run import Run
 
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 
@@ -102,5 +102,6 @@ def random_states(rng, rows, vehicles, *, spread=25.0):
 
 def blamed_on(responsible, trace):
     """Return a run for whose collision some vehicles are responsible, whatever the rules say."""
-    found = Attribution(responsibility=responsible, tick=None, time=None)
-    return Run(trace, facts=Facts(trace, found, interaction=(True, False), doubt="", fitness=None))
+    run = Run(trace)
+    vars(run)["attribution"] = Attribution(responsibility=responsible, tick=None, time=None)  # as if it had been read
+    return run

@@ -1,10 +1,14 @@
 """The same exception in every run of the first generation is an error of the setup, not a finding."""
 
 import fnmatch
+from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 
-from pytest_pafot.campaign.setup_fault import FirstGeneration, SetupFaultError
+from pytest_pafot.campaign.judging import SetupFaultError, cause_of
+from pytest_pafot.campaign.results import Counts, State
+from pytest_pafot.campaign.search import check_set_up
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict
@@ -85,12 +89,11 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
 
 class TestNothingThatWasFoundIsLost:
     SOME = """
-    seen = []
+    seen = {}
 
     @pafot.search(SHORT, shrink_rollouts=0)
     def test_drive(run):
-        seen.append(run)
-        if len(seen) < 3:
+        if seen.setdefault(run.scenario.id, len(seen)) < 2:
             raise ValueError("lane")
         LATER
     """
@@ -279,13 +282,14 @@ def as_pattern(text):
     return text.replace("[", "[[]").replace('"', "'")
 
 
-def test_first_generation_error_counts_only_evaluated_runs():
-    first, run = FirstGeneration(), object()  # of a run in which the function failed, nothing is read
+def test_first_generation_error_counts_only_judged_runs():
     broken = Verdict(kind="failed", exception=KeyError("x"), failure=Failure(kind="KeyError", assertion="run['x']"))
-    for verdict in (Verdict(kind="npc"), broken, Verdict(kind="invalid"), broken):
-        first.see(run, verdict)
+    run = object()  # of a run in which the function failed, nothing is read
+    bench = SimpleNamespace(run=lambda scenario: run, finish=lambda run: broken)
+    cause, state = cause_of(run, broken), State(first=object())
+    state.counts += Counts(kinds=Counter(npc=1, failed=2, invalid=1), causes=Counter({cause: 2}))
     with pytest.raises(SetupFaultError, match="all 2 runs of the first generation that were judged ended in"):
-        first.end()
+        check_set_up(state, bench, " of the first generation")
 
 
 def test_mark_without_decorator_is_refused_with_advice(project):

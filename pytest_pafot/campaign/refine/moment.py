@@ -14,8 +14,8 @@ import numpy as np
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
-from pytest_pafot.campaign.refine.runs import check_limits
-from pytest_pafot.campaign.state import State
+from pytest_pafot.campaign.refine.simplest import check_limits
+from pytest_pafot.campaign.results import State
 from pytest_pafot.execution.runner import call_apart, runner_for
 from pytest_pafot.findings.decisions import (
     PARTS,
@@ -199,7 +199,7 @@ def _decided_aside(
     except RequestError:
         return None
     finally:
-        bench.counted_decisions += aside.asked  # not by the runner of the search
+        bench.decisions_beside += aside.asked  # not by the runner of the search
         bench.asked += aside.asked
         record.clear()
 

@@ -9,20 +9,19 @@ import math
 from dataclasses import replace
 
 from pytest_pafot.campaign.bench import Bench
-from pytest_pafot.campaign.events import Note, Refining
-from pytest_pafot.campaign.refine.drivers import with_reference_drivers
+from pytest_pafot.campaign.events import Note, Phase, Refining
+from pytest_pafot.campaign.judging import headline
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
-from pytest_pafot.campaign.refine.runs import check_limits, failure_rate, shows
-from pytest_pafot.campaign.refine.simplest import Simplest, Turn, simplest_of
-from pytest_pafot.campaign.state import State, lose
-from pytest_pafot.campaign.store import Store
+from pytest_pafot.campaign.refine.simplest import Simplest, Turn, check_limits, failure_rate, shows, simplest_of
+from pytest_pafot.campaign.results import State, fingerprint
+from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.finding import ending
+from pytest_pafot.findings.finding import Expect, ending
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
 from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import OutOfTime
+from pytest_pafot.oracle.run import Run, with_avoidance
+from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
 
@@ -49,12 +48,10 @@ def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf)
         until: the time at which all this must end [s].
     """
     __tracebackhide__ = True
-    bench.refining_end, before = until, bench.decisions
+    bench.refining_end, before, searched = until, bench.decisions, state.counts.decisions
     # Without a limit of the user's, all this may ask the policy for as many decisions as the search did.
     bench.asked = 0
-    bench.refining_most = math.inf if bench.harness.request.settings.shrink_rollouts else max(before, LEAST_DECISIONS)
-    # Candidates are judged by the failure of one finding, which no other process knows.
-    bench.runner.read_here()
+    bench.refining_most = math.inf if bench.harness.request.settings.shrink_rollouts else max(searched, LEAST_DECISIONS)
     with bench.runner:
         try:
             refined = yield from _in_turns(state, bench, store)
@@ -155,7 +152,10 @@ def _confirmed(
         differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
     else:
         is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
-        differs = "" if is_confirmed else bench.confirm(run)
+        again = "" if is_confirmed else bench.confirm(scenario, fingerprint(run.trace)).differs
+        if again is None:
+            raise OutOfTime
+        differs = again
     if not differs and rate is not None and scenario != sighting.finding.scenario:
         rate = yield from failure_rate(sighting, scenario, state, bench)
     return replace(simplest, rate=rate), run, verdict, differs
@@ -183,3 +183,58 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
                 raise
             yield Note(f"no {about} of saved-{sighting.id}: {type(error).__name__}: {one_line(str(error))}")
             return
+
+
+def with_reference_drivers(
+    sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
+) -> Refining[Seen]:
+    """Return a finding as its confirmed scenario shows it, with what other drivers do in it.
+
+    It keeps the scenario as found.
+    """
+    if verdict.failure is None or verdict.exception is None:
+        return sighting
+    harness, scenario = bench.harness, simplest.scenario
+    before = replace(sighting.finding, rate=simplest.rate)
+    original = before.original or before.scenario
+    yield Phase(f"trying reference drivers in saved-{sighting.id}", sighting.id)
+    outcomes, errors = harness.reference_outcomes(run, verdict)
+    # When would a driver have had to take over and brake? The world simulates it.
+    avoided, exception = None, verdict.exception
+    try:
+        avoided = harness.avoidance(run, verdict)
+    except DriverError as error:  # the world cannot simulate the driver
+        errors.append(error)
+    for each in errors:
+        yield Note(f"{each}; findings say nothing of what this driver would have done")
+    shown = run if avoided is None else with_avoidance(run, avoided)
+    if shown.sentences != run.sentences:  # the message of the failure may contain them
+        again = harness.judge(shown)
+        exception = (again.exception if again.failed else None) or exception
+    # The file says from now on what the simple scenario shows; only its name and its origin are those of the first run.
+    finding = replace(
+        before,
+        scenario=scenario,
+        expect=Expect.of(
+            run,
+            verdict.failure,
+            reference_drivers=outcomes,
+            avoided_by=avoided,
+            against=before.expect.against,
+            root=str(harness.root),
+        ),
+        original=original if scenario != original else None,
+        shrunk=simplest.shrunk if simplest.shrunk.rollouts else None,
+    )
+    # Nothing new: the caller then does not write the file again.
+    if finding == before and not sighting.unshrunk:
+        return sighting
+    return replace(
+        sighting,
+        finding=finding,
+        headline=finding.with_sight(headline(run, verdict)),
+        observed=replace(
+            sighting.observed, run=shown, verdict=replace(verdict, exception=exception), severity=verdict.severity
+        ),
+        unshrunk="",
+    )

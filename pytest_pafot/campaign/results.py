@@ -1,0 +1,466 @@
+"""What is left of a run when its trace is gone, and the one rule by which runs are counted.
+
+The process that drives a scenario judges the run as well, and keeps its trace, which is large. It sends a
+:class:`Result`, or for runs of which nothing else need be known, their :class:`Counts`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Set
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any, Literal, Self
+
+from pytest_pafot.campaign.harness import Harness
+from pytest_pafot.campaign.judging import Cause, cause_of, headline, unit_doubt
+from pytest_pafot.execution.crash_records import CrashRecord
+from pytest_pafot.execution.scenario_pool import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
+from pytest_pafot.findings.finding import Finding, Found, Manner, failed_as
+from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.sighting import Alike, worse
+from pytest_pafot.findings.signature import CHECK_FAILED, Signature
+from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.searching.evaluation import CampaignFinished, Evaluation, Health
+from pytest_pafot.searching.space import SearchSpace
+from pytest_pafot.support import monotonic
+from pytest_pafot.support.text import plural
+from pytest_pafot.world import codec
+
+FAILING = ("failed", "unpreventable", "common")
+"""The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
+UNJUDGED = ("npc", "avoidable", "invalid")
+"""The kinds of verdicts on runs for which the test function was not called."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failed:
+    """A failure that counts and that was not known where it was driven.
+
+    Attributes:
+        finding: the content of its file, except for the number of the generation.
+        headline: one line on it.
+        text: what was raised, in the words of a failure without a traceback.
+        fingerprint: a digest of what happened in the run, which another run of the scenario repeats; empty if
+            wall-clock time decides what happens.
+        drew: whether the policy drew random numbers.
+    """
+
+    finding: Finding
+    headline: str
+    text: str
+    fingerprint: str
+    drew: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """What a search needs of a run.
+
+    Attributes:
+        evaluation: what the algorithm sees of the run. Its kind is the signature of a failure that counts.
+        kind: the kind of the verdict.
+        ended: how the run ended; ``lost`` if its process died or hung.
+        responsible: the side responsible for the collision; None if neither is, or there is none.
+        fails: how the run failed, also if that does not count: by a collision for which the ego is responsible, alone
+            or with the NPC, by a check, or otherwise; empty if it passed.
+        decisions: the number of decisions of the ADS.
+        manner: how a failure that counts came about; None if nothing failed.
+        severity: the severity of a failure; None if nothing measures it.
+        failed: a failure that counts, if it is not known; otherwise None.
+        cause: the cause of a failure that can be a fault of the set-up; otherwise None.
+        caught: the names of checks that failed although the test function passed.
+        doubt: see :func:`~pytest_pafot.campaign.judging.unit_doubt`.
+        excused: what happened in a collision that the rules excuse, though braking late avoids it; otherwise empty.
+        broken: how the reference itself failed in the scenario; empty if it did not, None if it was not driven.
+    """
+
+    evaluation: Evaluation
+    kind: str
+    ended: str
+    responsible: str | None = None
+    fails: Literal["", "ego", "check", "otherwise"] = ""
+    decisions: int = 0
+    manner: Manner | None = None
+    severity: Severity | None = None
+    failed: Failed | None = None
+    cause: Cause | None = None
+    caught: tuple[str, ...] = ()
+    doubt: str = ""
+    excused: str = ""
+    broken: str | None = None
+
+    def beside(self, reference: Verdict) -> Self:
+        """Return the result of a failure with the verdict on the reference in its scenario.
+
+        If the reference does not pass, the failure does not count.
+        """
+        failure = reference.failure if reference.is_ads else None
+        broken = "" if failure is None else f"{failure.kind}: {failure.message}"
+        if reference.passes:
+            return replace(self, broken=broken)
+        evaluation = replace(self.evaluation, failing=False, kind=None)
+        return replace(self, evaluation=evaluation, kind="common", failed=None, manner=None, broken=broken)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examiner:
+    """The examination of a run in the process that drove it.
+
+    Attributes:
+        harness: has the test function.
+        fitness: the fitness of a run.
+        seed: the seed of the search.
+        note: returns what a table of runs needs of a run, which becomes the note of its evaluation; None without table.
+    """
+
+    harness: Harness
+    fitness: Callable[[Run], float]
+    seed: int
+    note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None
+
+    def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
+        """Judge a run, and return what is left of it; of ``known`` failures nothing is left but their signature."""
+        __tracebackhide__ = True
+        run = self.harness.run_of(trace)
+        verdict = self.harness.judge(run)
+        signature = manner = failed = None
+        fails: Literal["", "ego", "check", "otherwise"] = ""
+        if verdict.kind in FAILING:
+            # An ADS that raised or hung has failed by itself, even if a collision followed.
+            is_by_ego = not verdict.is_ads and run.responsibility in ("ego", "both")
+            fails = "ego" if is_by_ego else "check" if verdict.is_check else "otherwise"
+        if verdict.failed and verdict.failure is not None:
+            signature, manner = failed_as(run, verdict.failure)
+            if signature not in known:
+                failed = self._failed(run, verdict)
+        evaluation = Evaluation.of(
+            trace,
+            fitness=self.fitness(run),
+            failing=verdict.failed,
+            discarded=verdict.discarded,
+            kind=signature,
+            margins=verdict.margins,
+            note=None if self.note is None else self.note(run, verdict),
+        )
+        is_caught = verdict.kind == "passed"
+        return Result(
+            evaluation=evaluation,
+            kind=verdict.kind,
+            ended=str(run.outcome),
+            responsible=run.responsibility,
+            fails=fails,
+            decisions=len(trace.actions),
+            manner=manner,
+            severity=verdict.severity,
+            failed=failed,
+            cause=cause_of(run, verdict),
+            caught=tuple({each.name for each in verdict.checks if not each.holds}) if is_caught else (),
+            doubt=unit_doubt(trace),
+            excused=verdict.excused,
+        )
+
+    def _failed(self, run: Run, verdict: Verdict) -> Failed:
+        assert verdict.failure is not None  # noqa: S101  (the run has failed)
+        harness, failure = self.harness, verdict.failure
+        finding = Finding.of(
+            run,
+            failure,
+            test=harness.node_id,
+            world=codec.described(harness.world),
+            found=found_by(harness, self.seed),
+            perception=harness.policy.sight,
+            against="" if harness.against is None else harness.against.name,
+            root=str(harness.root),
+        )
+        return Failed(
+            finding=finding,
+            headline=finding.with_sight(headline(run, verdict)),
+            text=str(verdict.exception) if verdict.is_ads else f"{failure.kind}: {failure.message}",
+            fingerprint="" if verdict.is_timed else fingerprint(run.trace),
+            drew=run.trace.drew,
+        )
+
+
+def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = "") -> Found:
+    """Return the origin of a finding of a search, or of what ``algorithm`` names instead."""
+    algorithm = algorithm or harness.request.algorithm.name
+    return Found(seed=seed, generation=generation, algorithm=algorithm, versions=harness.versions)
+
+
+def fingerprint(trace: Trace) -> str:
+    """Return a digest of how a run went to its last bit, and how it ended."""
+    shape = f"{trace.outcome} {trace.states.shape} ".encode()
+    return hashlib.sha256(shape + trace.states.tobytes()).hexdigest()
+
+
+def signature_of(run: Run, verdict: Verdict) -> Signature | None:
+    """Return the signature of a failure that counts; None if there is none."""
+    return failed_as(run, verdict.failure)[0] if verdict.failed and verdict.failure is not None else None
+
+
+def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
+    """Return the result of a scenario in which a process died or hung, from which an algorithm learns nothing.
+
+    ``death`` is None if it did so before, and the scenario was not run again. It ``is_common`` if the reference does
+    not pass the scenario either.
+    """
+    expect = None if death is None or is_common else expectation(death)
+    evaluation = Evaluation(
+        scenario=scenario,
+        executed=scenario,
+        fitness=0.0,
+        failing=expect is not None,
+        kind=None if expect is None else expect.signature,
+        outcome=Outcome.ADS_ERROR if expect is None else expect.outcome,
+        duration=0.0,
+        genes_started=0,
+        genes_reached=0,
+        interaction=False,
+        discarded=True,
+    )
+    return Result(evaluation=evaluation, kind="common" if expect is None else "failed", ended="lost")
+
+
+@dataclass(slots=True, kw_only=True)
+class Counts:
+    """The counts of some runs, which become those of more runs by ``+=``.
+
+    Attributes:
+        kinds, outcomes, responsibilities: numbers of runs by kind of verdict, by outcome, and by who was responsible,
+            or ``none``; each adds up to the number of runs.
+        fails: numbers of those runs that say something about the ego, by how they failed, see :class:`Result`.
+        failures: all runs with each failure that counts.
+        manners: the id of the first scenario for each manner of each failure.
+        causes: numbers of runs by the cause of what may be a fault of the set-up.
+        caught: numbers of passed runs by the names of checks that failed in them.
+        decisions: the number of decisions of the ADS.
+        health: the figures that say whether the runs tested anything.
+        doubt, excused, broken: see :class:`Result`, of the first run with one; ``broken`` is empty if the reference did
+            not itself fail in one of the scenarios.
+    """
+
+    kinds: Counter[str] = field(default_factory=Counter)
+    outcomes: Counter[str] = field(default_factory=Counter)
+    responsibilities: Counter[str] = field(default_factory=Counter)
+    fails: Counter[str] = field(default_factory=Counter)
+    failures: dict[Signature, Alike] = field(default_factory=dict)
+    manners: dict[tuple[Signature, Manner], str] = field(default_factory=dict)
+    causes: Counter[Cause] = field(default_factory=Counter)
+    caught: Counter[str] = field(default_factory=Counter)
+    decisions: int = 0
+    health: Health = field(default_factory=Health)
+    doubt: str = ""
+    excused: str = ""
+    broken: str | None = None
+
+    @property
+    def runs(self) -> int:
+        """The number of runs."""
+        return self.kinds.total()
+
+    @property
+    def is_alike(self) -> bool:
+        """True if all runs that were judged had the same cause, which may be a fault of the set-up."""
+        judged = self.runs - sum(self.kinds[kind] for kind in UNJUDGED)
+        return len(self.causes) <= 1 and self.causes.total() == judged
+
+    @classmethod
+    def of(cls, result: Result, number: int = 0) -> Self:
+        """Count one run, whose number in the search counts from 0."""
+        evaluation, counts = result.evaluation, cls()
+        counts.kinds[result.kind] = 1
+        counts.outcomes[result.ended] = 1
+        counts.responsibilities[result.responsible or "none"] = 1
+        if not evaluation.discarded and result.kind != "invalid":
+            counts.fails[result.fails] = 1
+        if isinstance(evaluation.kind, Signature):
+            counts.failures[evaluation.kind] = Alike(runs=1, number=number, severity=result.severity)
+            if result.manner is not None:
+                counts.manners[evaluation.kind, result.manner] = evaluation.executed.id
+        if result.cause is not None:
+            counts.causes[result.cause] = 1
+        counts.caught.update(result.caught)
+        counts.decisions, counts.health = result.decisions, Health.of_runs(1, [evaluation])
+        counts.doubt, counts.excused, counts.broken = result.doubt, result.excused, result.broken
+        return counts
+
+    def __iadd__(self, other: Counts) -> Self:
+        """Count more runs, which come after these."""
+        for name in _COUNTERS:
+            getattr(self, name).update(getattr(other, name))
+        for signature, more in other.failures.items():
+            known = self.failures.get(signature)
+            runs = more.runs + (0 if known is None else known.runs)
+            self.failures[signature] = replace(more if known is None else worse(known, more), runs=runs)
+        for each, id_ in other.manners.items():
+            self.manners.setdefault(each, id_)
+        self.decisions += other.decisions
+        self.health += other.health
+        self.doubt, self.excused = self.doubt or other.doubt, self.excused or other.excused
+        if None in (self.broken, other.broken):
+            self.broken = other.broken if self.broken is None else self.broken
+        else:
+            self.broken = other.broken and self.broken
+        return self
+
+
+_COUNTERS = [each.name for each in fields(Counts) if str(each.type).startswith("Counter")]
+
+
+@dataclass(slots=True, kw_only=True)
+class Driver:
+    """The driving of chunks of a random search in the processes that run its scenarios.
+
+    Attributes:
+        examiner: examines each run.
+        drawn: returns the scenario of a number; None before the search begins.
+    """
+
+    examiner: Examiner
+    drawn: Callable[[int], Scenario] | None = None
+
+    def __call__(self, chunk: Chunk, job: Job, record: CrashRecord, say: Callable[[Timed], object]) -> None:
+        """Draw and drive the scenarios of a chunk, and say what comes of them."""
+        assert self.drawn is not None  # noqa: S101  (only then there are tasks)
+        known = set(chunk.known)
+        examine = partial(self.examiner, known=known)
+        counts, output, seconds = Counts(), CapturedOutput(), 0.0
+        for number in range(chunk.first, chunk.end):
+            scenario = self.drawn(number)
+            made: Any = None
+            try:
+                if scenario not in chunk.fatal:
+                    made, said, took = run_recorded(job, record, scenario, examine)
+            except MemoryError:  # The session must not use up its memory in the same way.
+                raise
+            except Exception:  # noqa: BLE001, S110  (the session runs it again, and reports what is raised)
+                pass
+            # A message costs the session more than a run. So what is only counted waits for the next message.
+            if isinstance(made, Result) and made.failed is None and self.examiner.note is None:
+                counts += Counts.of(made, number)
+                output, seconds = output.followed_by(said), seconds + took
+                continue
+            if counts.runs:
+                say((counts, output, seconds))
+                counts, output, seconds = Counts(), CapturedOutput(), 0.0
+            if isinstance(made, Result):
+                say((made, said, took))
+                known |= {made.evaluation.kind} - {None}
+            else:  # Only the session may run it, or judge it.
+                say((None, CapturedOutput(), 0.0))
+        if counts.runs:
+            say((counts, output, seconds))
+
+
+@dataclass(slots=True, kw_only=True)
+class State:
+    """A search in progress, with everything that it has seen so far."""
+
+    counts: Counts = field(default_factory=Counts)  # of all its runs
+    fatal: set[Scenario] = field(default_factory=set)  # scenarios in which a process died; they are not run
+    is_random: bool = False  # whether all its scenarios are random
+    space: SearchSpace | None = None  # None for replays only
+    clock: Callable[[], float] = monotonic  # returns the seconds since some moment
+    began: float = 0.0  # the time at which this session began [s]
+    shown: Mapping[Signature, str] = field(default_factory=dict)  # ids of saved scenarios by their failure
+    finds: dict[Signature, str] = field(default_factory=dict)  # ids of new findings by signature
+    is_set_up: bool = False  # whether it is known that the set-up has no fault
+    first: Scenario | None = None  # the first scenario that may show a fault of the set-up
+    first_skipped: Scenario | None = None  # the first scenario that the test function skipped
+    shrink_runs: int = 0  # number of attempts to shrink findings, and of runs for rates
+    shrink_decisions: int = 0  # that the ADS made in these
+    moment_runs: int = 0  # number of runs in which the ADS is asked again beside a run
+    moment_decisions: int = 0  # that the ADS made in these
+    generation: int = 0  # generation of the main search, from 0
+    finished: CampaignFinished | None = None  # the last event of the plan
+
+    @property
+    def runs(self) -> int:
+        """The number of scenarios that were simulated so far."""
+        return self.counts.runs
+
+    @property
+    def is_alike(self) -> bool:
+        """True as long as all runs may show the same fault of the set-up."""
+        return not self.is_set_up and self.counts.is_alike
+
+    @property
+    def known(self) -> Set[Signature]:
+        """The failures that a saved scenario shows, or that this search has found before."""
+        return self.shown.keys() | self.finds.keys()
+
+    @property
+    def covered(self) -> Counter[str]:
+        """The numbers of runs with the failure of a saved scenario, by its id."""
+        covered = Counter[str]()
+        for signature, alike in self.counts.failures.items():
+            if signature in self.shown:
+                covered[self.shown[signature]] += alike.runs
+        return covered
+
+    def alike(self, find_id: str) -> Alike:
+        """Return how many other runs failed like a new finding, and the worst of them all."""
+        kept = [self.counts.failures[each] for each, id_ in self.finds.items() if id_ == find_id]
+        return replace(kept[0], runs=kept[0].runs - 1) if kept else Alike()
+
+    @property
+    def failures(self) -> dict[Signature, str]:
+        """The ids of findings, saved or new, by the failures that this search showed."""
+        shown = {each: self.shown[each] for each in self.counts.failures if each in self.shown}
+        return shown | self.finds
+
+    @property
+    def known_alone(self) -> str:
+        """A note if all failures so far are known failures of checks; empty if nothing or anything else failed."""
+        checks = {id_ for signature, id_ in self.shown.items() if signature.failure == CHECK_FAILED}
+        covered = self.covered
+        if not covered or covered.total() < self.counts.kinds["failed"] or not checks.issuperset(covered):
+            return ""
+        names = " and ".join(f"saved-{id_}" for id_ in sorted(covered))
+        which = "a failed check" if len(covered) == 1 else "failed checks"
+        return f"all {plural(covered.total(), 'failing run')} are known, by {names}, {which}; nothing else failed"
+
+    def warnings(self, harness: Harness) -> tuple[str, ...]:
+        """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
+        counts = self.counts
+        warnings = counts.health.warnings()
+        excused = sum(counts.kinds[kind] for kind in ("npc", "avoidable", "unpreventable"))
+        if excused and not counts.kinds["passed"] and not counts.kinds["failed"]:
+            warnings.append(
+                f'the test function judged nothing: blame="{harness.request.blame}" excludes all '
+                f"{plural(excused, 'failure')} that it could judge; search longer"
+            )
+        warnings += [
+            f"check {name!r} failed in {runs} of {counts.kinds['passed']} runs that passed: the test function "
+            "caught its exception; do not catch it, or use pafot.target, which never fails"
+            for name, runs in sorted(counts.caught.items())
+        ]
+        if counts.broken:
+            warnings.append(
+                f"the reference itself failed in all its runs, at first with {counts.broken}, so no failure could "
+                "count; correct the reference, its factory, or the world= in which it drives"
+            )
+        return tuple(warnings)
+
+    @property
+    def seconds(self) -> float:
+        """The time that the search has taken so far [s]."""
+        return self.clock() - self.began
+
+    def take(self, result: Result) -> None:
+        """Count a run."""
+        self.counts += Counts.of(result, self.generation if self.is_random else self.runs)
+        if result.cause is not None:
+            self.first = self.first or result.evaluation.executed
+        if result.kind == "skipped":
+            self.first_skipped = self.first_skipped or result.evaluation.executed
+
+    def forget_findings(self) -> None:
+        """Forget the failures of a search whose set-up is at fault: they must not count as findings or as known."""
+        self.counts.failures.clear()
+        self.finds.clear()
