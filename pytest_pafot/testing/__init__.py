@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
@@ -18,13 +17,12 @@ from pytest_pafot.campaign.request import SpaceArguments
 from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario, rng_of
-from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace, X, Y
+from pytest_pafot.model.trace import SPEED, Outcome, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.testing import traces as rules
-from pytest_pafot.testing.simulators import SETTLED as LAG
 from pytest_pafot.testing.simulators import experiments
 from pytest_pafot.testing.traces import ACROSS, ALONG, DEEP, ROUNDING, Promises
 from pytest_pafot.world import SimulatorWorld, WorldLike
@@ -46,12 +44,6 @@ LEAST_SPEED = 5.0
 """The speed above which an NPC can change lanes soon [m/s]."""
 GOOD_DECISIONS = 2
 """The number of decisions that a failing ADS of the check makes before it fails."""
-LONGER = 4
-"""The largest number of runs that are also made longer, if the world has ``lasting``."""
-STEADY_BRAKING = "steady-braking"
-"""The driver that brakes in its lane until it stands."""
-BRAKING, BRAKING_SHARE = 6.0, 0.1
-"""The braking of the driver steady-braking [m/s^2], and the share by which it may differ."""
 FEW = 2
 """The number of runs of a simulator that are made again in each of the checks that repeat runs."""
 MORE = 4
@@ -136,9 +128,6 @@ def check_world(
     - NPCs stay within the world's ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
     - An ADS that raises, returns no action or hangs ends its own run and does not affect other runs. An ADS that hangs
       is tried only if the world's ``hang_limit`` is at most one second.
-    - If the world's class has ``lasting``, its runs are as long as asked, and begin as usual, to the last bit.
-    - ``decisions=`` replaces the first decisions, ``take_over`` repeats a run up to a tick, and all declared drivers
-      drive, as far as the world has these.
     - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
       world.
 
@@ -159,8 +148,7 @@ def check_world(
         AssertionError: if a requirement is not met; the message names it.
 
     Warns:
-        RuntimeWarning: if no run had a collision, so that nothing about collisions was checked; or if all had an event,
-            so that nothing about ``lasting`` was checked.
+        RuntimeWarning: if no run had a collision, so that nothing about collisions was checked.
     """
     lacking = base_world(world).missing
     _promise(not lacking, "a world has all that a search needs", f"no {', '.join(lacking)}")
@@ -196,9 +184,6 @@ def check_world(
     _check_obedience(world, done, egos, len(few))
     _check_speed(world, staged[:1])
     _check_sides(world, done[0])
-    _check_decisions(world, few)
-    _check_drivers(world, staged, [*egos, *few][: len(few)])
-    _check_lasting(world, done, ads)
     _check_faults(world, longest, ads)
     _check_round_trip(world, done[0], ads)
     if not any(each.trace.collision for each in every):
@@ -476,102 +461,6 @@ def _check_sides(world: Any, done: _Done) -> None:
             _promise(apart.max() > DEEP, promise, received)
         received = f"NPCs {-apart.min():.1f} m farther left if they should go right"
         _promise(apart.min() > -DEEP or apart.max() > DEEP, promise, received)
-
-
-def _check_decisions(world: Any, done: Sequence[_Done]) -> None:
-    """Check that ``decisions=`` replaces the first decisions of an ADS, which then goes on from there."""
-    for each in done if base_world(world).is_resumable else ():
-        trace, actions, ticks = each.trace, each.trace.actions, (*each.trace.decision_ticks, each.trace.ticks)
-        for given in (len(actions) // 2, len(actions)) if each.calls.is_known and len(actions) > 1 else ():
-            calls = _Calls(_constant((-6.0, 0.0)) if base_world(world).looks_si(actions) else each.calls.ads)
-            again = _rollout(world.rollout, each.scenario, calls.factory, decisions=actions[:given])
-            promise = "decisions= replaces the first decisions, so a run with trace.actions repeats states"
-            _promise(
-                _repeats(trace, again, ticks[min(given, len(ticks) - 1)] + 1),
-                promise,
-                f"other states with {given} decisions",
-            )
-            asked = sum(len(noted.actions) for noted in calls.noted)
-            received = f"{asked} calls and {len(again.actions)} actions after {given} decisions"
-            promise = "decisions= replaces calls of the ADS, and actions has both"
-            _promise(len(again.actions) == given + asked, promise, received)
-
-
-def _check_drivers(world: Any, staged: Sequence[_Done], others: Sequence[_Done]) -> None:
-    """Check that all drivers that a world declares can drive, and take over, in runs with different egos.
-
-    In the first staged run NPC 0 stops ahead of the ego. A driver that collides with it as if it did nothing is none.
-    """
-    tried = [*staged[:1], *others][:4]
-    first = tried[0].trace
-    hit = bool(staged) and first.collision is not None and first.collision.npc == 0
-    for name in base_world(world).reference_drivers:
-        with _no_error(f"rollout_reference runs the declared driver {name!r}"):
-            trace, again = (world.rollout_reference(first.scenario, name) for _ in range(2))
-        _promise(isinstance(trace, Trace), "rollout_reference returns a pafot.Trace", f"{trace!r:.200}")
-        _check_form(world, first.scenario, trace)
-        _check_same(trace, again, f"rollout_reference gives the same trace again for {name!r}")
-        is_seen = not (hit and _repeats(first, trace, None, 1))
-        _promise(is_seen, f"rollout_reference lets {name!r} drive", "the run without it, with its collision")
-    for name in base_world(world).drivers:
-        is_other = []
-        for each in tried:
-            trace, ticks = each.trace, each.trace.decision_ticks
-            tick = ticks[bisect_right(ticks, trace.ticks // 4) - 1]
-            with _no_error(f"take_over runs the declared driver {name!r}"):
-                taken = world.take_over(trace, tick, name)
-            _promise(isinstance(taken, Trace), "take_over returns a pafot.Trace", f"{taken!r:.200}")
-            is_same = _repeats(trace, taken, tick + 1)
-            _promise(is_same, f"take_over repeats the run up to its tick with {name!r}", "other states before it")
-            _check_form(world, taken.scenario, taken)
-            is_other.append(not _repeats(trace, taken, None, 1))
-            may_lag = isinstance(base := base_world(world), SimulatorWorld) and base.moves_ego_only
-            settled = tick + round(LAG * taken.physics_hz) if may_lag else tick
-            is_braking = name != STEADY_BRAKING or taken.collision is not None or _brakes_steadily(taken, settled)
-            received = f"{taken!r}, the ego at {taken.ego[-1, SPEED]:.1f} m/s at its end"
-            _promise(is_braking, f"{STEADY_BRAKING} brakes with 6 m/s^2 in its lane until it stands", received)
-        # Without a collision or another ego, a driver may have nothing else to do than the ADS.
-        is_seen = is_other[0] if hit else any(is_other) or not any(each.trace.collision for each in tried)
-        _promise(is_seen, f"take_over lets {name!r} drive after its tick", "the states of the run without it")
-
-
-def _brakes_steadily(taken: Trace, tick: int) -> bool:
-    """Return whether the ego brakes with 6 m/s^2 in its lane from a tick on, until it stands."""
-    speed, lane, rate = taken.ego[tick:, SPEED], taken.ego[tick:, LANE], BRAKING / taken.physics_hz
-    wanted = np.maximum(speed[0] - rate * np.arange(len(speed)), 0.0)
-    # A simulator may begin a tick later, and its brakes may be a little weaker or stronger.
-    is_braking = np.abs(speed - wanted) <= BRAKING_SHARE * (speed[0] - wanted) + 2 * rate
-    return bool(is_braking.all() and (lane == lane[0]).all())
-
-
-def _check_lasting(world: Any, done: Sequence[_Done], ads: Ads) -> None:
-    """Check that a run that lasts longer is as long as asked for, and begins as usual."""
-    if not base_world(world).can_go_on:
-        return
-    whole = [each for each in done if each.trace.outcome is Outcome.SAFE][:LONGER]
-    if not whole:
-        warnings.warn(
-            f"check_world: no run without an event among {len(done)} runs, so nothing about lasting was checked; give "
-            "an ads= that avoids collisions, or more runs=",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-    for number, each in enumerate(whole):
-        trace, seconds = each.trace, each.trace.duration + 2.0 + number / 5  # other times for runs of one length
-        with _no_error("lasting returns a world"):
-            other = world.lasting(seconds)
-        _promise(not base_world(other).missing, "lasting returns a world", f"{other!r:.100}")
-        longer = _rollout(rollout_of(other), each.scenario, ads)
-        begins = _is_same(trace.states, longer.states[: len(trace.states)]) and len(trace.lanes) == len(longer.lanes)
-        usual = "a run in the world of lasting begins as usual"
-        _promise(begins, usual, f"other states or lanes for {each.scenario}")
-        # An event may end it earlier.
-        least = seconds if longer.outcome is Outcome.SAFE and not longer.ended else trace.duration
-        _promise(
-            least - trace.dt - ROUNDING <= longer.duration <= seconds + trace.dt + ROUNDING,
-            "a run in the world of lasting lasts as long as asked",
-            f"{longer.duration:g} s for {seconds:g} s, for {each.scenario}",
-        )
 
 
 def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
