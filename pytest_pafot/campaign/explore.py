@@ -212,10 +212,8 @@ class AlgorithmRun:
     def _made(self) -> Algorithm[Any] | RandomSearch:
         return self.algorithm.make(self.space)
 
-    def rows(self, tick: Callable[[float], object]) -> list[run_table.Row]:
+    def rows(self) -> list[run_table.Row]:
         """Make the run, and return a row for each scenario that the algorithm has asked for.
-
-        ``tick`` receives the finished share of the run.
 
         Raises:
             SetupFaultError: if the ADS fails for the same reason at its first decision in the whole first generation.
@@ -231,7 +229,6 @@ class AlgorithmRun:
             if isinstance(event, Evaluated):
                 evaluation = event.evaluation
                 seconds += 0.0 if event.reused else evaluation.duration
-                tick(max(event.generation / (runs or self.generations), seconds / self.seconds))
                 table.rows[-1] |= {
                     "index": event.index,
                     "clock": seconds,
@@ -256,7 +253,6 @@ class AlgorithmRun:
                 with closing(events):
                     for event in events:
                         see(event)
-        tick(1.0)
         return table.rows
 
 

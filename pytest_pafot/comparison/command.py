@@ -93,10 +93,11 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
             rows[task] = found
             sys.stderr.write(f"compare: {len(rows)} of {len(plan.tasks)} runs\n")
     finally:
-        every = [row for task in sorted(rows, key=lambda task: (plan.names.index(task[0]), task[1]))
-                 for row in rows[task]]  # fmt: skip
-        with written_into(folder):
-            write_whole(path, csv_text(tuple(COLUMNS), ([row.get(name) for name in COLUMNS] for row in every)))
+        if rows:  # else the folder stays free for a corrected command
+            order = sorted(rows, key=lambda task: (plan.names.index(task[0]), task[1]))
+            every = ([row.get(name) for name in COLUMNS] for task in order for row in rows[task])
+            with written_into(folder):
+                write_whole(path, csv_text(tuple(COLUMNS), every))
     from pytest_pafot.comparison import figures, markdown, run_measures  # noqa: PLC0415
 
     measured = run_measures.Results.of(plan, path)

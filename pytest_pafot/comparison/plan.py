@@ -246,26 +246,10 @@ def run_rows(plan: Plan, task: tuple[str, int]) -> list[Row]:
     algorithm, run = task
     made = plan.run(algorithm, run)
     try:
-        return [{**row, "algorithm": algorithm, "run": run} for row in made.rows(lambda share: None)]
+        return [{**row, "algorithm": algorithm, "run": run} for row in made.rows()]
     except SetupFaultError as fault:
-        raise _set_up(fault, made.world, Policy(made.ads)) from None
-
-
-def _set_up(fault: SetupFaultError, world: WorldLike, policy: Policy) -> RequestError:
-    """Return the error for an ADS that does not drive at all, which says nothing about algorithms."""
-    traceback = "" if fault.verdict.failure is None else fault.verdict.failure.traceback
-    place = traceback.rfind("  File ")
-    where = f"\n{traceback[place:].rstrip()}" if place >= 0 else ""
-    asked = fault.first_decision(
-        world,
-        policy,
-        of_si="A policy of a highway-env environment needs that environment, such as --world highway-v0.",
-        of_env="Without --config the environment has its default configuration; a planner in SI units needs "
-        f"{PLANNER} after its name, or the road without --world.",
-    )
-    return RequestError(
-        f"--ads: expected a policy that drives, received {fault.received}{where}\n\n"
-        f"This happened in {fault.runs}, at the first decision: it is an error of the set-up, which says nothing about "
-        "the algorithms. Correct the ADS, its factory, or the world that it drives in (--world and the options after "
-        f"it), and run the command again.{asked}"
-    )
+        shown = fault.shown(base_world(made.world), Policy(made.ads))
+        raise RequestError(
+            f"--ads: expected a policy that drives, received one whose search ends: {shown} On the command line, "
+            "world= is --world, config= is --config, and planner_hz= is @planner after the policy's name."
+        ) from None

@@ -249,23 +249,24 @@ def test_missing_libraries_error_says_how_to_install_them(tmp_path, capsys, monk
 @pytest.mark.usefixtures("undrawn", "copies")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_policy_failing_in_every_run_is_setup_error(tmp_path, capsys, workers):
-    """The cause may be a policy for an environment without --world."""
+    """The cause may be a policy for an environment without --world; the folder stays free for the right command."""
     arguments = ["--ads", f"{__name__}:of_an_environment", "--workers", workers, "--runs", "1"]
-    assert compare(tmp_path / "out", *arguments) == BAD_USE
+    assert compare(tmp_path, *arguments) == BAD_USE
     said = capsys.readouterr()
     assert said.out == ""
     for part in (
-        "received ValueError: unexpected shape ()\n",
+        "the ADS failed: ValueError: unexpected shape ()\n",
         'raise ValueError(f"unexpected shape {shape}")\n',
         "This happened in all 4 runs of the first generation",
         "The ADS was given a pafot.Observation (time, ego,",
         "must return (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive. "
-        "A policy of a highway-env environment needs that environment, such as --world highway-v0.\n",
+        'A policy of a highway-env environment needs world=pafot.World("highway-v0", config=...). On the command line, '
+        "world= is --world,",
     ):
         assert part in said.err
-    assert not (tmp_path / "out" / "report.md").exists()
+    assert not (tmp_path / "report.md").exists()
     more = ["--world", "highway-v0", "--duration", "5", "--seconds", "15", "--algorithms", "random", "--workers", "1"]
-    assert compare(tmp_path / "other", *arguments, *more) == 0
+    assert compare(tmp_path, *arguments, *more) == 0
 
 
 def of_an_environment():

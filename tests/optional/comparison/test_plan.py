@@ -8,7 +8,7 @@ import pytest
 
 from pytest_pafot import Highway, Run
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
-from pytest_pafot.campaign.explore import _of_collision
+from pytest_pafot.campaign.explore import _note_of
 from pytest_pafot.campaign.judging import judge
 from pytest_pafot.comparison.plan import COLUMNS, Plan, never_collides, run_rows
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
@@ -40,7 +40,8 @@ def test_each_row_can_be_driven_again_identically(quick, algorithm):
         if row["verdict"] is not None:  # it is, if only a different scenario was simulated
             assert rss_rule(trace).responsibility == (row["responsibility"] or "none")
             assert position_rule(trace) == (row["position_responsibility"] or "none")
-            assert _of_collision(Run(trace))["signature"] == row["signature"]
+            verdict = judge(Run(trace), partial(never_collides, "any"), blame="any", test_file="")
+            assert _note_of(Run(trace), verdict)["signature"] == row["signature"]
     assert any(row["outcome"] == "collision" for row in rows)
     assert COLUMNS.keys() <= row.keys()
 
