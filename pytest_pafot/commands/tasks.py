@@ -35,7 +35,7 @@ def finished(work: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], workers: 
         ) as pool,
     ):
         pool.expect(tasks)
-        for task, answer in pool.completed(lambda share: None):
+        for task, answer in pool.completed():
             if pool.failure or isinstance(answer, ProcessLostError):
                 ended = f"its process {answer.end}" if isinstance(answer, ProcessLostError) else pool.failure
                 raise ChildProcessError(

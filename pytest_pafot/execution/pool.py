@@ -79,7 +79,7 @@ takes the first bytes of the text for a very large length. Without a limit it wo
 
 Work: TypeAlias = Callable[..., ResultT]
 """The function that runs a task in a process of the pool. Its arguments are the task, and a function that sends what it
-says before its answer: the finished share of the task as a float, or anything else."""
+says before its answer."""
 
 
 class ProcessLostError(Exception, Generic[TaskT]):
@@ -247,11 +247,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
             self.recovered.append(first)
         return answer
 
-    def completed(self, tick: Callable[[float], None]) -> Iterator[tuple[TaskT, ResultT | Exception]]:
-        """Yield each expected task with its answer as soon as it is available; no task is tried twice.
-
-        ``tick`` is called now and then with the sum of the finished shares of the running tasks.
-        """
+    def completed(self) -> Iterator[tuple[TaskT, ResultT | Exception]]:
+        """Yield each expected task with its answer as soon as it is available; no task is tried twice."""
         while self._wanted:
             self._receive()
             self._send()
@@ -260,8 +257,6 @@ class WorkerPool(Generic[TaskT, ResultT]):
             for task, answer in answers.items():
                 self._wanted.discard(task)
                 yield task, answer
-            # Last, since the share of an answered task is gone: who counts it as finished has to do so before.
-            tick(sum(worker.share for worker in self._busy))
 
     def close(self, *, at_once: bool = False) -> None:
         """End all processes; busy processes are killed, and with ``at_once`` idle ones, too.
@@ -359,7 +354,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
                     self._has_left(task, worker, said)
                 elif task in self._wanted and is_done:
                     self._answer(task, said)
-                elif task in self._followed and not isinstance(said, float):
+                elif task in self._followed:
                     self._said.append((task, said))
                 return
             is_gone = True
@@ -409,7 +404,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
 
 class _Worker(Generic[TaskT]):
-    """One process of the pool; ``share`` is the finished share of its task, as the process has reported it."""
+    """One process of the pool."""
 
     def __init__(
         self,
@@ -422,7 +417,6 @@ class _Worker(Generic[TaskT]):
         farewell: float,
     ) -> None:
         self.task: TaskT | None = None
-        self.share = 0.0
         self.gave_up = context.RawValue("b", 0)  # why it ended itself; 0 if it did not
         self._beats = context.RawValue("Q", 0)
         self.connection, end = context.Pipe()
@@ -449,7 +443,7 @@ class _Worker(Generic[TaskT]):
 
     def take(self, task: TaskT, now: float) -> bool:
         """Send a task to the process and remember it; return False if the process has ended."""
-        self.share, self._asked_at = 0.0, None if self.has_begun else now
+        self._asked_at = None if self.has_begun else now
         self.task = task if self.send(task) else None
         return self.task is not None
 
@@ -489,8 +483,6 @@ class _Worker(Generic[TaskT]):
             is_done, said = True, RuntimeError(f"{expected} {type(error).__name__}: {error}")
         if is_done:
             self.task = None
-        elif isinstance(said, float):
-            self.share = said
         return is_done, said
 
     def silence(self, now: float) -> float:

@@ -180,7 +180,7 @@ def test_unfetched_answers_are_forgotten_with_the_next_tasks(pool_of):
     pool.expect(TASKS[:4])
     pool.expect(TASKS[4:])
     assert fetched(pool, TASKS[4:]) == [16, 25]
-    assert list(pool.completed(lambda share: None)) == []
+    assert list(pool.completed()) == []
 
 
 def test_a_task_that_is_expected_twice_runs_once(pool_of, tmp_path):
@@ -430,7 +430,7 @@ def test_task_in_which_its_process_is_terminated_is_lost(pool_of, tmp_path, is_f
     while not (tmp_path / "works").exists():
         time.sleep(0.01)
     worker.process.terminate()
-    task, lost = pool.hear(waits=True) if is_followed else next(pool.completed(lambda share: None))
+    task, lost = pool.hear(waits=True) if is_followed else next(pool.completed())
     assert (task, lost.end, lost.pid) == (1, "was ended by SIGTERM", worker.pid)
     assert left == [worker.pid]
 
@@ -553,50 +553,26 @@ def test_every_answer_explains_that_no_process_could_start(pool_of, monkeypatch)
     assert isinstance(pool.fetch(7), RuntimeError), "what was told once should hold"
 
 
-def test_tasks_complete_as_they_finish_and_report_progress(tmp_path):
+def test_tasks_complete_as_they_finish(tmp_path):
     def work(task, tell):
-        tell(0.25)
         while task == "long" and not (tmp_path / "others are done").exists():
             time.sleep(0.001)
-        tell(0.75)
         return task
 
-    shares, done = [], []
+    done = []
     with WorkerPool(work, 2, method="fork", patience=30.0) as pool:
         pool.expect(["long", "first", "second"])
-        for task, answer in pool.completed(shares.append):
+        for task, answer in pool.completed():
             done.append((task, answer))
             if task == "second":
                 (tmp_path / "others are done").touch()
     assert done == [(task, task) for task in ("first", "second", "long")]
-    assert {0.25, 0.75} <= set(shares)
-
-
-def test_a_task_is_answered_before_its_share_is_gone(tmp_path):
-    def work(task, tell):
-        tell(0.75)
-        while not (tmp_path / str(task)).exists():
-            time.sleep(0.001)
-
-    counts, finished = [], 0
-
-    def tick(share):
-        counts.append(finished + share)
-        if share == 0.75:
-            (tmp_path / str(finished)).touch()
-
-    with WorkerPool(work, 1, method="fork", patience=30.0) as pool:
-        pool.expect([0, 1])
-        for _ in pool.completed(tick):
-            finished += 1
-    assert {0.75, 1.75} <= set(counts)
-    assert counts == sorted(counts), "a count of finished work fell"
 
 
 def test_completed_does_not_retry_a_task_that_died(pool_of):
     pool = pool_of(lambda number: os._exit(5) if number == 1 else None)
     pool.expect([0, 1, 2])
-    answers = dict(pool.completed(lambda share: None))
+    answers = dict(pool.completed())
     assert isinstance(answers.pop(1), ProcessLostError)
     assert answers == {0: 0, 2: 4}
 
