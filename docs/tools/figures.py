@@ -50,7 +50,7 @@ REPORTS = {
 BENCHMARKS: Mapping[str, str] = {
     "planted-defects": "planted_defects --arms default cells pafot --seeds {10|1} --first-seed 1000 --runs {1000|20} "
     "--workers WORKERS --save OUT.jsonl --picture OUT.png",
-    "speed": "speed --rounds {9|1} --parts {engines ads search|search}",
+    "speed": "speed --rounds {9|1} --parts {engines search|search}",
 }
 """Arguments of the programs in tests/benchmarks."""
 

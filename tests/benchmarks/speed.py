@@ -1,12 +1,10 @@
 """How fast does a world run, and where does the time go? One command for all figures of docs/explanation/speed.md:
 
-    python -m tests.benchmarks.speed [--rounds 7]
-        [--parts engines ads search]
+    python -m tests.benchmarks.speed [--rounds 7] [--parts engines search]
 
 - ``engines``: one run of 60 s with two NPCs, by the usual ``gymnasium.make`` + ``env.step`` loop with its Kinematics
   observation, by the same with the observation stubbed, and by the kernel compiled and interpreted. All take turns in
   one process, and their trajectories are compared by hash in that process.
-- ``ads``: policies of different cost, and the share of the time inside them.
 - ``search``: the cost of searches in addition to their rollouts.
 
 Times are processor time, so a noisy machine hardly changes ratios; nothing is asserted.
@@ -18,7 +16,7 @@ import hashlib
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -134,81 +132,6 @@ def _engines_at(world: Highway, rounds: int) -> None:
         )
 
 
-def spin(seconds: float) -> tuple[float, float]:
-    """Compute for a time [s], then decide to drive on."""
-    until = time.perf_counter() + seconds
-    while time.perf_counter() < until:
-        pass
-    return 0.0, 0.0
-
-
-def spinning(seconds: float) -> Callable[[], Callable[[object], tuple[float, float]]]:
-    """Return a factory of an ADS that computes for a time [s]."""
-    return lambda: lambda observation: spin(seconds)
-
-
-def small_python() -> Callable[[Any], tuple[float, float]]:
-    """Return a planner of a few lines that looks at all vehicles."""
-
-    def decide(observation: Any) -> tuple[float, float]:
-        ego = observation.ego
-        gap = min((o.x - ego.x for o in observation.others if o.lane == ego.lane and o.x > ego.x), default=99.0)
-        return 0.01 * min(gap - 30.0, 22.0 - ego.speed), 0.0
-
-    return decide
-
-
-def numpy_mlp() -> Callable[[Any], tuple[float, float]]:
-    """Return a network with two layers of 64."""
-    rng = np.random.default_rng(0)
-    first, second, last = (rng.normal(0, 0.01, shape) for shape in ((21, 64), (64, 64), (64, 2)))
-
-    def decide(observation: Any) -> tuple[float, float]:
-        hidden = np.tanh(np.tanh(observation.array.ravel() * 1e-3 @ first) @ second)
-        acceleration, steering = (hidden @ last * 1e-3).tolist()
-        return acceleration, steering
-
-    return decide
-
-
-def alone(road: Highway, factory: Callable[[], Callable[[Any], Any]]) -> float:
-    """Return the processor time of all calls of a run's ADS without the run [s], on observations of such a run."""
-    seen: list[Any] = []
-    road.rollout(SCENARIO, lambda: lambda observation: seen.append(observation) or (0.0, 0.0))
-    ads = factory()
-    started = time.process_time()
-    for observation in seen:
-        ads(observation)
-    return time.process_time() - started
-
-
-def ads_ladder(rounds: int) -> None:
-    """Run part ``ads``."""
-    print(f"\npolicies of different cost, {KERNEL}, 60 s, 2 NPCs, 15/5 Hz (5 ms: 6 s)")
-    world = Highway(speed_limit=30.0)
-    ladder: dict[str, tuple[Callable[[], Any], float]] = {
-        "trivial": (idle, 60.0),
-        "small Python": (small_python, 60.0),
-        "numpy MLP": (numpy_mlp, 60.0),
-        "25 us": (spinning(25e-6), 60.0),
-        "85 us, as SB3's PPO": (spinning(85e-6), 60.0),
-        "100 us": (spinning(100e-6), 60.0),
-        "5 ms": (spinning(5e-3), 6.0),
-    }
-    for name, (factory, seconds) in ladder.items():
-        road, inside, whole = replace(world, duration=seconds), [], []
-        for _ in range(rounds):
-            inside.append(alone(road, factory))
-            started = time.process_time()
-            decisions = len(road.rollout(SCENARIO, factory).actions)
-            whole.append(time.process_time() - started)
-        call, total = (statistics.median(times) / decisions * 1e6 for times in (inside, whole))
-        print(
-            f"  {name:22}{call:9.2f} us a call, {total - call:7.2f} us a decision beside it, {call / total:6.1%} inside"
-        )
-    print(f"  {'IDM+MOBIL':22} {median_ms(lambda: world.rollout(SCENARIO, IDMVehicle), rounds, 20):9.3f} ms a run")
-
-
 @dataclass(frozen=True, kw_only=True)
 class TimedHighway(Highway):
     """A road that records how long its runs take."""
@@ -243,7 +166,7 @@ def search(rounds: int) -> None:
         print(f"  {ego:15} {arm:22} {runs} runs: {each}, {(total - rollouts) / rollouts:.2f} of it")
 
 
-PARTS: dict[str, Callable[[int], None]] = {"engines": engines, "ads": ads_ladder, "search": search}
+PARTS: dict[str, Callable[[int], None]] = {"engines": engines, "search": search}
 
 
 def main() -> None:

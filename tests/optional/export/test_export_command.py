@@ -1,6 +1,5 @@
 """The command from its arguments to its files, and its errors."""
 
-import json
 import shutil
 import signal
 import sys
@@ -20,11 +19,6 @@ FILE = FILES / "collision-xfail.pafot.yaml"
 
 def export(*arguments):
     return main(["export", *map(str, arguments)])
-
-
-def summary(finding, trace):
-    """Export a summary, in a user's own format."""
-    return {f"{finding.id}.json": json.dumps({"outcome": trace.outcome, "ticks": trace.ticks}).encode()}
 
 
 def test_export_drives_scenario_and_prints_the_written_files(tmp_path, capsys):
@@ -199,8 +193,7 @@ def test_missing_library_error_names_the_extra_to_install(monkeypatch, capsys, n
     for each in [known for known in sys.modules if known.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, each)
     monkeypatch.setitem(sys.modules, library, None)
-    for part in (module, "opendrive"):
-        monkeypatch.delitem(sys.modules, f"pytest_pafot.export.{part}", raising=False)
+    monkeypatch.delitem(sys.modules, f"pytest_pafot.export.{module}", raising=False)
     assert export(FILE, "--to", name, "--ads", "constant_speed") == 2
     assert capsys.readouterr().err == (
         f"export: --to {name}: expected the library {library}, received a Python environment without it; "
