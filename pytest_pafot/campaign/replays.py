@@ -17,8 +17,8 @@ from pytest_pafot.corpus.reader import located
 from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Runner, run_apart, runner_for
-from pytest_pafot.execution.scenario_pool import LostRun, expectation
+from pytest_pafot.execution.runner import Runner, judged_apart, runner_for
+from pytest_pafot.execution.scenario_pool import NOT_REPEATED, ExecutionError, LostRun, expectation
 from pytest_pafot.findings.failure_rate import ENOUGH, RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
@@ -140,7 +140,18 @@ class Replays:
         job = harness.job(world, owner)
         if self.is_apart(saved, owner):
             with refusals(), _naming(saved.path):
-                trace = run_apart(job, scenario, partial(harness.judge_trace, world), isolate=isolate)
+                try:
+                    trace = judged_apart(job, scenario, partial(harness.judge_trace, world))
+                except (ProcessLostError, ExecutionError, ScenarioError):
+                    raise
+                except Exception as error:
+                    if isolate:
+                        raise
+                    raise ExecutionError(
+                        "expected a scenario that has ended a process to run in a separate process, received from "
+                        f"there {type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then "
+                        "find it again"
+                    ) from None
         with harness.recording(job) as record:
             record.write(scenario)
             if trace is None:

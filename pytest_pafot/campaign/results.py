@@ -405,8 +405,9 @@ class State:
 
     def alike(self, find_id: str) -> Alike:
         """Return how many other runs failed like a new finding, and the worst of them all."""
-        kept = [self.counts.failures[each] for each, id_ in self.finds.items() if id_ == find_id]
-        return replace(kept[0], runs=kept[0].runs - 1) if kept else Alike()
+        signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
+        kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
+        return replace(kept, runs=kept.runs - 1)
 
     @property
     def failures(self) -> dict[Signature, str]:

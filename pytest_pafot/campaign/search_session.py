@@ -38,11 +38,13 @@ from pytest_pafot.campaign.store import Store
 from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution import scenario_pool
 from pytest_pafot.execution.crash_records import Leftover
-from pytest_pafot.execution.runner import Retried, retry, runner_for
+from pytest_pafot.execution.pool import ProcessLostError
+from pytest_pafot.execution.runner import judged_apart, runner_for
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.sight import Sight
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import EndReason
@@ -345,12 +347,7 @@ class SearchSession:
         began = state.clock()
         bench.refining_end = max(self.limit, began + LEAST)
         # A process of an earlier session may have died: its scenario is tried again before anything else.
-        left = harness.left_behind()
-        retried = list[Retried]()
-        for leftover in left:
-            retried.append((yield from self._retried(leftover, left)))
-        self.process_notes += [note for each in retried for note in each.notes]
-        state.fatal |= {each.fatal for each in retried if each.fatal is not None}
+        pending = yield from self._retried(harness.left_behind())
         reason, fault, is_closed = Ending.INTERRUPTED, None, False
         try:
             with bench.runner:
@@ -386,9 +383,8 @@ class SearchSession:
                     deque(released, maxlen=0)
                 else:
                     yield from released
-                for each in retried:
-                    if each.pending is not None:
-                        each.pending.discard()
+                for leftover in pending:
+                    leftover.discard()
                 self.process_notes += bench.runner.notes
                 if bench.record.error:
                     self.process_notes += [str(bench.record.error)]
@@ -427,42 +423,70 @@ class SearchSession:
         with GENERATORS.held():
             yield from self._events(refine(self.state, self.bench, self.store, until=self.limit))
 
-    def _retried(self, leftover: Leftover, left: Sequence[Leftover]) -> Generator[SearchEvent, None, Retried]:
-        """Run the scenario again in which a process of an earlier session died; return the result.
+    def _retried(self, left: Sequence[Leftover]) -> Generator[SearchEvent, None, list[Leftover]]:
+        """Run the scenarios again in which processes of earlier sessions died, each in the world of the dead process.
 
-        It is run in the world of the dead process. If that world cannot be made, this is only reported. ``left`` are
-        the records of all dead processes. If another one died in the same scenario, only the first record counts.
+        Return the crash records to discard at the end of the search. If this session dies, the next one reads them.
+
+        A process may also have been killed from outside: a job is cancelled, or the system is short of memory. Then its
+        scenario says nothing about the ADS. It is a finding if a second process dies in it, or if none can be started.
+        It is one as well if two processes had died in it, however many sessions were killed in a row: the cause is
+        probably something that builds up from run to run, such as memory, which would otherwise never be reported.
         """
-        harness: Harness = self.harness
-        world: BaseWorld | None = harness.world
-        same = [each for each in left if each.scenario == leftover.scenario]
-        if same[0] is not leftover:
-            leftover.discard()
-            return Retried()
-        if leftover.world not in (None, harness.job().world_data):
-            try:
-                made = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
-                world = None if made is None else base_world(made)
-            except (WorldError, TypeError, ValueError):
-                world = None
-        if world is None:
-            note = (
-                f"a process (pid {leftover.pid}) died while it ran {leftover.scenario!r:.300} in a world that cannot "
-                f"be made here now, {dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
+        harness, pending = self.harness, list[Leftover]()
+        for leftover in left:
+            same = [each for each in left if each.scenario == leftover.scenario]
+            world, scenario = self._world_of(leftover), leftover.scenario
+            assert scenario is not None  # noqa: S101  (the record has an owner, so it could be read)
+            if same[0] is not leftover:  # only the first record counts of those on one scenario
+                leftover.discard()
+                continue
+            pending.append(leftover)
+            who = f"a process (pid {leftover.pid}) died while"
+            if leftover.reference:  # it is the cause, and nothing is run again
+                self.process_notes.append(
+                    f"{who} the reference {leftover.reference} drove in {scenario}, which says nothing about the ADS: "
+                    f"correct the reference, or search with {flag('isolate')}, so that it can die without harm"
+                )
+                continue
+            if world is None:
+                self.process_notes.append(
+                    f"{who} it ran {scenario!r:.300} in a world that cannot be made here now, "
+                    f"{dict(leftover.world or {})!r:.200}; it cannot be tried again, so it is no finding"
+                )
+                continue
+            death, trace = None, None
+            if harness.request.settings.isolate or scenario_pool.METHOD == "fork":
+                try:
+                    trace = judged_apart(harness.job(world), scenario, partial(harness.judge_trace, world))
+                except ProcessLostError as error:
+                    death = error
+                except Exception:  # noqa: BLE001, S110  (the first run of the search reports it)
+                    pass
+            has_died_twice = sum(not each.is_watched for each in same) > 1
+            # An error of the ADS may occur only in the separate process.
+            is_well = trace is not None and trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+            if has_died_twice or not is_well:
+                sighting = self.store.add_crash(leftover, scenario, death)
+                pending.remove(leftover)
+                leftover.discard()
+                yield from self._events(self.store.publish(sighting))
+                continue
+            self.process_notes.append(
+                f"{who} it ran {scenario}, which ran to its end when it was tried again: the process was killed from "
+                "outside, or there was too little memory"
             )
-            return Retried(notes=(note,), pending=leftover)
-        before = set(self.store.findings)
-        again = retry(
-            leftover,
-            harness.job(world),
-            partial(harness.judge_trace, world),
-            isolate=harness.request.settings.isolate,
-            has_died_twice=sum(not each.is_watched for each in same) > 1,
-            keep=self.store.add_crash,
-        )
-        for each in [each for id_, each in self.store.findings.items() if id_ not in before]:
-            yield from self._events(self.store.publish(each))
-        return again
+        return pending
+
+    def _world_of(self, leftover: Leftover) -> BaseWorld | None:
+        """Return the world in which a process died; None if it cannot be made."""
+        if leftover.world in (None, self.harness.job().world_data):
+            return self.harness.world
+        try:
+            made = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
+            return None if made is None else base_world(made)
+        except (WorldError, TypeError, ValueError):
+            return None
 
     def _searched(self, saved: Sequence[Saved], began: float) -> Generator[SearchEvent, None, Ending]:
         """Replay the saved scenarios and search; return why it ended. ``began`` is when the search began [s].

@@ -6,18 +6,18 @@ time of the search, not its results.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 from pytest_pafot.execution import scenario_pool
-from pytest_pafot.execution.crash_records import CrashRecord, Leftover
+from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
 from pytest_pafot.execution.scenario_pool import (
-    NOT_REPEATED,
     Answer,
     Chunk,
     ExecutionError,
@@ -31,7 +31,7 @@ from pytest_pafot.execution.scenario_pool import (
     pool_for,
 )
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Outcome, Trace
+from pytest_pafot.model.trace import Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support import isolates, monotonic
 from pytest_pafot.support.errors import flag
@@ -103,7 +103,7 @@ class Runner:
     ) -> None:
         self.job = job
         self.decisions = 0
-        """The number of decisions that the ADS made in the runs of :meth:`run`."""
+        """The number of decisions of the ADS for which :meth:`run` has asked."""
         self.announced: dict[Scenario | Whole, None] = {}
         """The announced runs that were not requested yet, in order."""
         self.recovered: list[LostRun] = []
@@ -145,7 +145,7 @@ class Runner:
         """
         __tracebackhide__ = True
         trace: Trace = self._made(Whole(scenario), scenario, announced=announced, most=most)
-        self.decisions += len(trace.actions)
+        self.decisions += min(len(trace.actions), most or sys.maxsize)  # the same for any number of processes
         return trace
 
     def made(self, scenario: Scenario) -> Any:
@@ -356,12 +356,16 @@ class Isolated(Runner):
 # Runs in a separate process, for scenarios in which the run or its evaluation may end this process.
 
 
+Drive = Callable[[Scenario, Callable[..., Any]], Any]
+"""A function that drives a scenario with the policies of a factory."""
+
+
 @dataclass(frozen=True, slots=True)
 class _OtherRuns(BaseWorld):
     """A stand-in for a world, with a different ``rollout``, which guards the ADS. It can do nothing else."""
 
     world: BaseWorld
-    drive: Callable[[Scenario, Callable[..., Any]], Any]
+    drive: Drive
 
     @property
     def hang_limit(self) -> float:
@@ -388,181 +392,67 @@ class _OtherRuns(BaseWorld):
         return self.drive(scenario, ads_factory)
 
 
-def answer_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object], *, isolate: bool) -> Answer | None:
-    """Run and evaluate a scenario in a separate process; return the answer, or None if that is impossible.
-
-    If the process dies, the answer is a ``ProcessLostError`` even if a second attempt succeeds, because a process has
-    already died in this scenario before.
+def once_apart(job: Job, scenario: Scenario, drive: Drive | None = None) -> Any:
+    """Return what a function makes of a scenario in a process of its own, by default the trace of its run.
 
     Args:
         job: everything that a run needs.
         scenario: the scenario.
-        judge: evaluates a trace. It needs the fixtures of the test function, which only forked processes have. Its
-            output and its exceptions are ignored, because the session evaluates the run again.
-        isolate: True if the run must be in a separate process, without the evaluation if processes cannot be forked.
+        drive: is called there with the scenario and the policy's factory. Only a forked process has it.
 
     Raises:
-        ExecutionError: with ``isolate``, if no other process can be started.
+        ProcessLostError: if the process died or hung, even if a second one did not.
+        ExecutionError: if no other process can be started.
+        Exception: any exception of the process.
     """
-    world = job.world
+    __tracebackhide__ = True
+    with pool_for(job if drive is None else replace(job, world=_OtherRuns(job.world, drive)), 1) as pool:
+        answer = pool.fetch(scenario)
+    if pool.failure:
+        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+    return made_apart(pool.recovered[0] if pool.recovered else answer)
 
-    def judged(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace: Trace = rollout_of(world)(scenario, ads)
+
+def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object]) -> Trace:
+    """Return the trace of a run that is made in a process of its own, and evaluated there as well if it is forked.
+
+    The evaluation may end the process, too, and needs the fixtures of the test function, which only forked processes
+    have. Its output and its exceptions are ignored, because the session evaluates the run again.
+
+    Raises:
+        Exception: as for :func:`once_apart`.
+    """
+    __tracebackhide__ = True
+
+    def drive(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
+        trace: Trace = rollout_of(job.world)(scenario, ads)
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace
 
-    if scenario_pool.METHOD == "fork":
-        job = replace(job, world=_OtherRuns(world, judged))
-    elif not isolate:
-        return None
-    with pool_for(job, 1) as pool:
-        answer: Answer = pool.fetch(scenario)
-    if pool.failure and isolate:
-        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-    return None if pool.failure else pool.recovered[0] if pool.recovered else answer
+    made: Trace = once_apart(job, scenario, drive if scenario_pool.METHOD == "fork" else None)
+    return made
 
 
-def run_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object], *, isolate: bool) -> Trace:
-    """Return the trace of a scenario that was run and evaluated in a separate process; see :func:`answer_apart`.
-
-    The session then evaluates the trace again.
-
-    Raises:
-        ProcessLostError: if the separate process died or hung.
-        ExecutionError: if no other process can be started; without ``isolate``, also if the ADS does not work in one.
-        Exception: with ``isolate``, any exception of the separate process.
-    """
-    __tracebackhide__ = True
-    answer = answer_apart(job, scenario, judge, isolate=True)
-    assert answer is not None  # noqa: S101  (only without isolation it may be None)
-    try:
-        trace: Trace = made_apart(answer)
-        return trace
-    except ProcessLostError:
-        raise
-    except Exception as error:
-        if isolate:
-            raise
-        raise ExecutionError(
-            "expected a scenario that has ended a process to run in a separate process, received from there "
-            f"{type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then find it again"
-        ) from None
-
-
-def call_apart(job: Job, scenario: Scenario, drive: Callable[[Scenario, Callable[..., Any]], ResultT]) -> ResultT:
-    """Return what a function of a scenario and the ADS's factory returns in a separate process, which must be forked.
-
-    Raises:
-        ProcessLostError: if the separate process died or hung.
-        ExecutionError: if no other process can be started.
-        Exception: any exception of the separate process.
-    """
-    __tracebackhide__ = True
-    with pool_for(replace(job, world=_OtherRuns(job.world, drive)), 1) as pool:
-        answer = pool.fetch(scenario)
-    if pool.failure:
-        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-    result: Any = made_from(answer)
-    if isinstance(answer, Exception):
-        raise answer
-    return result  # type: ignore[no-any-return]
-
-
-@contextmanager
-def driving(world: Any, ads: Callable[..., Any]) -> Iterator[Callable[[Scenario], Run]]:
-    """Provide a function that drives a scenario and returns its run, for a test.
+def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
+    """Drive a scenario and return its run, for a test.
 
     If policies are isolated, a forked process drives the scenario first, and ends in place of this one. This process
     then drives it as well, because a test may read what a policy has noted, and a policy that works only in the process
     of the test must work.
 
-    The function raises a ``ProcessLostError`` if the forked process died or hung.
+    Raises:
+        ProcessLostError: if the forked process died or hung.
     """
+    __tracebackhide__ = True
     base = base_world(world)
-    with ExitStack() as stack:
-        pool = None
-        if scenario_pool.METHOD == "fork" and isolates():
-            records = stack.enter_context(tempfile.TemporaryDirectory(prefix="pafot-"))
+    if scenario_pool.METHOD == "fork" and isolates():
+        with tempfile.TemporaryDirectory(prefix="pafot-") as records:
             job = Job(world=base, policy=Policy(ads), records=Path(records, "records"), owner="test")
-            pool = stack.enter_context(pool_for(job, 1))
-
-        def drive(scenario: Scenario) -> Run:
-            __tracebackhide__ = True
-            answer = None if pool is None else pool.fetch(scenario)
-            if isinstance(answer, ProcessLostError):
-                raise answer
-            return base.run_of(rollout_of(base)(scenario, ads))
-
-        yield drive
-
-
-# A scenario in which a process died runs again in a separate process before it is called a finding.
-#
-# A process may also be killed from outside: a job is cancelled, or the system is short of memory. Then the scenario
-# says nothing about the ADS, however many sessions are killed in a row. But if two processes died in the same scenario,
-# the cause is probably something that builds up from run to run, such as memory of the test function. Then the scenario
-# is called a finding after all, or this would never be reported.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Retried:
-    """The result of a second attempt to run the scenario of a process that died."""
-
-    notes: tuple[str, ...] = ()
-    """Notes for the user on a scenario that did not cause the death of the process."""
-    pending: Leftover | None = None
-    """The crash record to remove at the end of the search, or None. If this session dies, the next one reads it."""
-    fatal: Scenario | None = None
-    """A scenario that must not be run, because the driver of an NPC ends the process in it; None if there is none."""
-
-
-def retry(
-    leftover: Leftover,
-    job: Job,
-    judge: Callable[[Trace], object],
-    *,
-    isolate: bool,
-    has_died_twice: bool,
-    keep: Callable[[Leftover, Scenario, LostRun | None], object],
-) -> Retried:
-    """Try the scenario of a process that died a second time, and save it if it caused the death.
-
-    If a reference was driving when the process died, the reference is the cause, and nothing is run again. The scenario
-    is saved although a second attempt survives, or is impossible, in two cases: two processes died in it, or no
-    separate process can be started.
-
-    Args:
-        leftover: the crash record of the process; it is removed unless the result contains it as ``pending``.
-        job: everything that a run of the scenario needs.
-        judge, isolate: see :func:`answer_apart`.
-        has_died_twice: whether another process died in the same scenario, and neither was killed with its session.
-        keep: saves the scenario; its last argument is the second death, or None if unknown.
-    """
-    if leftover.reference:
-        note = (
-            f"a process (pid {leftover.pid}) died while the reference {leftover.reference} drove in "
-            f"{leftover.scenario}, which says nothing about the ADS: correct the reference, or search with "
-            f"{flag('isolate')}, so that it can die without harm"
-        )
-        return Retried(notes=(note,), pending=leftover)
-    scenario, answer = leftover.scenario, None
-    assert scenario is not None  # noqa: S101  (the record has an owner, so it could be read)
-    with suppress(ExecutionError):  # The first run of the search reports it.
-        answer = answer_apart(job, scenario, judge, isolate=isolate)
-    lost = answer if isinstance(answer, ProcessLostError) else None
-    if answer is None or has_died_twice or not _came_to_its_end(answer):
-        keep(leftover, scenario, lost)
-        leftover.discard()
-        return Retried()
-    note = (
-        f"a process (pid {leftover.pid}) died while it ran {scenario}, which ran to its end when it was tried again: "
-        "the process was killed from outside, or there was too little memory"
-    )
-    return Retried(notes=(note,), pending=leftover)
-
-
-def _came_to_its_end(answer: Answer) -> bool:
-    """Return whether a run succeeded, without an error of the ADS, which may occur only in the separate process."""
-    trace = None if isinstance(answer, Exception) else answer[0]
-    return isinstance(trace, Trace) and trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+            try:
+                once_apart(job, scenario)
+            except ProcessLostError:
+                raise
+            except Exception:  # noqa: BLE001, S110  (this process raises it)
+                pass
+    return base.run_of(rollout_of(base)(scenario, ads))

@@ -308,6 +308,7 @@ def made_from(answer: Answer) -> Any:
     """
     __tracebackhide__ = True
     if isinstance(answer, ProcessLostError):
+        answer.task = getattr(answer.task, "scenario", answer.task)  # of a Whole one
         raise answer
     if isinstance(answer, Exception):
         return None

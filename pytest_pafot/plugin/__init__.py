@@ -191,7 +191,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     """
     from pytest_pafot.campaign.judging import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
-    from pytest_pafot.execution.runner import driving  # noqa: PLC0415
+    from pytest_pafot.execution.runner import drive_once  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
     from pytest_pafot.model.grid import Cell  # noqa: PLC0415
     from pytest_pafot.model.instructions import PositionInstruction  # noqa: PLC0415
@@ -202,11 +202,10 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
         world = pafot_world if world is None else world
         end = ""
-        with driving(world, ads_factory) as drive:
-            try:
-                run = drive(scenario)
-            except ProcessLostError as lost:
-                end = lost.advice
+        try:
+            run = drive_once(world, scenario, ads_factory)
+        except ProcessLostError as lost:
+            end = lost.advice
         if end:
             pytest.fail(end, pytrace=False)
         failure = ads_failure(run)

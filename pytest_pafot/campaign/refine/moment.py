@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import is_dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
 from pytest_pafot.campaign.refine.simplest import check_limits
 from pytest_pafot.campaign.results import State
-from pytest_pafot.execution.runner import call_apart, runner_for
+from pytest_pafot.execution.runner import once_apart, runner_for
 from pytest_pafot.findings.decisions import (
     PARTS,
     Moment,
@@ -191,7 +191,7 @@ def _decided_aside(
     try:
         with refusals():
             if isolate:  # the other process notes what is decided in a copy
-                aside = call_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1])
+                aside = cast("Aside", once_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1]))
                 return aside
             with runner_for(job, record, isolate=False) as runner:
                 runner.run(scenario)
