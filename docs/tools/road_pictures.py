@@ -9,10 +9,12 @@ highway-env's. It needs Pillow in addition to the plugin:
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
@@ -28,7 +30,6 @@ from pytest_pafot.findings.labels import Observed  # noqa: E402
 from pytest_pafot.findings.sighting import Seen  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
-from pytest_pafot.report.page import LaneView, RunView  # noqa: E402
 from pytest_pafot.report.views import finding_view  # noqa: E402
 from pytest_pafot.searching import sample  # noqa: E402
 from tests.helpers.road_cases import space_of  # noqa: E402
@@ -85,12 +86,13 @@ def picture(env_id: str) -> Image.Image:
     origin = Found(seed=1, generation=0, algorithm="random", versions={})
     finding = Finding.of(Run(trace), failure, test="test", world=world.to_dict(), found=origin)
     view = finding_view(Seen(finding=finding, node_id="", observed=Observed(run=Run(trace))))
-    print(f"{env_id}: {view.headline}, responsible: {view.responsibility}")
+    print(f"{env_id}: {view['headline']}, responsible: {finding.expect.responsibility}")
     moment = trace.duration - BEFORE_IMPACT
-    return frame(view, min(range(len(view.times)), key=lambda index: abs(view.times[index] - moment)))
+    named = json.loads(json.dumps(view), object_hook=lambda part: SimpleNamespace(**part))
+    return frame(named, min(range(len(named.times)), key=lambda index: abs(named.times[index] - moment)))
 
 
-def frame(finding: RunView, index: int) -> Image.Image:
+def frame(finding: SimpleNamespace, index: int) -> Image.Image:
     """Draw a frame of a finding's run from above, with the ego in its middle."""
     ego, road = finding.vehicles[0], finding.road
     scale, reach = (
@@ -111,7 +113,8 @@ def frame(finding: RunView, index: int) -> Image.Image:
 
     # Every lane is painted twice, the second time narrower: this leaves an edge of the road, and lanes that touch.
     half = WIDTH / scale
-    straight = [LaneView(points=((x - half, lane), (x + half, lane)), width=road.lane_width) for lane in road.lanes]
+    ends = x - half, x + half
+    straight = [SimpleNamespace(points=[(end, lane) for end in ends], width=road.lane_width) for lane in road.lanes]
     for more, ink in ((0.5, EDGE), (-0.3 if road.shapes else 0.0, ROAD)):
         for shape in straight or road.shapes:
             pen.line([at(*point) for point in shape.points], ink, round((shape.width + more) * scale), joint="curve")

@@ -20,19 +20,6 @@ NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a late
 """How the difference begins of a policy that drives the same scenario in different ways."""
 
 
-def on_search(searched: int, drawn: int, elsewhere: str) -> str:
-    """Say where a search found the failure of a saved scenario that passes, or in how many runs it did not find it.
-
-    Some of the runs are random. The text is empty if there was no search.
-    """
-    if elsewhere or not searched:
-        return elsewhere and f"elsewhere: {elsewhere} fails in the same way"
-    if not drawn:
-        return f"no such failure in {plural(searched, 'run')}"
-    others = f"; nor in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
-    return f"no such failure in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alike:
     """The runs of a search that failed like a finding.
@@ -114,6 +101,11 @@ class Seen:
         return self.observed.severity
 
     @property
+    def rank(self) -> tuple[float | str, ...]:
+        """The key that sorts findings: the worst first, then those with the most runs."""
+        return *Severity.worst_first(self.responsible, self.severity), -self.alike.runs, self.node_id
+
+    @property
     def responsible(self) -> str:
         """The side that is responsible for the collision, as in its file."""
         return self.finding.expect.responsibility
@@ -160,8 +152,17 @@ class Seen:
 
     @property
     def on_search(self) -> str:
-        """What the search of its test says of a replay that passes; empty for any other, and without a search."""
-        return on_search(self.observed.searched, self.observed.drawn, self.observed.elsewhere)
+        """Where the search of its test found the failure of a replay that passes, or in how many runs it did not.
+
+        Some of the runs are random. The text is empty for any other replay, and without a search.
+        """
+        searched, drawn, elsewhere = self.observed.searched, self.observed.drawn, self.observed.elsewhere
+        if elsewhere or not searched:
+            return elsewhere and f"elsewhere: {elsewhere} fails in the same way"
+        if not drawn:
+            return f"no such failure in {plural(searched, 'run')}"
+        others = f"; nor in {plural(searched - drawn, 'other run')}" if drawn < searched else ""
+        return f"no such failure in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
 
     @property
     def on_alike(self) -> str:

@@ -68,9 +68,9 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[SESSION] = Session()
     features: dict[str, object] = {"collection": Collection(config)}
     if is_worker(config):
-        from pytest_pafot.plugin.distributed import Worker, shared_by_controller  # noqa: PLC0415
+        from pytest_pafot.plugin.distributed import KEY, Worker  # noqa: PLC0415
 
-        config.stash[SHARED] = shared_by_controller(config)
+        config.stash[SHARED] = Shared(**config.workerinput[KEY])  # type: ignore[attr-defined]
         features["worker"] = Worker()
     else:
         shared = config.stash[SHARED] = Shared()

@@ -85,12 +85,8 @@ class Collection:
         """
         if folder.name == layout.CORPUS:
             return not self._rootpath.is_relative_to(folder)
-        return self._corpus is not None and layout.is_corpus(folder, self._corpus) and folder not in self._asked_for
-
-    @cached_property
-    def _corpus(self) -> Path | None:
-        name = self._corpus_name
-        return Path(name) if name and Path(name).name else None
+        corpus = Path(self._corpus_name or "")
+        return bool(corpus.name) and layout.is_corpus(folder, corpus) and folder not in self._asked_for
 
     @cached_property
     def _corpus_name(self) -> str | None:
@@ -99,14 +95,9 @@ class Collection:
     @cached_property
     def _asked_for(self) -> set[Path]:
         """The rootdir, the folders given on the command line, and all folders above them."""
-        folders = [self._rootpath, *self._folders_given]
-        return {each for folder in folders for each in (folder, *folder.parents)}
-
-    @property
-    def _folders_given(self) -> list[Path]:
-        """The folders given on the command line, without files and tests."""
         given = (path_of(self._config, arg) for arg in self._config.args)
-        return [path for path in given if path.is_dir()]
+        folders = [self._rootpath, *(path for path in given if path.is_dir())]
+        return {each for folder in folders for each in (folder, *folder.parents)}
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> Generator[None]:

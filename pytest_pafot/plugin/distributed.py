@@ -13,14 +13,9 @@ import pytest
 
 from pytest_pafot.corpus.layout import SEARCH_PART, around
 from pytest_pafot.plugin.marks import SAVED_PART
-from pytest_pafot.plugin.session import INVENTORY, SHARED, Inventory, Shared, end_in_order
+from pytest_pafot.plugin.session import INVENTORY, SHARED, Inventory, end_in_order
 
 KEY = "pafot"  # the key of this plugin's data in the input and the output of a worker
-
-
-def shared_by_controller(config: pytest.Config) -> Shared:
-    """Return the shared values in a worker, as its controller chose them."""
-    return Shared(**config.workerinput[KEY])  # type: ignore[attr-defined]
 
 
 class _KeptEvents(Queue[Any]):

@@ -271,16 +271,9 @@ def _flush(item: pytest.Item, stack: str) -> None:
         "this session has to end. The scenario is on disk: the next session runs it again in a separate process and "
         f"saves it. With {flag('isolate')}, the search continues after such a hang"
     )
-    item.ihook.pytest_runtest_logreport(
-        report=pytest.TestReport(
-            nodeid=item.nodeid,
-            location=item.location,
-            keywords={},
-            outcome="failed",
-            longrepr=f"{reason}.\n\nWhat it calls, innermost call last:\n{stack}",
-            when="call",
-        )
-    )
+    told = f"{reason}.\n\nWhat it calls, innermost call last:\n{stack}"
+    report = messages.report_on(item, "call", outcome="failed", longrepr=told)
+    item.ihook.pytest_runtest_logreport(report=report)
     try:
         pytest.exit(f"the ADS or its environment hangs in {item.nodeid}, as its failure says", returncode=STATUS)
     except pytest.exit.Exception:

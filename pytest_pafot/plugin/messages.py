@@ -22,7 +22,6 @@ from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
-    from pytest_pafot.findings.severity import Severity
     from pytest_pafot.findings.sighting import Seen
     from pytest_pafot.model.trace import Trace
     from pytest_pafot.oracle.checks import Check
@@ -40,17 +39,15 @@ def packed(value: object) -> str:
     return json.dumps(plain(value))
 
 
+def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
+    """Return a report on a phase of an item, which has passed unless it is given otherwise."""
+    passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
+    return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})
+
+
 def send(item: pytest.Item, event: Event, **more: Any) -> None:
     """Send an event of a running item to the controller, with more data, which must be plain."""
-    report = pytest.TestReport(
-        nodeid=item.nodeid,
-        location=item.location,
-        keywords={},
-        outcome="passed",
-        longrepr=None,
-        when=PHASE,  # type: ignore[arg-type]
-        pafot=(type(event).__name__, packed(event), more),
-    )
+    report = report_on(item, PHASE, pafot=(type(event).__name__, packed(event), more))
     item.ihook.pytest_runtest_logreport(report=report)
 
 
@@ -72,7 +69,7 @@ def send_seen(
     if settings.report is not None and seen.headline:
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415
 
-        more["view"] = packed(finding_view(seen, note=note, check=check))
+        more["view"] = json.dumps(finding_view(seen, note=note, check=check), allow_nan=False)
     send(item, seen, **more)
 
 
@@ -172,16 +169,11 @@ def set_of_saved(item: pytest.Item, saved: Saved) -> None:
     set_properties(item.user_properties, seed=seed, id=saved.id, signature=signature, file=file)
 
 
-def severity_text(severity: Severity | None) -> str:
-    """Return the severity of a failure as text for pytest's reports."""
-    return "none" if severity is None else str(severity)
-
-
 def of_findings(sightings: Iterable[Seen]) -> dict[str, str]:
     """Return the properties that describe findings in pytest's reports; commas separate the values of the findings."""
     columns: dict[str, list[str]] = {"id": [], "signature": [], "file": [], "severity": []}
     for each in sightings:
-        texts = (each.id, each.finding.signature.text, each.path, severity_text(each.severity))
+        texts = (each.id, each.finding.signature.text, each.path, str(each.severity or "none"))
         for column, text in zip(columns.values(), texts, strict=True):
             column.append(text)
     return {name: ", ".join(filter(None, column)) for name, column in columns.items()}

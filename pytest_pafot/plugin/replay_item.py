@@ -26,7 +26,7 @@ from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import marks, messages
 from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, explained
-from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties, severity_text
+from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties
 from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
@@ -69,7 +69,7 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
         item.stash[NOT_ACCEPTED] = now.beyond
     detail = _detail(replays, finding, now, happening)
     item.stash[REPLAYED] = True
-    sighting = _send(item, replays, saved, now, headline=line, detail=detail)
+    sighting = _send(item, replays, saved, finding, now, line, detail)
     item.stash[OF_ONE_RUN].show(now.run)  # the last call may have been for the reference
     if finding.xfail is not None and not now.fails:
         # A flaky file stays accepted: it passes by chance.
@@ -134,28 +134,22 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
     raise error
 
 
-def _send(item: pytest.Function, replays: Replays, saved: Saved, now: Observed, *, headline: str, detail: str) -> Seen:
+def _send(
+    item: pytest.Function, replays: Replays, saved: Saved, finding: Finding, now: Observed, headline: str, detail: str
+) -> Seen:
     """Report a replay to the controller and return it."""
-    finding, path, verdict = saved.finding, relative(saved.path, replays.harness.root), now.verdict
-    if finding is None:
-        raise ValueError(f"saved: expected a file that can be read, received {saved!r:.100}")
+    path, verdict = relative(saved.path, replays.harness.root), now.verdict
     reference = None if verdict is None else verdict.reference
-    sighting = Seen(
-        finding=finding,
-        node_id=item.nodeid,
-        test=marks.base_id(item),
-        observed=replace(
-            now,
-            against=replays.harness.against_name,
-            severity=None if verdict is None else verdict.severity,
-            before=None if reference is None else reference.severity,
-        ),
-        headline=headline,
-        path=path,
-        detail=detail,
+    observed = replace(
+        now,
+        against=replays.harness.against_name,
+        severity=None if verdict is None else verdict.severity,
+        before=None if reference is None else reference.severity,
     )
+    sighting = Seen(finding=finding, node_id=item.nodeid, test=marks.base_id(item), observed=observed)
+    sighting = replace(sighting, headline=headline, path=path, detail=detail)
     if headline:
-        set_properties(item.user_properties, severity=severity_text(sighting.severity))
+        set_properties(item.user_properties, severity=sighting.severity or "none")
     # The item fails again from that day on, and nobody may remember why it did not before.
     if finding.xfail is not None and not replays.accepts(finding):
         over = (

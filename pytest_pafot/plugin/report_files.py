@@ -68,18 +68,15 @@ class Files:
             of.problems += [f"{SUMMARY}={path}: not written: {problem}"] if problem else []
 
     def _write_page(self, target: str) -> None:
-        from pytest_pafot.report.page import write_page  # noqa: PLC0415
+        from pytest_pafot.report.page import render_page  # noqa: PLC0415
+        from pytest_pafot.support.files import write_whole  # noqa: PLC0415
 
         path = Path(os.path.normpath(self._config.invocation_params.dir / target))
         command = rerun(["pytest", *map(str, self._config.invocation_params.args)], os.environ)
-        told: list[str] = []
-
-        def write() -> None:
-            told.append(write_page(path, self._session, title=self._config.rootpath.name, command=command))
-
-        if problem := not_written(self._config, target, path.parent, write):
-            self._session.problems.append(f"{flag('report', target)}: not written: {problem}")
-        self._session.written += [f"report: {target} ({each})" for each in told]
+        page, told = render_page(self._session, title=self._config.rootpath.name, command=command)
+        problem = not_written(self._config, target, path.parent, lambda: write_whole(path, page.encode()))
+        lines = self._session.problems if problem else self._session.written
+        lines.append(f"{flag('report', target)}: not written: {problem}" if problem else f"report: {target} ({told})")
 
     def write_json(self) -> None:
         """Write the JSON file, unless the session runs and writing takes long."""

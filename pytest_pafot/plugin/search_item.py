@@ -304,73 +304,49 @@ class SearchMessages:
         if isinstance(event, (Progress, Search)):
             messages.send(self.item, event)
 
-    def _send_finding(self, sighting: Seen) -> None:
-        config = self.item.config
-        if sighting.label == "no worse":  # it was sent as new before, and gets no item
-            self.sent.pop(sighting.id, None)
-            messages.send_seen(self.item, self.settings, sighting, note=sighting.detail)
+    def _send_finding(self, seen: Seen) -> None:
+        item, settings, finding, run, whole = self.item, self.settings, seen.finding, seen.run, None
+        if seen.label == "no worse":  # it was sent as new before, and gets no item
+            self.sent.pop(seen.id, None)
+            messages.send_seen(item, settings, seen, note=seen.detail)
             return
-        is_first, is_told = sighting.id not in self.sent, bool(self.sent)
-        self.sent[sighting.id] = sighting  # even if an interrupt ends what follows
-        width = config.stash[SHARED].width
-        explanation = "" if sighting.run is None else explained(sighting.run, sighting.raised)
-        against = sighting.finding.expect.against
-        details = [f"against    {against}, which passes"] if against else []
-        details += [] if is_first else terminal.simplified_lines(sighting.finding)
-        details += [f"its file   {sighting.detail}"] if sighting.path and sighting.detail else []
-        advice = "it does not repeat, so it is not shrunk" if sighting.is_flaky else ""
-        if sighting.finding.flaky == NOT_REPEATED:
-            advice = DRAWS_IN_WRAPPERS if sighting.finding.world.get("wrappers") else DRAWS
-        avoided, run = sighting.finding.expect.avoided_by, sighting.run
-        first = [] if avoided is None or is_first else [avoided.sentence]
+        is_first, is_told = seen.id not in self.sent, bool(self.sent)
+        self.sent[seen.id] = seen  # even if an interrupt ends what follows
+        lines = [] if run is None else explained(run, seen.raised).splitlines()
+        lines = [] if lines and lines[0] in message_of(seen.raised) else lines
+        avoided = finding.expect.avoided_by
         if avoided is None and run is not None and run.collision is not None and moved_over(run) is not None:
-            first = [f"{capitalised(advice_on(run))}."]  # its decision, which no verdict knows
-        section = terminal.find_section(
-            sighting,
-            explanation="" if explanation.partition("\n")[0] in message_of(sighting.raised) else explanation,
-            first=first,
-            details=details,
-            advice=advice,
-            width=width,
-        )
+            lines.append(f"{capitalised(advice_on(run))}.")  # its decision, which no verdict knows
+        elif avoided is not None and not is_first:
+            lines.append(avoided.sentence)
+        advice = "it does not repeat, so it is not shrunk" if seen.is_flaky else ""
+        if finding.flaky == NOT_REPEATED:
+            advice = DRAWS_IN_WRAPPERS if finding.world.get("wrappers") else DRAWS
+        width = item.config.stash[SHARED].width
+        section = terminal.find_section(seen, lines, is_first=is_first, advice=advice, width=width)
         # Nobody should have to wait for the end of the search to learn what the first failure is.
-        whole = None
         if is_first and not is_told:
-            story = [] if sighting.run is None else sighting.run.explain(instructions=False).splitlines()
-            is_said = bool(story) and story[0].partition(":")[0] in sighting.headline
+            story = [] if run is None else run.explain(instructions=False).splitlines()
+            is_said = bool(story) and story[0].partition(":")[0] in seen.headline
+            if seen.is_firm and settings.shrink_rollouts != 0:
+                story.append("as found; at the end, shrinking changes times and numbers of NPCs")
             # A file whose finding does not count in a comparison will be removed.
-            is_sure = self.settings.against is None or not self.settings.pairs
+            is_sure = settings.against is None or not settings.pairs
             # A file in a corpus of the command line can only be run with the same option.
-            corpus = config.getoption(BY_NAME["corpus"].key)
+            corpus = item.config.getoption(BY_NAME["corpus"].key)
             where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
-            again = rerun(["pytest", sighting.path], os.environ, *where, saved=sighting.id) if is_sure else ""
-            is_final = not sighting.is_firm or self.settings.shrink_rollouts == 0
-            later = [] if is_final else ["as found; at the end, shrinking changes times and numbers of NPCs"]
-            whole = {"story": [*story[is_said:], *later], "again": again}
-        check = sighting.raised.check if isinstance(sighting.raised, CheckFailed) else None
-        report = _report(self.item, sighting, section)
-        messages.send_seen(self.item, self.settings, sighting, check=check, report=report, whole=whole)
+            again = rerun(["pytest", seen.path], os.environ, *where, saved=seen.id) if is_sure else ""
+            whole = {"story": story[is_said:], "again": again}
+        check = seen.raised.check if isinstance(seen.raised, CheckFailed) else None
+        messages.send_seen(item, settings, seen, check=check, report=_report(item, seen, section), whole=whole)
 
 
-def _report(item: pytest.Item, sighting: Seen, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, seen: Seen, section: str) -> dict[str, Any]:
     """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
     """
-    report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=_call(sighting))
-    path, line, _ = report.location
-    report.nodeid = sighting.node_id
-    report.location = (path, line, marks.saved_name(item, sighting.id))
-    report.sections.append(("pafot", section))
-    item.stash[OF_ONE_RUN].show(sighting.run, report.user_properties)
-    properties = of_findings([sighting])
-    set_properties(report.user_properties, **properties)
-    data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
-    return data
-
-
-def _call(sighting: Seen) -> pytest.CallInfo[None]:
-    error = shown(sighting.raised)
+    error = shown(seen.raised)
     context = error.__context__
 
     def fail() -> None:
@@ -379,7 +355,15 @@ def _call(sighting: Seen) -> pytest.CallInfo[None]:
         finally:  # If an interrupt ends the search, Python has made it the context of the failure.
             error.__context__ = context
 
-    return pytest.CallInfo.from_call(fail, when="call")
+    call = pytest.CallInfo.from_call(fail, when="call")
+    report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
+    report.nodeid = seen.node_id
+    report.location = (*report.location[:2], marks.saved_name(item, seen.id))
+    report.sections.append(("pafot", section))
+    item.stash[OF_ONE_RUN].show(seen.run, report.user_properties)
+    set_properties(report.user_properties, **of_findings([seen]))
+    data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
+    return data
 
 
 def _fail(item: pytest.Function, what: str, why: Sequence[str]) -> None:

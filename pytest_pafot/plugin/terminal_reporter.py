@@ -7,13 +7,13 @@ import os
 import re
 from collections.abc import Callable, Generator, Iterable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.messages import AS_SAVED, received
+from pytest_pafot.plugin.messages import AS_SAVED, received, report_on
 from pytest_pafot.plugin.report_files import Files
 from pytest_pafot.plugin.session import INVENTORY, SESSION, SHARED, base_line, terminal_width, uncaptured, unclaimed
 from pytest_pafot.report.session import RESULTS, Session
@@ -98,7 +98,7 @@ class Reporter:
         self._record = config.stash[SESSION]
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
-        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float, ...]]]] = {}
+        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float | str, ...]]]] = {}
         self._has_story = False
         self._expanded: set[str] = set()
         self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was shown
@@ -114,7 +114,8 @@ class Reporter:
             self._take_phase(report)
             self._live.erase_progress()
             if report.failed and VERDICT.search(report.longreprtext):
-                report.__dict__["toterminal"] = partial(_write_sparingly, report)
+                own = partial(pytest.TestReport.toterminal, report)
+                report.__dict__["toterminal"] = lambda writer: own(cast("Any", _Sparing(writer)))
         result = yield
         if message is not None:
             self._take(report, *message)
@@ -233,12 +234,10 @@ class Reporter:
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
     def _show_new(self, report: pytest.TestReport, seen: Seen, data: dict[str, Any], *, is_first: bool) -> None:
-        from pytest_pafot.findings.severity import Severity  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         if seen.node_id not in self._expanded:
-            rank = Severity.worst_first(seen.responsible, seen.severity)
-            pending = data["report"], getattr(report, "node", None), rank
+            pending = data["report"], getattr(report, "node", None), seen.rank
             self._pending.setdefault(report.nodeid, {})[seen.node_id] = pending
         self._live.erase_progress()
         width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
@@ -258,7 +257,9 @@ class Reporter:
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
             if self._session is not None:
                 self._session.testscollected += 1
-            for phase in (_phase(report, "setup"), report, _phase(report, "teardown")):
+            given = {"keywords": report.keywords, "user_properties": report.user_properties}
+            begin, end = (report_on(report, when, **given) for when in ("setup", "teardown"))
+            for phase in (begin, report, end):
                 if node is not None:
                     phase.__dict__["node"] = node  # as pytest-xdist does for reports of its workers
                 self._config.hook.pytest_runtest_logreport(report=phase)
@@ -285,21 +286,3 @@ class _Sparing:
             stands_out, indent = self._last[1], self._last[0]
         self._last = indent, stands_out
         self._writer.line(text, **(markup if stands_out else {}))
-
-
-def _write_sparingly(report: pytest.TestReport, writer: Any) -> None:
-    """Write a failure report on a terminal, with the colours that :class:`_Sparing` leaves."""
-    sparing: Any = _Sparing(writer)
-    pytest.TestReport.toterminal(report, sparing)
-
-
-def _phase(report: pytest.TestReport, when: Any) -> pytest.TestReport:
-    return pytest.TestReport(
-        nodeid=report.nodeid,
-        location=report.location,
-        keywords=report.keywords,
-        outcome="passed",
-        longrepr=None,
-        when=when,
-        user_properties=report.user_properties,
-    )

@@ -165,11 +165,6 @@ class Session:
         search = self.searches.get(item)
         return rerun([*words, item], os.environ, *("" if search is None else search.options).split())
 
-    @property
-    def again(self) -> str:
-        """The command that runs a single saved scenario."""
-        return rerun(["pytest", "FILE"], os.environ, saved="ID")
-
     @contextmanager
     def faults(self, work: str) -> Iterator[None]:
         """Report an error in this context as a problem; at the end of a session, pytest would lose all failures by it.

@@ -18,13 +18,13 @@ from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.campaign.events import Search
-from pytest_pafot.findings.finding import Finding, portable
-from pytest_pafot.findings.labels import GROUPS, Observed, label
-from pytest_pafot.findings.severity import Severity, worsening
+from pytest_pafot.findings.finding import portable
+from pytest_pafot.findings.labels import GROUPS
+from pytest_pafot.findings.severity import worsening
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import Alike, Seen
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.report.session import ADVICE, Session
+from pytest_pafot.report.session import ADVICE, RESULTS, Session
 from pytest_pafot.report.terminal import further, parameter_shares
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.proportions import none_text
@@ -36,33 +36,12 @@ VERSION = 3
 NOT_WRITTEN = ("seconds", "process_notes")
 """The attributes of a search that only the terminal shows, because the same seed may give others."""
 
-FAILED = ("failed", "error")
-"""The results of items that failed."""
-
-
-def _data(value: Any) -> dict[str, Any] | None:
-    return None if value is None else asdict(value)
-
-
-def _rate_of(seen: Seen) -> dict[str, Any] | None:
-    then = seen.finding.rate
-    return None if then is None else asdict(then) | {"of": seen.finding.drawn, "now": _data(seen.observed.rate)}
-
-
-def _worst_of(alike: Alike) -> dict[str, Any] | None:
-    return None if alike.severity is None else {"number": alike.number, "severity": asdict(alike.severity)}
-
-
-def _acceptance_of(finding: Finding) -> dict[str, Any] | None:
-    until = finding.xfail_until
-    return None if until is None else {"reason": finding.xfail, "until": until.isoformat()}
-
 
 FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyType({
     "node_id": ("", lambda seen: seen.node_id),
     "id": ("", lambda seen: seen.id),
     "test": ("", lambda seen: seen.finding.test),
-    "status": (str(label(Observed(is_error=True))), lambda seen: str(seen.label)),
+    "status": ("error", lambda seen: str(seen.label)),
     "result": ("", None),
     "file": (None, lambda seen: seen.path or None),
     "replay": ("", None),
@@ -82,21 +61,25 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "size": ("", lambda seen: size_of(seen.finding.scenario, seen.finding.longest_run)),
     "traffic": ("", lambda seen: STYLES[seen.finding.scenario.traffic].described),
     "runs": (0, lambda seen: 1 + seen.alike.runs if seen.observed.new else 0),
-    "worst": (None, lambda seen: _worst_of(seen.alike)),
+    "worst": (None, lambda seen: {name: value for name, value in asdict(seen.alike).items() if name != "runs"}),
     "seed": (None, lambda seen: seen.finding.found.seed),
     "algorithm": ("", lambda seen: seen.finding.found.algorithm),
     "against": ("", lambda seen: seen.finding.expect.against),
-    "rate": (None, _rate_of),
+    "rate": (None, lambda seen: seen.finding.rate and asdict(seen.finding.rate) | {
+        "of": seen.finding.drawn, "now": seen.observed.rate and asdict(seen.observed.rate),
+    }),
     "flaky": (None, lambda seen: seen.finding.flaky),
     "unshrunk": ("", lambda seen: seen.unshrunk),
-    "moment": (None, lambda seen: _data(seen.moment)),
+    "moment": (None, lambda seen: seen.moment and asdict(seen.moment)),
     "searched": (0, lambda seen: seen.observed.searched),
     "drawn": (0, lambda seen: seen.observed.drawn),
     "elsewhere": ("", lambda seen: seen.observed.elsewhere),
     "reference_passes": (None, lambda seen: seen.observed.reference_passes),
-    "severity": (None, lambda seen: _data(seen.severity)),
-    "severity_before": (None, lambda seen: _data(seen.observed.before)),
-    "xfail": (None, lambda seen: _acceptance_of(seen.finding)),
+    "severity": (None, lambda seen: seen.severity and asdict(seen.severity)),
+    "severity_before": (None, lambda seen: seen.observed.before and asdict(seen.observed.before)),
+    "xfail": (None, lambda seen: seen.finding.xfail_until and {
+        "reason": seen.finding.xfail, "until": seen.finding.xfail_until.isoformat(),
+    }),
 })  # fmt: skip
 """For each key of the entry of a finding its value if a file could not be read or run, and else the function that
 returns its value; None for what only the session knows.
@@ -130,8 +113,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         size: size of the scenario in words.
         traffic: how the NPCs drive, in words; empty for the paper's.
         runs: number of runs that failed so; 0 for a saved scenario (see `known` of the search).
-        worst: the worst of these runs: its `number` in the search, from 0, and its `severity`, likewise. Null if
-            unknown.
+        worst: of the worst of these runs, its `number` in the search, from 0, and its `severity`, if it has one.
         seed, algorithm: as in `found` of its file.
         against: the reference that passed then; empty without one.
         rate: of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of
@@ -233,13 +215,12 @@ def markdown(session: Session, page: str = "") -> str:
 
 def _lines(session: Session, rest: str) -> Iterator[str]:
     groups: dict[str, list[list[str]]] = {status: [] for status in GROUPS}
-    for seen in sorted(session.findings.values(), key=_rank):
+    for seen in sorted(session.findings.values(), key=lambda seen: seen.rank):
         groups[seen.label].append(list(_finding_lines(seen, session)))
-    error = label(Observed(is_error=True))
     for node_id, saved in sorted(session.unread.items()):
         if node_id not in session.seen:
-            why = plain(session.reasons[node_id])
-            groups[error].append([f"- {code(saved['test'])}: {why}", f"  <br>{code(saved['replay'])}"])
+            told = f"{code(saved['test'])}: {plain(session.reasons[node_id])}"
+            groups["error"].append([f"- {told}", f"  <br>{code(saved['replay'])}"])
     counts = [f"{len(group)} {status}" for status, group in groups.items() if group]
     yield f"### pafot: {', '.join([*([] if groups['new'] else ['nothing new']), *counts])}"
     yield ""
@@ -257,10 +238,10 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
             yield from ([f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"] if len(group) > most else [])
     searches = [session.searches[node_id] for node_id in sorted(session.searches)]
     for test, shares in parameter_shares(searches).items():
-        worst_ones = [f"{code(share.parameters)} {share.result}" for share in shares if share.failing]
+        worst_ones = [f"{code(parameters)} {told}" for share, parameters, told, _ in shares if share]
         yield from _listed(f"Parameters of {code(test)} that fail most", worst_ones, MAX_TOLD)
     # The new findings of the others make these fail.
-    failed = [each.node_id for each in searches if session.results.get(each.node_id) in FAILED and not each.finds]
+    failed = [each.node_id for each in searches if session.results.get(each.node_id) in RESULTS[-2:] and not each.finds]
     faulty = [f"{code(node_id)}: {plain(session.reasons.get(node_id, ''))}" for node_id in failed]
     yield from _listed("Searches that failed", faulty)
     lost = sorted({file.rpartition("/")[0] for file in session.left})
@@ -293,11 +274,6 @@ def _search_lines(session: Session) -> Iterator[str]:
         yield f"Of {plural(counted, 'random scenario')} {failing} failed by the ego's fault{told}."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
         yield f"{capitalised(compared)}."
-
-
-def _rank(seen: Seen) -> tuple[Any, ...]:
-    """Return the key that sorts findings of one group: the worst first, then those with the most runs."""
-    return *Severity.worst_first(seen.responsible, seen.severity), -seen.alike.runs, seen.node_id
 
 
 def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:

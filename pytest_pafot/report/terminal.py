@@ -1,6 +1,6 @@
 """The plugin's text in the terminal: progress, each finding, why a search fails, and the summary of the session.
 
-All functions are pure: they turn values into lines of plain ASCII that fit the terminal's width, except for node ids,
+The functions turn values into lines of plain ASCII that fit the terminal's width, except for node ids,
 paths and the user's own words.
 """
 
@@ -9,18 +9,19 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from operator import attrgetter
 
 from pytest_pafot.campaign.events import UNTESTED, Ending, Progress, Search
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.severity import Severity, worsening
+from pytest_pafot.findings.severity import worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
-from pytest_pafot.support.errors import command, flag
+from pytest_pafot.support.errors import command, flag, rerun
 from pytest_pafot.support.proportions import interval_text, none_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
 
@@ -62,28 +63,26 @@ _BESIDE: Mapping[ReferenceOutcome, str] = {
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
-    """Return one line of progress. To fit the width, the start of the node id is left out, then the end of the line."""
+    """Return one line of progress. To fit the width, the start of the node id is left out, then the end of the line.
+
+    If the runs that are left take more than a minute, it says how long they take, and what ends them.
+    """
     speed = progress.runs / progress.seconds if progress.seconds > 0 else 0.0
     pace = f"{1 / speed:.0f} s a run" if 0 < speed < 1 else f"{speed:.0f}/s"
     counts = [f"{progress.generation}/{progress.generations} generations"] if progress.generations is not None else []
     counts += [plural(progress.runs, "run") if progress.budget is None else f"{progress.runs}/{progress.budget} runs"]
-    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {pace}{_time_left(progress)}"
+    seconds, left = progress.left, ""
+    if seconds >= MINUTE:
+        duration = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
+        each = f" at {1000 * progress.decision_seconds:.3g} ms a decision" if progress.decision_seconds else ""
+        way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
+        left = f", about {duration} left{each}{way_out}"
+    done = f"{', '.join(counts)}, {progress.failing} failing, {progress.finds} new, {pace}{left}"
     tail = f" {progress.phase or done}"
     room = max(12, width - len(tail) - 8)
     name = ascii_text(progress.node_id)
     name = name if len(name) <= room else f"...{name[3 - room :]}"
     return f"pafot: {name}{tail}"[:width]
-
-
-def _time_left(progress: Progress) -> str:
-    """Return in words how long the runs take that are left, and what ends them; empty for less than a minute."""
-    seconds = progress.left
-    if seconds < MINUTE:
-        return ""
-    duration = f"{seconds / HOUR:.1f} h" if seconds >= 2 * HOUR else f"{seconds / MINUTE:.0f} min"
-    each = f" at {1000 * progress.decision_seconds:.3g} ms a decision" if progress.decision_seconds else ""
-    way_out = "" if progress.is_limited or seconds < LONG else f"; {flag('max_time', LONG)} ends it"
-    return f", about {duration} left{each}{way_out}"
 
 
 def found_lines(sighting: Seen, width: int = WIDTH, *, story: Sequence[str] = (), again: str = "") -> list[str]:
@@ -106,48 +105,36 @@ def found_lines(sighting: Seen, width: int = WIDTH, *, story: Sequence[str] = ()
 
 
 def find_section(
-    sighting: Seen,
-    *,
-    explanation: str,
-    first: Sequence[str] = (),
-    details: Sequence[str] = (),
-    advice: str = "",
-    width: int = WIDTH,
+    seen: Seen, explanation: Iterable[str], *, is_first: bool = False, advice: str = "", width: int = WIDTH
 ) -> str:
     """Return the section on a new finding in its failure report, without what the failure message says already.
 
     Args:
-        sighting: the finding.
-        explanation: the explanation of the run; empty if the failure message contains it.
-        first: lines that come before those on the policy's decisions.
-        details: further lines, each of which begins with a title of at most ten letters.
+        seen: the finding.
+        explanation: the lines that explain the run; empty if the failure message contains them.
+        is_first: whether it is reported for the first time, so that nothing was tried to simplify it.
         advice: a text that follows the finding's remark.
         width: the width of the terminal in columns.
     """
-    fitted = fitted_lines(map(ascii_text, [*explanation.splitlines(), *first, *sighting.on_decisions()]), width)
+    fitted = fitted_lines(map(ascii_text, [*explanation, *seen.on_decisions()]), width)
     # A path is not wrapped, so that it can be copied.
-    fitted += [ascii_text(f"saved as   {sighting.path}")] if sighting.path else []
-    stop = (
-        f"; {flag('debug')} stops in the decision at {sighting.moment.time:.1f} s"
-        if sighting.moment is not None
-        else ""
-    )
-    rest = [f"run it     pytest FILE{stop}"] if sighting.path else [f"not saved  {sighting.detail}"]
-    rest += (
-        [*details, f"note       {'; '.join(filter(None, (sighting.remark, advice)))}"] if sighting.remark else details
-    )
+    fitted += [ascii_text(f"saved as   {seen.path}")] if seen.path else []
+    stop = "" if seen.moment is None else f"; {flag('debug')} stops in the decision at {seen.moment.time:.1f} s"
+    rest = [f"run it     pytest FILE{stop}"] if seen.path else [f"not saved  {seen.detail}"]
+    against = seen.finding.expect.against
+    rest += [f"against    {against}, which passes"] if against else []
+    if not is_first:
+        rest += [f"shrunk     {how}" for how in shrunk_lines(seen.finding)]
+        rest += filter(None, [prevention_text(seen.finding.expect)])
+    rest += [f"its file   {seen.detail}"] if seen.path and seen.detail else []
+    rest += [f"note       {'; '.join(filter(None, (seen.remark, advice)))}"] if seen.remark else []
     fitted += fitted_lines(map(ascii_text, rest), width)
-    if not sighting.path and sighting.detail != flag("save", "none"):
-        content = text_of(sighting.finding).rstrip().splitlines()
-        fitted += ["the file would be:", *(ascii_text(f"  {line}") for line in content)]
+    if not seen.path and seen.detail != flag("save", "none"):
+        fitted += [
+            "the file would be:",
+            *(ascii_text(f"  {line}") for line in text_of(seen.finding).rstrip().splitlines()),
+        ]
     return "\n".join(fitted)
-
-
-def simplified_lines(finding: Finding) -> list[str]:
-    """Describe how a new finding shrank and who does not prevent it."""
-    lines = [f"shrunk     {how}" for how in shrunk_lines(finding)]
-    prevention = prevention_text(finding.expect)
-    return [*lines, prevention] if prevention else lines
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
@@ -179,22 +166,14 @@ def prevention_text(expect: Expect) -> str:
     return "; ".join(clauses)
 
 
-def _worst_first(finds: Iterable[Seen]) -> list[Seen]:
-    """Sort new findings, the worst first, as in all lists."""
-    return sorted(
-        finds,
-        key=lambda each: (
-            *Severity.worst_first(each.responsible, each.severity),
-            -each.alike.runs,
-            each.node_id,
-        ),
-    )
+by_rank = attrgetter("rank")
+"""A key that sorts findings, the worst first, as in all lists."""
 
 
 def failure_message(search: Search) -> str:
     """Return why the item of a search fails: its new findings. Each one is also reported as a separate item."""
     firm, flaky = [], []
-    for sighting in _worst_first(search.finds):
+    for sighting in sorted(search.finds, key=by_rank):
         measured = "" if sighting.severity is None else f", {sighting.severity}"
         name = f"{sighting.id} ({plural(1 + sighting.alike.runs, 'run')}{measured})"
         if sighting.is_flaky:
@@ -221,20 +200,19 @@ def search_lines(search: Search, *, width: int = WIDTH) -> list[str]:
     # Of a search that found nothing, the start of the ego and the kinds of vehicles are details.
     told = search.drawn.partition("; ")[0] if _is_quiet(search) else search.drawn
     drawn = [told] if told else []
-    texts = [*_decisions(search), *_find_lines(search), *_comparison(search)]
     lists = [origin, *drawn]
     failing, counted, checks = (search.random[each] for each in ("at_fault", "runs", "checks"))
     if counted:
         rest = search.random["otherwise"] - checks
-        broke = f"{checks} {'more ' if failing else ''}failed a check" if checks else ""
-        failed = ", ".join(filter(None, [broke, f"{rest} failed in other ways" if rest else ""]))
+        broke = [f"{checks} {'more ' if failing else ''}failed a check"] * bool(checks)
+        failed = ", ".join([*broke, *[f"{rest} failed in other ways"] * bool(rest)])
         others = f"; {failed}" if failed else ""
         share = interval_text(failing, counted)
         share = f", {share}" if failing else share.removeprefix("0 %")
         lists.append(f"random scenarios: {failing} of {counted} failed by the ego's fault{share}{others}")
     lines = [
         *_wrapped(_figures(search), width, phrases=True),
-        *(line for text in texts for line in _wrapped(text, width)),
+        *(line for text in _results(search) for line in _wrapped(text, width)),
         *(line for text in lists for line in _wrapped(text, width, phrases=True)),
     ]
     texts = []
@@ -242,9 +220,13 @@ def search_lines(search: Search, *, width: int = WIDTH) -> list[str]:
         texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")
         unlike = search.unlike.get(id_, ())
         texts += [f"of them, unlike saved-{id_}: {', '.join(unlike)}"] if unlike else []
-    texts += [f"warning: {warning}" for warning in search.warnings]
-    texts += [f"note: {note}" for note in (*search.process_notes, *search.notes)]
+    texts += _remarks(search)
     return [search.node_id, *lines, *(line for text in texts for line in _wrapped(text, width))]
+
+
+def _remarks(search: Search) -> list[str]:
+    notes = (*search.process_notes, *search.notes)
+    return [*(f"warning: {text}" for text in search.warnings), *(f"note: {text}" for text in notes)]
 
 
 def _figures(search: Search) -> str:
@@ -265,35 +247,27 @@ def _figures(search: Search) -> str:
     return ", ".join([f"{listed(several)} in {search.seconds:.1f} s", *parts])
 
 
-def _decisions(search: Search) -> list[str]:
-    """Count the decisions of a policy by what they were for, if a search takes long and they take most of the time."""
-    made = search.decisions
-    if not made.total() or search.seconds < max(MINUTE, EXPENSIVE * made.total()):
-        return []
-    return [listed([f"{made[name]:,} {purpose}" for name, purpose in PURPOSES.items() if made[name]])]
+def _results(search: Search) -> Iterator[str]:
+    """Yield texts on the decisions of the policy, the new findings, and the comparison with a reference.
 
-
-def _find_lines(search: Search) -> list[str]:
-    """Say how many new findings a search has and in which folder they are saved. Their own reports name them."""
-    if not search.finds:
-        return []
-    folders = dict.fromkeys(os.path.dirname(sighting.path) for sighting in search.finds if sighting.path)  # noqa: PTH120
-    problems = dict.fromkeys(sighting.detail for sighting in search.finds if not sighting.path)
-    worst = [f"{each.id}: {each.on_alike}" for each in _worst_first(search.finds) if each.on_alike]
-    flaky = sum(sighting.is_flaky for sighting in search.finds)
-    first = plural(len(search.finds), "new finding")
-    first += f" ({flaky} flaky)" if flaky else ""
-    first += f", saved in {' and '.join(folders)}" if folders else ""
-    return [first, *(f"not saved: {problem}" for problem in problems), *worst[:MAX_FINDS]]
-
-
-def _comparison(search: Search) -> list[str]:
-    """Say whether the policy became worse, and which findings do not count because it did not."""
-    lines = [search.compared] if search.compared else []
+    Decisions are counted by what they were for, if a search takes long and they take most of the time. New findings are
+    counted, since their own reports name them, and those that shrinking made milder are named with their worst run.
+    """
+    made, finds = search.decisions, sorted(search.finds, key=by_rank)
+    if made.total() and search.seconds >= max(MINUTE, EXPENSIVE * made.total()):
+        yield listed([f"{made[name]:,} {purpose}" for name, purpose in PURPOSES.items() if made[name]])
+    if finds:
+        folders = dict.fromkeys(os.path.dirname(each.path) for each in search.finds if each.path)  # noqa: PTH120
+        flaky = sum(each.is_flaky for each in finds)
+        first = plural(len(finds), "new finding") + (f" ({flaky} flaky)" if flaky else "")
+        yield first + (f", saved in {' and '.join(folders)}" if folders else "")
+        yield from (f"not saved: {each}" for each in dict.fromkeys(each.detail for each in finds if not each.path))
+        yield from [f"{each.id}: {each.on_alike}" for each in finds if each.on_alike][:MAX_FINDS]
+    if search.compared:
+        yield search.compared
     if search.no_worse:
         names = [f"{id_} ({headline})" if headline else id_ for id_, headline in search.no_worse.items()]
-        lines.append(f"fails elsewhere: {_listed(names)}; {flag('pairs', 0)} counts and saves it")
-    return lines
+        yield f"fails elsewhere: {_listed(names)}; {flag('pairs', 0)} counts and saves it"
 
 
 def replay_lines(replays: Sequence[Seen], width: int = WIDTH) -> list[str]:
@@ -347,82 +321,46 @@ def worst_lines(session: Session, width: int = WIDTH) -> list[str]:
     New failures are before known failures. Within both groups, failures for which the ego is responsible are first.
     """
     failing = [each for each in session.replays if each.headline and each.label != "accepted"]
-    listed = sorted(
-        (
-            each.label != "new" and each.compared != "introduced",
-            *Severity.worst_first(each.responsible, each.severity),
-            -each.alike.runs,
-            each.node_id,
-            _measured(each),
-        )
-        for each in (*session.finds, *failing)
-    )
+    both = (*session.finds, *failing)
+    listed = sorted(both, key=lambda each: (each.label != "new" and each.compared != "introduced", *each.rank))
     if len(listed) < 2:
         return []
-    lines = [line for *_, text in listed[:MAX_FINDS] for line in wrapped_to(f"  {text}", width)]
+    lines = [line for each in listed[:MAX_FINDS] for line in wrapped_to(f"  {_measured(each)}", width)]
     more = [f"  ... and {len(listed) - MAX_FINDS} more"] if len(listed) > MAX_FINDS else []
     return ["failures, the worst first:", *lines, *more]
 
 
-def _measured(sighting: Seen) -> str:
-    """Return a line with a failure's label and id, how bad it is, and who is responsible."""
-    name = f"{sighting.label}: {sighting.id}{_parameters(sighting.finding.test)}"
-    if sighting.severity is None:
+def _measured(seen: Seen) -> str:
+    """Return a line with a failure's label, id and parameters, how bad it is, and who is responsible."""
+    found = PARAMETERS.search(seen.finding.test)
+    name = f"{seen.label}: {seen.id}{f' [{found[2]}]' if found else ''}"
+    if seen.severity is None:
         return f"{name} has no measure"
-    who = f", {sighting.responsible} at fault" if sighting.severity.is_fault(sighting.responsible) else ""
-    return f"{name} {sighting.severity}{who}"
+    who = f", {seen.responsible} at fault" if seen.severity.is_fault(seen.responsible) else ""
+    return f"{name} {seen.severity}{who}"
 
 
-def _parameters(test: str) -> str:
-    """Return the parameters of a test behind a space, such as `` [planner-a]``; empty if it has none."""
-    found = PARAMETERS.search(test)
-    return f" [{found[2]}]" if found else ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParameterShare:
-    """The share of random scenarios in which a test failed with one set of its parameters.
-
-    Attributes:
-        parameters: the parameters, as in the node id.
-        failing, runs: the number of random scenarios in which it failed, and of all of them.
-        impact: the highest closing speed at an impact of its new findings [m/s]; None without an impact.
-    """
-
-    parameters: str
-    failing: int
-    runs: int
-    impact: float | None
-
-    @property
-    def result(self) -> str:
-        """The result in words."""
-        hits = "" if self.impact is None else f", hits at {self.impact:.1f} m/s"
-        return f"fails in {self.failing} of {self.runs} random scenarios{hits}"
-
-
-def parameter_shares(searches: Iterable[Search]) -> dict[str, list[ParameterShare]]:
+def parameter_shares(searches: Iterable[Search]) -> dict[str, list[tuple[float, str, str, int]]]:
     """Return for each parametrised test that failed how often it did with which parameters, the worst ones first.
 
-    Searches without random scenarios are left out.
+    Of each set of parameters it returns the negative share of random scenarios in which the test failed, the parameters
+    as in the node id, this share and the worst impact in words, and the number of random scenarios. Searches without
+    random scenarios are left out.
     """
-    tests: dict[str, list[ParameterShare]] = {}
+    tests: dict[str, list[tuple[float, str, str, int]]] = {}
     for each in searches:
-        found = PARAMETERS.search(each.node_id)
-        if found and each.random["runs"] and found[2].endswith(SEARCH):
+        found, runs = PARAMETERS.search(each.node_id), each.random["runs"]
+        if found and runs and found[2].endswith(SEARCH):
             measured = [seen.severity for seen in each.finds if seen.severity is not None]
-            impacts = [severity.value or 0.0 for severity in measured if severity.kind == "collision"]
-            share = ParameterShare(
-                parameters=found[2].removesuffix(SEARCH),
-                failing=each.random["at_fault"] + each.random["otherwise"],
-                runs=each.random["runs"],
-                impact=max(impacts, default=None),
-            )
-            tests.setdefault(found[1], []).append(share)
+            impact = max((severity.value or 0.0 for severity in measured if severity.kind == "collision"), default=None)
+            failing = each.random["at_fault"] + each.random["otherwise"]
+            hits = "" if impact is None else f", hits at {impact:.1f} m/s"
+            told = f"fails in {failing} of {runs} random scenarios{hits}"
+            tests.setdefault(found[1], []).append((-failing / runs, found[2].removesuffix(SEARCH), told, runs))
     return {
-        test: sorted(shares, key=lambda share: (-share.failing / share.runs, share.parameters))
+        test: sorted(shares)
         for test, shares in sorted(tests.items())
-        if len(shares) > 1 and any(share.failing for share in shares)
+        if len(shares) > 1 and any(share for share, *_ in shares)
     }
 
 
@@ -430,15 +368,18 @@ def parameter_lines(searches: Iterable[Search], width: int = WIDTH) -> list[str]
     """Return a table for each parametrised test: in how many random scenarios it failed, the worst parameters first."""
     lines: list[str] = []
     for test, shares in parameter_shares(searches).items():
-        shown = [share for share in shares if share.failing][:MAX_FINDS]
+        shown = [(parameters, told) for share, parameters, told, _ in shares if share][:MAX_FINDS]
         lines.append(f"{test}, the parameters that fail most first:")
-        room = max(len(share.parameters) for share in shown)
-        for share in shown:
-            text = f"  {share.parameters:{room}}  {share.result}"
+        room = max(len(parameters) for parameters, _ in shown)
+        for parameters, told in shown:
+            text = f"  {parameters:{room}}  {told}"
             # Wrapping would remove the alignment of rows that fit.
             lines += [text] if len(text) <= width else wrapped_to(text, width)
-        for runs in sorted({share.runs for share in shares if not share.failing}, reverse=True):
-            rest = [share.parameters for share in shares if share.runs == runs and not share.failing]
+        passed: dict[int, list[str]] = {}
+        for share, parameters, _, runs in shares:
+            if not share:
+                passed.setdefault(runs, []).append(parameters)
+        for runs, rest in sorted(passed.items(), reverse=True):
             lines += wrapped_to(f"  in none of {runs}{none_text(runs)}: {_listed(rest)}", width)
     return lines
 
@@ -454,7 +395,7 @@ def session_lines(session: Session, *, width: int = WIDTH) -> list[str]:
     if session.left:
         lines.append(f"not run: {plural(len(session.left), 'saved scenario')}: {_listed(session.left, MAX_LEFT)}")
     if any(find.path for find in session.finds):
-        lines.append(f"run a single saved scenario with: {session.again}")
+        lines.append(f"run a single saved scenario with: {rerun(['pytest', 'FILE'], os.environ, saved='ID')}")
     lines += [line for text in session.written for line in text.splitlines()]
     warnings = sorted(set(session.warnings))
     for kind, texts in (("warning", warnings), ("note", session.notes), ("problem", session.problems)):
@@ -478,7 +419,7 @@ def annotation_lines(sightings: Iterable[Seen], page: str = "") -> list[str]:
     and in names, what such a command reads as its own marks is escaped. If there are more findings, a notice counts
     them and says where they are: on the report page, whose path is ``page``, or in the list of the corpus.
     """
-    ranked = _worst_first(sightings)
+    ranked = sorted(sightings, key=by_rank)
     lines = []
     for sighting in ranked[:MAX_ANNOTATED]:
         parts = [sighting.headline, *sighting.observed.sentences, *sighting.on_decisions()]
@@ -524,9 +465,7 @@ def _lines_of_searches(session: Session, *, width: int) -> list[str]:
         return lines
     alike: dict[str, list[tuple[str, str]]] = {}
     for search in quiet:
-        texts = [f"warning: {text}" for text in search.warnings]
-        texts += [f"note: {text}" for text in (*search.process_notes, *search.notes)]
-        for text in texts:
+        for text in _remarks(search):
             alike.setdefault(re.sub(r"\d+", "0", text), []).append((search.node_id, text))
     for (node_id, text), *others in alike.values():
         also = f", and likewise in {len(others)} more" if others else ""

@@ -25,25 +25,27 @@ from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lan
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES, DrivingStyle
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run, arrival, lanes_apart
-from pytest_pafot.report.page import (
-    CheckView,
-    EventView,
-    InstructionView,
-    LaneView,
-    Numbers,
-    Paragraph,
-    Place,
-    RoadView,
-    RunView,
-    Stretch,
-    VehicleView,
-    ZoneView,
-)
 from pytest_pafot.report.terminal import prevention_text, shrunk_lines
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
 from pytest_pafot.world.limits import CLEARANCE
+
+Numbers = tuple[float | None, ...]
+Place = tuple[float, float, float]
+"""A gap that grows with the ego's speed: its minimum [m], its value at a standstill [m], its growth [m per m/s]."""
+Stretch = tuple[float, float, str]
+"""Decisions that are the same: the time of the first one, the time of the next other one [s], and their words."""
+Paragraph = tuple[str, str, tuple[tuple[str, tuple[str, ...]], ...]]
+"""A title, which may be empty, sentences, and lines of the user's code by whom they are about."""
+View = dict[str, Any]
+"""A part of what a page shows of a finding: plain values, which JSON can hold.
+
+Positions are in the frame of the road: *along* the road, and *across* it from the centre of lane 0 to the right.
+Headings are relative to the road, positive to the right. Lengths are in m, times in s since the start of the run,
+speeds in m/s, accelerations in m/s^2, angles in rad. None stands for a number that does not exist, such as the time to
+contact of vehicles that never touch, and an empty text for one that does not exist.
+"""
 
 # The road of a run for its picture.
 
@@ -51,33 +53,35 @@ BEYOND = 150.0
 """Length of road that is drawn beyond the farthest point that the ego reached [m]."""
 
 
-def road_view(trace: Trace, clearance: float) -> RoadView:
+def road_view(trace: Trace, clearance: float) -> View:
     """Return the road of a run, as a picture needs it.
 
-    A lane of a straight road is a position across the road; a lane of a bent road is a line in world coordinates. The
-    clearance is the gap between the ego and the cells ahead of and behind it [m].
+    ``lanes`` are the positions across a straight road. A bent one has ``shapes``: for each lane its ``points`` in world
+    coordinates, where *along* is the world's x and *across* its y, and its ``width``. The ``clearance`` is the gap
+    between the ego and the cells ahead of and behind it; in attentive traffic these are ``ahead`` and ``behind``.
     """
     ahead, behind = places(STYLES[trace.scenario.traffic])
-    road = RoadView(
-        lanes=(),
-        lane_width=float(trace.lanes[0].width),
-        speed_limit=round(float(trace.speed_limit), 2),
-        clearance=clearance,
-        ahead=ahead,
-        behind=behind,
-    )
+    road: View = {
+        "lanes": (),
+        "lane_width": float(trace.lanes[0].width),
+        "speed_limit": round(float(trace.speed_limit), 2),
+        "clearance": clearance,
+        "ahead": ahead,
+        "behind": behind,
+        "shapes": (),
+    }
     if trace.road.is_straight:
         starts = np.array([(lane.x, lane.y) for lane in trace.lanes])
         across = trace.road.drawn(starts[:, 0], starts[:, 1])[1]
-        return replace(road, lanes=tuple(round(float(value), 2) for value in across))
+        return road | {"lanes": tuple(round(float(value), 2) for value in across)}
     reach = float(trace.track_of(0)[:, ALONG].max()) + BEYOND
     shapes = []
     for lane in trace.lanes:
         points, length = _measured(lane)
         shown = points[: max(int(np.searchsorted(length, reach)) + 1, 2)]
         line = tuple((round(float(x), 2), round(float(y), 2)) for x, y in shown)
-        shapes.append(LaneView(points=line, width=float(lane.width)))
-    return replace(road, shapes=tuple(shapes))
+        shapes.append({"points": line, "width": float(lane.width)})
+    return road | {"shapes": tuple(shapes)}
 
 
 def places(style: DrivingStyle) -> tuple[Place, Place]:
@@ -112,20 +116,30 @@ def check_tick(trace: Trace, check: Check | None) -> int | None:
     return round(check.time * trace.physics_hz)
 
 
-def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
-    """Return the view of a check that failed in a run, with a value for each frame; ``ticks`` are the frames' ticks.
+def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
+    """Return the view of a check that failed in a run; ``ticks`` are those of the frames.
 
-    The view has no curve if it is unknown at which ticks the check's values were measured.
+    The view has the worst ``value`` and its ``time``, the bounds, and the time from which a bound is broken, ``begin``.
+    If it is known when the check's values were measured, it also has a curve: for each frame one of the ``values``, the
+    worst since the previous frame, cut at ``low`` and ``high``, the range that a picture shows; whether values below
+    and above it ``is_cut``; and start and end of each time span in which a bound was ``broken``.
     """
     tick, hz = check_tick(trace, check), trace.physics_hz
-    view = CheckView(
-        name=check.name,
-        unit=check.unit,
-        value=check.value if math.isfinite(check.value) else None,
-        at_most=check.at_most,
-        at_least=check.at_least,
-        time=None if tick is None else round(tick / hz, 3),
-    )
+    time = None if tick is None else round(tick / hz, 3)
+    view: View = {
+        "name": check.name,
+        "unit": check.unit,
+        "value": check.value if math.isfinite(check.value) else None,
+        "at_most": check.at_most,
+        "at_least": check.at_least,
+        "time": time,
+        "begin": time,
+        "values": (),
+        "low": 0.0,
+        "high": 1.0,
+        "is_cut": (False, False),
+        "broken": (),
+    }
     if check.values is None or len(check.values) != trace.ticks + 1:
         return view
     values, (low, high) = check.values, _axis(check, check.values)
@@ -133,14 +147,15 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> CheckView:
     excess = _excess(check, values)
     spans = [range(before + 1, tick + 1) for before, tick in pairwise([-1, *ticks])]
     worst = [values[span[int(excess[span].argmax())]] for span in spans]
-    return replace(
-        view,
-        values=tuple(None if np.isnan(value) else round(float(value), digits) for value in np.clip(worst, low, high)),
-        low=low,
-        high=high,
-        is_cut=(bool((values < low).any()), bool((values > high).any())),
-        broken=tuple((round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0)),
-    )
+    broken = tuple((round(first / hz, 3), round((end - 1) / hz, 3)) for first, end in stretches(excess > 0))
+    return view | {
+        "begin": broken[0][0] if broken else time,
+        "values": tuple(None if np.isnan(each) else round(float(each), digits) for each in np.clip(worst, low, high)),
+        "low": low,
+        "high": high,
+        "is_cut": (bool((values < low).any()), bool((values > high).any())),
+        "broken": broken,
+    }
 
 
 def _excess(check: Check, values: FloatArray) -> FloatArray:
@@ -172,17 +187,26 @@ FRAMES_PER_SECOND = 7
 """Approximate number of frames per second of a run. The page interpolates between them, so more are not needed."""
 
 
-def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) -> RunView:
-    """Return the data that the report page shows of a finding.
-
-    Use :func:`dataclasses.replace` to set what is known only later, such as the number of runs that failed in this way
-    or the label.
+def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) -> View:
+    """Return the data that the report page shows of a finding, with its run if one was recorded.
 
     Args:
-        sighting: the finding, with its run if one was recorded. Without a headline, the title is the first line of the
-            run's explanation.
+        sighting: the finding. Without a headline, the title is the first line of the run's explanation.
         note: what the page adds to the headline.
         check: the check that failed in the run; None if something else failed.
+
+    Keys:
+        headline, times, vehicles, road, instructions, decisions, event, check: what the scripts draw: times of the
+            frames, empty if no run was recorded; the ego, then the NPCs; the instructions, ordered by NPC and gene; the
+            decisions of the ego's ADS, of which equal ones in succession are one stretch; the failed check or null.
+        sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
+            a failed check, what the headline does not say of it; otherwise empty.
+        besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
+        deadline: what the ego should have done by when to avoid the collision, in a few words; empty if unknown, or if
+            it is not at fault.
+        happened: what else is known of the run and of the finding, in prose.
+        assertion: the line of the test that failed, or the exception that was raised.
+        yaml: text of its file.
     """
     finding, trace = sighting.finding, None if sighting.run is None else sighting.run.trace
     expect, headline = finding.expect, "; ".join(filter(None, [sighting.headline, note]))
@@ -207,26 +231,39 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
     if check is None and headline.endswith("at fault") and run is not None and run.event_npc is not None:
         sentences = sentences[:-1]  # the headline says who is responsible
-    view = RunView(
-        headline=headline or first or expect.message or expect.failure,
-        sentences=sentences,
-        besides=besides,
-        deadline=deadline,
-        happened=(*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
-        assertion=_assertion(expect),
-        responsibility=expect.responsibility,
-        road=RoadView(lanes=(), lane_width=0.0, speed_limit=0.0, clearance=clearance),
-        vehicles=(),
-        times=(),
-        instructions=_instructions(trace, finding.scenario),
-        event=EventView(kind=str(expect.outcome), time=expect.time),
-        yaml=text_of(finding),
-        traffic=STYLES[finding.scenario.traffic].described,
-        sighting=sighting,
-    )
+    view = {
+        "headline": headline or first or expect.message or expect.failure,
+        "sentences": sentences,
+        "besides": besides,
+        "deadline": deadline,
+        "happened": (*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
+        "assertion": _assertion(expect),
+        "road": {"lanes": (), "lane_width": 0.0, "speed_limit": 0.0, "clearance": clearance, "shapes": ()},
+        "vehicles": (),
+        "times": (),
+        "instructions": _instructions(trace, finding.scenario),
+        "decisions": (),
+        "event": {"kind": str(expect.outcome), "time": expect.time, "npc": None, "side": ""},
+        "check": None,
+        "yaml": text_of(finding),
+    }
     if trace is None:
         return view
-    return replace(_with_run(view, trace, clearance, check), decisions=_decisions(trace, finding.world))
+    run, tick = Run(trace), check_tick(trace, check)
+    ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
+    return view | {
+        "road": road_view(trace, clearance),
+        "vehicles": _vehicles(trace, ticks),
+        "times": tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
+        "decisions": _decisions(trace, finding.world),
+        "event": {
+            "kind": str(run.outcome),
+            "time": round(min(run.event_time, run.duration), 3),
+            "npc": run.event_npc,
+            "side": "" if run.collision is None else run.collision.side,
+        },
+        "check": None if check is None else check_view(check, trace, ticks),
+    }
 
 
 def _with_curve(check: Check, trace: Trace) -> Check:
@@ -242,18 +279,19 @@ def _with_curve(check: Check, trace: Trace) -> Check:
 def _check_in_short(check: Check, trace: Trace) -> str:
     """Return one line on a failed check: who fails it, from when on, and the value with its bound."""
     view = check_view(check, trace, ())
-    when = "" if view.begin is None else f" {'from' if view.broken else 'at'} {view.begin:.1f} s"
+    when = "" if view["begin"] is None else f" {'from' if view['broken'] else 'at'} {view['begin']:.1f} s"
     return f"the ego fails the check{when}: {replace(check, time=None)}"
 
 
-def _check_sentences(check: CheckView) -> tuple[str, ...]:
+def _check_sentences(check: View) -> tuple[str, ...]:
     """Return what the headline does not say of a failed check: when it is worst, and until when its bound is broken."""
-    if not check.broken or check.time is None:
+    broken, time = check["broken"], check["time"]
+    if not broken or time is None:
         return ()
-    first, last, times = check.broken[0][0], check.broken[-1][1], len(check.broken)
-    worst = f"it is worst at {check.time:.1f} s" if check.time - first >= LITTLE else ""
+    first, last, times = broken[0][0], broken[-1][1], len(broken)
+    worst = f"it is worst at {time:.1f} s" if time - first >= LITTLE else ""
     often = f" {times} times," if times > 1 else ""
-    until = f"the bound is broken{often} until {last:.1f} s" if last - check.time >= LITTLE or often else ""
+    until = f"the bound is broken{often} until {last:.1f} s" if last - time >= LITTLE or often else ""
     told = ", and ".join(filter(None, [worst, until]))
     return (f"{capitalised(told)}.",) if told else ()
 
@@ -335,26 +373,6 @@ def _assertion(expect: Expect) -> str:
     return f"{expect.failure}: {expect.message}" if expect.message else expect.failure
 
 
-def _with_run(view: RunView, trace: Trace, clearance: float, check: Check | None) -> RunView:
-    """Return a view with what only a run shows: the road, the vehicles' tracks, and the moment of the event."""
-    run, tick = Run(trace), check_tick(trace, check)
-    ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
-    road = road_view(trace, clearance)
-    return replace(
-        view,
-        road=road,
-        vehicles=_vehicles(trace, ticks),
-        times=tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
-        event=EventView(
-            kind=str(run.outcome),
-            time=round(min(run.event_time, run.duration), 3),
-            npc=run.event_npc,
-            side="" if run.collision is None else run.collision.side,
-        ),
-        check=None if check is None else check_view(check, trace, ticks),
-    )
-
-
 def frame_ticks(trace: Trace) -> list[int]:
     """Return the ticks of a run's frames: about seven per second, the last tick, and the tick of a collision."""
     stride = max(1, round(trace.physics_hz / FRAMES_PER_SECOND))
@@ -364,7 +382,13 @@ def frame_ticks(trace: Trace) -> list[int]:
     return sorted(ticks)
 
 
-def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
+def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
+    """Return the vehicles of a run, the ego first, most of whose values are for each frame.
+
+    An NPC also has the ``gap`` between its box and the ego's, the time to contact with the ego at constant velocities
+    (``ttc``), and in ``cells`` the grid cell with its centre: 0 for the ego's place, None while it is not on the ego's
+    way. One that crosses has its zone, and the expected time between the ego and it there (``advantage``).
+    """
     encounters = Encounters(trace)
     gaps, ttcs, passed, advantages = gap(trace), ttc(trace), passages(trace), time_advantage(trace)
     along, across = trace.road.drawn(trace.states[:, :, X], trace.states[:, :, Y])
@@ -372,56 +396,61 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[VehicleView, ...]:
     views = []
     for vehicle in range(trace.states.shape[1]):
         name, kind = f"NPC {vehicle - 1}" if vehicle else "ego", trace.vehicle_type(vehicle)
-        view = VehicleView(
-            name=name if kind == CAR else f"{name}, {kind.name}",
-            length=float(trace.sizes[vehicle, 0]),
-            width=float(trace.sizes[vehicle, 1]),
-            along=_numbers(along[ticks, vehicle], 2),
-            across=_numbers(across[ticks, vehicle], 2),
-            heading=_numbers(heading[ticks, vehicle], 3),
-            speed=_numbers(trace.states[ticks, vehicle, SPEED], 2),
-            acceleration=_numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
-        )
+        view: View = {
+            "name": name if kind == CAR else f"{name}, {kind.name}",
+            "length": float(trace.sizes[vehicle, 0]),
+            "width": float(trace.sizes[vehicle, 1]),
+            "along": _numbers(along[ticks, vehicle], 2),
+            "across": _numbers(across[ticks, vehicle], 2),
+            "heading": _numbers(heading[ticks, vehicle], 3),
+            "speed": _numbers(trace.states[ticks, vehicle, SPEED], 2),
+            "acceleration": _numbers(trace.states[ticks, vehicle, ACCELERATION], 1),
+            **dict.fromkeys(("gap", "ttc", "cells", "advantage"), ()),
+            "zone": None,
+        }
         if vehicle:
             npc = vehicle - 1
             is_on_way = encounters.is_on_way[npc]
-            cells = tuple(int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks)
-            room, seconds = _numbers(gaps[ticks, npc], 2), _numbers(ttcs[ticks, npc], 2)
-            view = replace(view, gap=room, ttc=seconds, cells=cells)
+            view["cells"] = tuple(int(encounters.cell(npc, tick) or 0) if is_on_way[tick] else None for tick in ticks)
+            view |= {"gap": _numbers(gaps[ticks, npc], 2), "ttc": _numbers(ttcs[ticks, npc], 2)}
             passage = passed[npc]
             if passage is not None:
-                zone = zone_view(passage.zone, view.length, trace.lanes[0].width)
-                view = replace(view, zone=zone, advantage=_numbers(advantages[ticks, npc], 2))
+                view["zone"] = zone_view(passage.zone, view["length"], trace.lanes[0].width)
+                view["advantage"] = _numbers(advantages[ticks, npc], 2)
         views.append(view)
     return tuple(views)
 
 
-def zone_view(zone: Zone, length: float, width: float) -> ZoneView:
-    """Return the zone of a crossing NPC of a length, whose drawn area has a width [m].
+def zone_view(zone: Zone, length: float, width: float) -> View:
+    """Return the zone of a crossing NPC of a length, whose drawn area has a width [m]: points of the way and the area.
 
     A vehicle's centre is in the zone from when its front may touch a vehicle there until its rear no longer can, so the
     drawn area is shorter than the zone by the NPC's length.
     """
     if not zone.line:
-        return ZoneView(name=zone.way)
+        return {"name": zone.way, "way": (), "area": (), "width": 0.0}
     line = np.array(zone.line)
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
     first, last = zone.npc[0] + length / 2, zone.npc[1] - length / 2
     places = np.linspace(first, max(last, first), max(round(last - first), 1) + 1)
     area = np.stack([np.interp(places, along, line[:, column]) for column in (0, 1)], axis=-1)
-    return ZoneView(name=zone.way, way=_points(line), area=_points(area), width=float(width))
+    return {"name": zone.way, "way": _points(line), "area": _points(area), "width": float(width)}
 
 
 def _points(line: FloatArray) -> tuple[tuple[float, float], ...]:
     return tuple((round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in line.tolist())
 
 
-def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionView, ...]:
-    """Return the instructions of all NPCs as they were driven; without a run, as in the scenario and not started."""
+def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
+    """Return the instructions of all NPCs as they were driven; without a run, as in the scenario and not started.
+
+    One for a cell has the cell of the scenario, ``requested``, and the one that the NPC drove to, which the repair may
+    have changed; one for a lane or for crossing has this ``lane`` or ``zone``, and ``words``.
+    """
     wanted = scenario if trace is None else trace.scenario
     driven, arrivals, hz = (wanted.npcs, (), 1) if trace is None else (trace.chains, trace.arrivals, trace.physics_hz)
     zones = (None,) * len(wanted.npcs) if trace is None or not trace.zones else trace.zones
-    views: list[InstructionView] = []
+    views: list[View] = []
     for npc, chain in enumerate(wanted.npcs):
         begun = arrivals[npc] if npc < len(arrivals) else ()
         for gene, (requested, followed) in enumerate(zip(chain, driven[npc], strict=False)):
@@ -431,17 +460,20 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[InstructionV
                 end = max(end, trace.duration)
             apart = math.nan if trace is None else lanes_apart(trace, npc, gene)
             zone = zones[npc]
-            view = InstructionView(
-                npc=npc,
-                start=round(gene * wanted.gene_seconds, 3),
-                end=round(end, 3),
-                requested=0,
-                cell=0,
-                speed=followed.speed,
-                started=gene < len(begun),
-                arrived=None if tick is None else round(tick / hz, 3),
-            )
-            views.append(replace(view, **followed.shown(requested, apart, "" if zone is None else zone.whence)))
+            view: View = {
+                "npc": npc,
+                "start": round(gene * wanted.gene_seconds, 3),
+                "end": round(end, 3),
+                "speed": followed.speed,
+                "started": gene < len(begun),
+                "arrived": None if tick is None else round(tick / hz, 3),
+                "requested": 0,
+                "cell": 0,
+                "lane": "",
+                "zone": "",
+                "words": "",
+            }
+            views.append({**view, **followed.shown(requested, apart, "" if zone is None else zone.whence)})
     return tuple(views)
 
 

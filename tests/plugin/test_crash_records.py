@@ -37,14 +37,6 @@ def test_lives(run):
 """
 
 
-def test_scenario_of_dead_process_is_reported_without_searching(project):
-    project.write(PASSES)
-    project.leave_crash("test_it.py::test_lives")
-    project.run(runs=0).assert_outcomes(failed=2)
-    project.mend()
-    project.run(runs=0).assert_outcomes(passed=1, skipped=1)
-
-
 def test_crash_that_became_an_ordinary_failure_is_labelled(failing):
     failing.leave_crash("test_it.py::test_fails")
     failing.run(runs=0)

@@ -272,7 +272,10 @@ PLACES = (
     "pafot_corpus/a.pafot.yaml",
     "a.pafot.yaml",
     "pafot_corpus/pafot_corpus/test_it/test_fails/a.pafot.yaml",
-    *(f"{FOLDER}/a{suffix}" for suffix in (".pafot.yml", ".yml", ".yaml", ".PAFOT.YAML", ".pafot.Yml")),
+    *(
+        f"{FOLDER}/a{suffix}"
+        for suffix in (".pafot.yml", ".yml", ".yaml", ".PAFOT.YAML", ".pafot.Yml", ".pafot.yaml.gz", ".pafot.yaml.dvc")
+    ),
     "A.Pafot.Yaml",
 )
 
@@ -531,14 +534,6 @@ def test_saved_scenario_in_a_folder_that_pytest_passes_by_fails_a_ci_session(pas
     passing.pytester.makeini("[pytest]\nnorecursedirs = .* build d\n")
     for args in ([], ["."]):
         assert is_red(replay(passing, *args))
-
-
-@pytest.mark.parametrize("suffix", [".gz", ".dvc"])
-def test_packed_saved_scenario_fails_a_ci_session(saved, ci, suffix):
-    file = saved.only_file
-    file.with_name(file.name + suffix).write_bytes(b"\x1f\x8b")
-    file.unlink()
-    assert is_red(replay(saved))
 
 
 @pytest.mark.parametrize("archive", ["pafot_corpus.dvc", "pafot_corpus/test_it.zip", f"{FOLDER}.tar.gz"])

@@ -126,11 +126,24 @@ def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
         settings(project, "--pafot-generations=5", marker={"generations": -3})
 
 
-def test_wrong_command_line_value_is_a_usage_error(project):
+NO_COMMIT = "expected the name of a commit, at most 100 printable characters without spaces, received"
+NO_PAGE = "expected the name of a page FILE.html, received"
+
+
+@pytest.mark.parametrize(("option", "told"), [
+    ("population=one", "expected a whole number, at least 2, received 'one'"),
+    ("today=31.1.2027", "expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"),
+    ("json=new/", "expected the name of a file, received 'new/'*new/pafot.json"),
+    *((f"report={name}", NO_PAGE) for name in ("report.pdf", "report/", "report")),
+    *((f"commit={name}", NO_COMMIT) for name in ("", "a b", "a\tb", "a\u00a0b", "\x1b[31m", "a" * 101)),
+])  # fmt: skip
+def test_wrong_command_line_value_is_a_usage_error(project, option, told):
     project.write("def test_ordinary():\n    pass\n")
-    result = project.run("--pafot-population=one", runs=None)
+    result = project.run(f"--pafot-{option}", runs=None)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["*--pafot-population: expected a whole number, at least 2, received 'one'*"])
+    result.stderr.fnmatch_lines([f"*--pafot-{option.partition('=')[0]}: {told}*"])
+    assert "\x1b" not in result.stderr.str()
+    assert not (project.path / "new").exists()
 
 
 def test_largest_population_is_the_same_for_options_and_algorithms():

@@ -96,15 +96,6 @@ UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
 OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: correct *"
 
 
-def test_xfail_is_valid_through_its_last_day(saved):
-    edited(saved, "# xfail: {reason, until}", UNTIL)
-    last = saved.run("--pafot-today=2027-01-31", runs=0)
-    last.assert_outcomes(xfailed=1, skipped=1)
-    next_day = saved.run("--pafot-today=2027-02-01", runs=0)
-    next_day.assert_outcomes(failed=1, skipped=1)
-    next_day.stdout.fnmatch_lines([OVER])
-
-
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
     edited(saved, "# xfail: {reason, until}", UNTIL)
     saved.write(PASSES)
@@ -119,14 +110,6 @@ def test_last_xfail_day_is_compared_with_the_calendar(saved):
     saved.run(runs=0).assert_outcomes(xfailed=1, skipped=1)
     edited(saved, "9999-12-31", "2026-01-01")
     saved.run(runs=0).assert_outcomes(failed=1, skipped=1)
-
-
-def test_invalid_today_on_command_line_is_refused(saved):
-    result = saved.run("--pafot-today=31.1.2027", runs=0)
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(
-        ["*--pafot-today: expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"]
-    )
 
 
 def test_passing_replay_under_other_versions_has_drifted(saved):

@@ -19,19 +19,6 @@ def test_search_fails_reports_its_finding_by_replay_id_and_saves_it_near_its_tes
     assert "test: test_it.py::test_fails\n" in failing.only_file.read_text()
 
 
-def test_finding_is_announced_during_search_with_its_file(project):
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
-    result = project.run(runs=40)
-    result.stdout.fnmatch_lines(
-        [
-            f"pafot: found test_it.py::test_collides[[]saved-{project.only_id}[]]",
-            "  collision after *.? s, closing at *.? m/s: NPC ? ahead, * at fault",
-            "FF*",
-            f"saved as   {project.files[0]}",
-        ]
-    )
-
-
 TWO_KINDS = """
 @pafot.search(SHORT)
 def test_collides(run):
@@ -73,24 +60,24 @@ def test_first_finding_is_told_whole_at_once_and_others_in_a_line(project, monke
     assert "run it with" not in (project.path / "out.json").read_text()
 
 
-def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project):
+@pytest.mark.parametrize("args", [(), ("-n1",)], ids=["alone", "behind the dots of a worker"])
+def test_only_the_first_finding_of_a_session_is_told_whole_at_once(project, args):
+    if args:
+        pytest.importorskip("xdist")
     test = "@pafot.search(SHORT)  # stop_after=1\ndef test_{}(run):\n    assert not run.collision\n\n"
     project.write(test.format("a") + test.format("b"))
-    first, second = announced(project.run("--pafot-shrink-rollouts=0", runs=40, seed=2))
+    first, second = announced(project.run(*args, "--pafot-shrink-rollouts=0", runs=40, seed=2))
     assert any(line.startswith("  saved; run it with") for line in first)
     assert len(second) == 1
 
 
-def test_a_finding_begins_its_own_line_also_behind_the_dots_of_workers(project):
-    pytest.importorskip("xdist")
-    test = "@pafot.search(SHORT)  # stop_after=1\ndef test_{}(run):\n    assert not run.collision\n\n"
-    project.write(test.format("a") + test.format("b"))
-    assert len(announced(project.run("-n1", "-q", "--pafot-shrink-rollouts=0", runs=40, seed=2))) == 2
-
-
 def test_first_collision_has_the_sentences_of_its_verdict(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_collides(run):\n    assert not run.collision\n")
-    (lines,) = announced(project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", runs=40, seed=2))
+    result = project.run_once("--pafot-shrink-rollouts=0", "--pafot-json=out.json", runs=40, seed=2)
+    found = f"pafot: found test_it.py::test_collides[[]saved-{project.only_id}[]]"
+    headline = "  collision after *.? s, closing at *.? m/s: NPC ? ahead, * at fault"
+    result.stdout.fnmatch_lines([found, headline, "FF*", f"saved as   {project.files[0]}"])
+    (lines,) = announced(result)
     (its,) = json.loads((project.path / "out.json").read_text())["findings"]
     told = " ".join(" ".join(lines[1:]).split())
     assert lines[0].startswith("  collision after")
@@ -108,13 +95,16 @@ def test_quiet_session_tells_only_the_first_finding_in_short(project):
     assert announced(project.run_once("-qq", "--pafot-shrink-rollouts=0", runs=40, seed=2)) == []
 
 
-def test_search_without_findings_passes_with_a_summary(project):
+def test_search_without_findings_passes_with_a_summary_in_ascii(project, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    assert run.duration > 0\n")
     result = project.run(runs=8)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*runs in * s*0 failing*", "*from --pafot-seed=1, ended: all runs done"])
     (begin,) = [number for number, line in enumerate(result.outlines) if line.strip("= ") == "pafot"]
-    assert len(result.outlines[begin:]) <= 11  # a dozen lines with the one that names the seed before the search
+    told = result.outlines[begin:]
+    assert len(told) <= 11  # a dozen lines with the one that names the seed before the search
+    assert all(line.isascii() and len(line) <= 80 for line in told)
     assert project.files == []
 
 
@@ -139,13 +129,6 @@ def test_counts(run, once, tmp_path):
     assert len(once) == len(made)
 """)
     project.run(runs=8).assert_outcomes(passed=1)
-
-
-def test_stop_after_limits_the_number_of_distinct_findings(project):
-    check = 'pafot.check(1.0, name=f"cell {run.event_cell}", at_most=0.0)'
-    project.write(f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_fails(run):\n    {check}\n")
-    project.run("--pafot-stop-after=2", runs=80).assert_outcomes(failed=3)
-    assert len(project.files) == 2
 
 
 def test_save_none_reports_finds_and_writes_nothing(failing):
@@ -231,12 +214,6 @@ def test_max_time_zero_still_makes_one_run(project):
     result.stdout.fnmatch_lines(["  1 run in *", "*--pafot-max-time", "*note: cut by --pafot-max-time*"])
 
 
-def test_corpus_file_as_argument_runs_only_its_item(saved):
-    result = saved.run("-v", saved.files[0])
-    result.assert_outcomes(failed=1, deselected=1)
-    result.stdout.fnmatch_lines([f"test_it.py::test_fails[[]saved-{saved.only_id}[]] FAILED*"])
-
-
 def test_corpus_file_adds_its_item_to_other_arguments(saved):
     saved.write("def test_other():\n    pass\n", name="test_other")
     saved.run("test_other.py", saved.files[0]).assert_outcomes(failed=1, passed=1, deselected=1)
@@ -256,24 +233,11 @@ SHORT_SEARCH = "*note: 100 runs are a short search; use --pafot-runs=1000 for a 
 KEEPS = "@pafot.search(SHORT)\ndef test_drive(run):\n    assert run.duration BOUND\n"
 
 
-def test_short_default_search_without_findings_says_so(project):
-    project.write(KEEPS.replace("BOUND", "> 0"))
-    project.run(runs=None).stdout.fnmatch_lines([SHORT_SEARCH])
-
-
-@pytest.mark.parametrize(
-    ("bound", "options"),
-    [("< 1", ["--pafot-shrink-rollouts=0"]), ("> 0", ["--pafot-generations=3"]), ("> 0", ["--pafot-max-time=0"])],
-)
-def test_no_other_search_is_called_short(project, bound, options):
+@pytest.mark.parametrize(("bound", "options"), [
+    ("> 0", []), ("< 1", ["--pafot-shrink-rollouts=0"]), ("> 0", ["--pafot-generations=3"]),
+    ("> 0", ["--pafot-max-time=0"]),
+])  # fmt: skip
+def test_only_a_short_default_search_without_findings_is_called_short(project, bound, options):
     project.write(KEEPS.replace("BOUND", bound))
-    project.run(*options, runs=None).stdout.no_fnmatch_line("*short search*")
-
-
-def test_output_is_ascii_within_80_columns(project, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    project.write("@pafot.search(SHORT)\ndef test_a(run):\n    pass\n")
-    lines = project.run("-v", runs=8).outlines
-    section = lines[next(index for index, line in enumerate(lines) if " pafot " in line) :]
-    assert all(line.isascii() for line in section)
-    assert max(map(len, section)) <= 80
+    shown = project.run(*options, runs=None).stdout
+    (shown.no_fnmatch_line if options else lambda line: shown.fnmatch_lines([line]))(SHORT_SEARCH)

@@ -46,7 +46,7 @@ def is_whole(result):
     ("function", "expected"),
     [
         ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        ("report.page.write_page", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+        ("report.page.render_page", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
         ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
     ],
     ids=["records", "report", "summary"],
@@ -66,7 +66,7 @@ def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function
 
 def test_unreportable_findings_of_interrupted_session_are_named(project, monkeypatch):
     project.write(IS_CUT)
-    monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter._phase", lambda report, when: 1 / 0)
+    monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter.report_on", lambda report, when, **_: 1 / 0)
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = text_of(result)
@@ -109,7 +109,7 @@ def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypat
         raise KeyboardInterrupt
 
     project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.report.page.write_page", interrupted)
+    monkeypatch.setattr("pytest_pafot.report.page.render_page", interrupted)
     result = project.run("--pafot-report=x.html")
     assert is_whole(result)
     result.stdout.fnmatch_lines(["*problem: --pafot-report=x.html: not written: KeyboardInterrupt*"])

@@ -1,13 +1,13 @@
-"""Reports for tests: real runs, runs made by hand, and strategies for unexpected views."""
+"""Reports for tests: real runs, and runs made by hand."""
 
+import json
 import math
 from collections import Counter
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Literal, Union, get_args, get_origin, get_type_hints
+from types import SimpleNamespace
 
 from highway_env.vehicle.controller import ControlledVehicle
-from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.events import Ending, Search
@@ -16,12 +16,9 @@ from pytest_pafot.findings.labels import Observed
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin.messages import packed
-from pytest_pafot.report.page import render_page
+from pytest_pafot.report.page import Shown, render_page
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.views import finding_view
-from tests.findings.builders import plain_finding
-from tests.helpers.hostile import CHARACTERS
 
 TEST = "tests/test_safety.py::test_never_at_fault_in_a_collision"
 
@@ -67,15 +64,34 @@ def seen_of(trace, finding=None, **more):
     return Seen(finding=finding, observed=observed, **{"node_id": f"{TEST}[saved-{finding.id}]"} | more)
 
 
-def view_of(trace, finding=None, **more):
-    return finding_view(seen_of(trace, finding, **more))
+class Viewed(Shown):
+    """A finding on a page, whose view has attributes."""
+
+    def __getattr__(self, name):
+        return attributes(self.view[name])
+
+    def changed(self, **more):
+        """Return the finding with changes of its view."""
+        return replace(self, view=self.view | more)
 
 
-def as_seen(view, *, finding=None, **more):
-    """Return a view with changes of what the session saw of its finding, and of the finding itself."""
-    changed = replace(view.sighting.finding, **finding or {})
+def attributes(value):
+    """Return plain data with attributes in place of keys."""
+    if isinstance(value, (tuple, list)):
+        return tuple(map(attributes, value))
+    return SimpleNamespace(**{k: attributes(v) for k, v in value.items()}) if isinstance(value, dict) else value
+
+
+def view_of(trace, finding=None, check=None, **more):
+    seen = seen_of(trace, finding, **more)
+    return Viewed(seen=seen, view=finding_view(seen, check=check))
+
+
+def as_seen(shown, *, finding=None, **more):
+    """Return a finding on a page with changes of what the session saw of it, and of the finding itself."""
+    changed = replace(shown.seen.finding, **finding or {})
     more = {"node_id": f"{TEST}[saved-{changed.id}]"} | more
-    return replace(view, sighting=replace(view.sighting, finding=changed, **more))
+    return replace(shown, seen=replace(shown.seen, finding=changed, **more))
 
 
 @cache
@@ -101,7 +117,7 @@ def session_of(*views, searches=(), seen=(), **more):
     """Return the record of a session with these views of findings, other findings, and searches."""
     session = Session(**more)
     for view in views:
-        session.add(view.seen, f"{TEST}[search]", packed(view))
+        session.add(view.seen, f"{TEST}[search]", json.dumps(view.view))
     for each in (*seen, *searches):
         session.add(each, searches[0].node_id if searches else "")
     return session
@@ -128,36 +144,6 @@ def page_of(*views, title="t", **more):
 
 def real_page():
     return page_of(*real_views(), searches=(REAL_SEARCH,))
-
-
-def texts():
-    return st.one_of(st.sampled_from(HOSTILE), st.text(CHARACTERS, max_size=20))
-
-
-def values_of(kind, leaves=None):
-    """Return a strategy for a dataclass of views, from its annotations; ``leaves`` replaces those of types by name."""
-    leaves = {
-        str: texts(),
-        float: st.floats(-1e6, 1e6).map(lambda value: round(value, 3)),
-        int: st.integers(-1000, 1000),
-        bool: st.booleans(),
-        Seen: st.builds(Seen, finding=st.just(plain_finding()), node_id=texts(), path=texts()),
-    } | (leaves or {})
-    if kind in leaves:
-        return leaves[kind]
-    if is_dataclass(kind):
-        hints = get_type_hints(kind)
-        return st.builds(kind, **{field.name: values_of(hints[field.name], leaves) for field in fields(kind)})
-    arguments = get_args(kind)
-    if get_origin(kind) is tuple:
-        if len(arguments) == 2 and arguments[1] is ...:
-            return st.lists(values_of(arguments[0], leaves), max_size=2).map(tuple)
-        return st.tuples(*(values_of(argument, leaves) for argument in arguments))
-    if get_origin(kind) is Union or type(kind).__name__ == "UnionType":
-        return st.none() | values_of(next(each for each in arguments if each is not type(None)), leaves)
-    if get_origin(kind) is Literal:
-        return st.sampled_from(arguments)
-    raise TypeError(kind)
 
 
 def is_close(a, b, tolerance=0.006):

@@ -11,10 +11,9 @@ from pytest_pafot.findings.signature import CHECK_FAILED, Failure
 from pytest_pafot.oracle.checks import CheckFailed, Recording, recorded
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import finding_article, finding_list
-from pytest_pafot.report.views import finding_view
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import as_seen, cut_in_trace, finding_of, seen_of, view_of
+from tests.report.builders import as_seen, cut_in_trace, finding_of, view_of
 
 TICKS = 300
 """The ticks of a run of 20 s, with a frame at every second one."""
@@ -42,7 +41,7 @@ def shown(value, **arguments):
     failure = Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     given = finding_of(trace)
     finding = Finding.of(Run(trace), failure, test=given.test, world=given.world, found=given.found)
-    return finding_view(seen_of(trace, finding, headline=str(check)), check=check)
+    return view_of(trace, finding, check=check, headline=str(check))
 
 
 def test_worst_tick_has_its_own_frame_and_value():
@@ -112,7 +111,7 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
         pafot.check(3.0, name="jerk", unit="m/s^3", at_most=2.5)
     check, collided = failed.value.check, view_of(trace)
-    view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
+    view = view_of(trace, finding_of(trace), check=check, headline=str(check))
     assert collided.deadline.startswith("brake by ")
     assert view.deadline == collided.deadline
     assert view.sentences == ()
@@ -139,13 +138,13 @@ def test_a_check_of_the_least_value_of_a_run_has_its_curve_and_says_from_when_it
     with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
         pafot.check(getattr(run, name), name="room", unit=unit, at_least=bound)
     check = failed.value.check
-    view = finding_view(seen_of(trace, finding_of(trace), headline=str(check)), check=check)
+    view = view_of(trace, finding_of(trace), check=check, headline=str(check))
     least = np.nanmin([npc.ttc if name == "min_ttc" else npc.gap for npc in run.npcs], axis=0)
     begin = np.flatnonzero(least < bound)[0] / 15
     assert view.headline.startswith(f"The ego fails the check from {begin:.1f} s: room ")
     assert (view.check.begin, view.check.time) == (round(begin, 3), round(least.argmin() / 15, 3))
     assert len(view.check.values) == len(view.times)
-    other = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=replace(check, value=1.2))
+    other = view_of(trace, finding_of(trace), check=replace(check, value=1.2), headline="x")
     assert (other.check.values, other.check.time) == ((), None)
     assert other.sentences[0] == f"The ego fails the check: room 1.2 < 1.5 {unit}."  # which its headline does not say
 
@@ -155,7 +154,7 @@ def test_a_least_value_whose_time_the_user_gives_keeps_that_time_and_has_no_othe
     trace = cut_in_trace()
     with recorded(Recording(hz=15, ticks=trace.ticks)), pytest.raises(CheckFailed) as failed:
         pafot.check(Run(trace).min_ttc, name="room", unit="s", at_least=1.5, at=at)
-    view = finding_view(seen_of(trace, finding_of(trace), headline="x"), check=failed.value.check)
+    view = view_of(trace, finding_of(trace), check=failed.value.check, headline="x")
     assert (view.check.time == at, view.check.values == ()) == ((True, True) if at else (False, False))
 
 
@@ -180,6 +179,7 @@ def test_list_calls_it_failed_check_and_blames_none():
 
 
 def test_a_collision_of_the_run_is_told_besides():
-    view = replace(shown(peaks(t61=35.1), at_most=20), responsibility="npc")
+    view = shown(peaks(t61=35.1), at_most=20)
+    view = as_seen(view, finding={"expect": replace(view.seen.finding.expect, responsibility="npc")})
     assert '<p class="summary">\u25b2 1 failed check</p>' in finding_list([view])
     assert "<li>NPC at fault for the collision</li>" in finding_article(view, 0)

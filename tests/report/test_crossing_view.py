@@ -89,7 +89,7 @@ def test_hostile_names_of_zones_are_escaped():
     """Files cannot have such names; a user's own world can."""
     zone = replace(ZONES[CROSSES], way=HOSTILE[0])
     view = view_of(replace(junction_trace((CROSSES, 0.0)), zones=(zone,)))
-    rows = tuple(replace(row, zone=HOSTILE[0], words=HOSTILE[2]) for row in view.instructions)
-    page = page_of(replace(view, instructions=rows))
+    rows = tuple(row | {"zone": HOSTILE[0], "words": HOSTILE[2]} for row in view.view["instructions"])
+    page = page_of(view.changed(instructions=rows))
     assert HOSTILE[0] not in page
     assert HOSTILE[2] not in page

@@ -1,11 +1,8 @@
 """The page in headless Chromium draws, listens to keys, follows links and makes no network requests."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from pytest_pafot.report.page import CheckView
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.traces import trace_of, vehicle
 from tests.report.builders import HOSTILE, as_seen, bend_trace, page_of, real_page, real_views, scenario, view_of
@@ -78,10 +75,9 @@ def test_first_finding_is_drawn_at_its_event(page):
 def test_failed_check_opens_at_its_moment_with_its_curve(opened):
     finding = real_views()[0]
     values = tuple(30.0 if time > 3 else 1.0 for time in finding.times)
-    check = CheckView(
-        name="jerk", unit="m/s^3", value=35.1, at_most=20.0, time=3.4, values=values, high=40.0, broken=((3.2, 4.0),)
-    )
-    page = opened(page_of(replace(finding, check=check)))
+    check = {"name": "jerk", "unit": "m/s^3", "value": 35.1, "at_most": 20.0, "at_least": None, "time": 3.4, "low": 0.0}
+    check |= {"values": values, "high": 40.0, "is_cut": (False, False), "broken": ((3.2, 4.0),)}
+    page = opened(page_of(finding.changed(check=check)))
     assert page.evaluate(TIME) == 3.4
     page.press("Home")
     page.press("e")
@@ -246,12 +242,11 @@ def test_cells_of_lanes_that_exist_are_drawn_and_targets_until_they_are_reached(
 def test_hostile_text_is_shown_and_never_run(opened):
     first = real_views()[0]
     findings = tuple(
-        replace(
-            as_seen(first, finding={"test": f"t.py::{text}"}, node_id=text, path=text), headline=text, yaml=text,
-            happened=((text, text, ((text, (text,)),)),),
+        as_seen(first, finding={"test": f"t.py::{text}"}, node_id=text, path=text).changed(
+            headline=text, yaml=text, happened=((text, text, ((text, (text,)),)),)
         )
         for text in HOSTILE
-    )  # fmt: skip
+    )
     page = opened(page_of(*findings, title=HOSTILE[0]))
     for _ in HOSTILE:
         page.press("j")
@@ -283,7 +278,7 @@ def test_selected_row_of_a_long_list_is_in_sight(opened):
 
 def test_finding_without_a_run_has_no_player_and_steps_go_on(opened):
     first, second = real_views()
-    unseen = replace(as_seen(first, finding={"id": "crash-1"}), times=(), vehicles=())
+    unseen = as_seen(first, finding={"id": "crash-1"}).changed(times=(), vehicles=())
     page = opened(page_of(unseen, second))
     page.press(" ")
     page.press("j")

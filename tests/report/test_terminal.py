@@ -83,8 +83,7 @@ def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, li
     original = None if found is None else Scenario.repaired(found)
     shrunk = Shrunk(rollouts=5, is_minimal=is_minimal)
     finding = plain_finding(scenario=Scenario.repaired(simplest), original=original, shrunk=shrunk)
-    lines = [each for each in terminal.simplified_lines(finding) if each.startswith("shrunk")]
-    assert lines == ([] if line is None else [f"shrunk     {line}"])
+    assert terminal.shrunk_lines(finding) == ([] if line is None else [line])
 
 
 def test_failures_are_listed_new_first_then_worst_first():
@@ -262,10 +261,7 @@ def test_the_section_of_a_find_reads_so(snapshot):
     hang = replace(FIND.finding, expect=replace(FIND.finding.expect, outcome=Outcome.HANG))
     find = replace(FIND, finding=hang, path="", detail="read-only file system")
     explanation = "E     At 0.9 s the ego was 42.7 m (safe: 48.4 m) behind NPC 0, which was 9.9 m/s slower."
-    text = terminal.find_section(
-        find, explanation=explanation, advice="run it again",
-        details=["found      pafot, seed 7, generation 0, run 1", "worlds     highway"],
-    )  # fmt: skip
+    text = terminal.find_section(find, [explanation], advice="run it again")
     told, _, content = text.partition("the file would be:\n")
     assert told == snapshot
     assert content.splitlines() == [f"  {line}" for line in text_of(hang).splitlines()]

@@ -83,7 +83,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
     lines = [*terminal.session_lines(session, width=width), *terminal.found_lines(find, width)]
     unsaved = replace(find, path="")
-    section = terminal.find_section(unsaved, explanation=text, details=[other], advice=text, width=width)
+    section = terminal.find_section(unsaved, [text], advice=text, width=width)
     assert obeyed("\n".join([*lines, terminal.progress_line(progress, width), section])) == []
     assert all("\n" not in line and line.isascii() for line in lines)
 
