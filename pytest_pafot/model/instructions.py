@@ -18,7 +18,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
 
 from pytest_pafot.model.grid import Cell, cell_at
-from pytest_pafot.support.errors import FieldError, plain_whole
+from pytest_pafot.support.errors import FieldError, checked_number, plain_whole
 from pytest_pafot.support.text import Pasteable
 
 if TYPE_CHECKING:
@@ -250,7 +250,7 @@ def known(kind: Callable[[Any, Any], TimedInstruction], target: Any, speed: Any)
 
 def checked_speed(value: object, least_steps: int = 0) -> float:
     """Return a speed in steps of 0.1 m/s; ``least_steps`` is the lowest that an error advises."""
-    speed = checked_number("speed", value)
+    speed = checked_number(value, "speed", "a finite number", error=ScenarioError)
     if speed > MAX_SPEED:
         raise ScenarioError(field="speed", expected=f"m/s, at most {MAX_SPEED:g}", received=repr(value))
     steps = round(max(speed, 0.0) * SPEED_STEPS_PER_MPS)  # a value far below 0 would overflow when multiplied by 10
@@ -259,18 +259,6 @@ def checked_speed(value: object, least_steps: int = 0) -> float:
         fix = f"the nearest valid speed is {max(steps, least_steps) / SPEED_STEPS_PER_MPS:g}"
         raise ScenarioError(field="speed", expected=expected, received=repr(value), fix=fix)
     return steps / SPEED_STEPS_PER_MPS
-
-
-def checked_number(name: str, value: object) -> float:
-    """Return a finite number."""
-    whole = plain_whole(value)
-    try:
-        number = float(value if isinstance(value, float) else math.nan if whole is None else whole)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise ScenarioError(field=name, expected="a finite number", received=repr(value))
-    return number + 0.0  # -0.0 becomes 0.0, so that equal scenarios have equal texts
 
 
 def roughness(tenths: int, coarse: int = 5 * SPEED_STEPS_PER_MPS, fine: int = SPEED_STEPS_PER_MPS) -> int:
@@ -623,7 +611,7 @@ class CrossingInstruction(Instruction):
 
 
 def _checked_slot(value: object) -> float:
-    slot = checked_number("slot", value)
+    slot = checked_number(value, "slot", "a finite number", error=ScenarioError)
     if abs(slot) > LARGEST_SLOT + 1e-9:
         expected = f"seconds, at most {LARGEST_SLOT:g} before or after the ego"
         raise ScenarioError(field="slot", expected=expected, received=repr(value))

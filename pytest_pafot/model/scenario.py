@@ -24,12 +24,11 @@ from pytest_pafot.model.instructions import (
     Instruction,
     PositionInstruction,
     ScenarioError,
-    checked_number,
     encoded,
     instruction_of,
 )
 from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleName, VehicleType, without_last_cars
-from pytest_pafot.support.errors import FieldError, checked_whole
+from pytest_pafot.support.errors import POSITIVE, FieldError, checked_number, checked_whole
 from pytest_pafot.support.text import Pasteable
 
 PAPER_SPEED_LIMIT = 26.8
@@ -103,13 +102,13 @@ class Scenario(_Hashed):
             object.__setattr__(self, "vehicles", _checked_vehicles(self.vehicles, len(self.npcs)))
         object.__setattr__(self, "seed", _checked_whole("seed", self.seed, MAX_SEED))
         object.__setattr__(self, "ego_lane", _checked_whole("ego_lane", self.ego_lane, 1000))
-        object.__setattr__(self, "ego_speed", checked_number("ego_speed", self.ego_speed))
-        object.__setattr__(self, "gene_seconds", checked_number("gene_seconds", self.gene_seconds))
-        if self.ego_speed < 0:
-            raise ScenarioError(field="ego_speed", expected="m/s, at least 0", received=repr(self.ego_speed))
-        if not 0 < self.gene_seconds <= LONGEST_GENE:
-            expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
-            raise ScenarioError(field="gene_seconds", expected=expected, received=repr(self.gene_seconds))
+        speed = checked_number(self.ego_speed, "ego_speed", "m/s, at least 0", least=0.0, error=ScenarioError)
+        object.__setattr__(self, "ego_speed", speed + 0.0)  # -0.0 becomes 0.0, so that equal scenarios have equal texts
+        expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
+        seconds = checked_number(
+            self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE, error=ScenarioError
+        )
+        object.__setattr__(self, "gene_seconds", seconds)
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             expected = f"one of {', '.join(STYLES)}"
             raise ScenarioError(field="traffic", expected=expected, received=f"{self.traffic!r:.100}")

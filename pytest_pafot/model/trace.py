@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -136,8 +135,11 @@ class AdsError:
         return self.message if self.message.startswith(self.kind) else f"{self.kind}: {self.message}"
 
 
-class RoadOfRun(ABC):
+class RoadOfRun:
     """The road of a run, and where the vehicles are on it. Whoever reads a trace asks it, whatever the kind of road.
+
+    This class is that of straight lanes side by side; its track begins at the origin of the world's coordinates.
+    :class:`BentRoadOfRun` overrides all that a bend changes.
 
     Distances are in metres, across the road to the right, and angles are in rad. Unless a line says otherwise, arrays
     have the shape [vehicles, ticks + 1] or [NPCs, ticks + 1]: with the long dimension innermost, numpy is about three
@@ -148,7 +150,7 @@ class RoadOfRun(ABC):
         is_straight: True if y of ``states`` is across the road, and each lane has the same place along all of it.
     """
 
-    is_straight: bool
+    is_straight = True
 
     def __init__(self, states: FloatArray, lanes: Sequence[Lane]) -> None:
         self._states = states
@@ -183,126 +185,55 @@ class RoadOfRun(ABC):
         return np.cos(heading), np.sin(heading)
 
     @property
-    @abstractmethod
     def track(self) -> FloatArray:
         """The places of all vehicles along the road and across it, with the columns of ``Trace.track``."""
-
-    @property
-    @abstractmethod
-    def heading(self) -> float | None:
-        """The heading that all lanes have everywhere; None if there are several."""
-
-    @property
-    @abstractmethod
-    def angles(self) -> FloatArray:
-        """The headings relative to the road, shape [ticks + 1, vehicles]."""
-
-    @property
-    @abstractmethod
-    def is_on_way(self) -> npt.NDArray[np.bool_]:
-        """True while an NPC is on the ego's way. An NPC that crosses is on that way only after it has merged."""
-
-    @property
-    @abstractmethod
-    def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """The distances of each NPC's centre ahead of the ego's and to the right of it; NaN off the ego's way."""
-
-    @abstractmethod
-    def offset(self, npc: int, tick: int) -> tuple[float, float]:
-        """Return the offsets of one NPC at one tick."""
-
-    @abstractmethod
-    def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return cosine and sine of each vehicle's angle to the road, from those of its heading, and the road's own."""
-
-    @abstractmethod
-    def displacement(self, vehicle: int, first: int, last: int) -> float:
-        """Return how far to the side a vehicle was, between two ticks, of where it is at the last one."""
-
-    @abstractmethod
-    def to_edge(self) -> FloatArray:
-        """Return the distance of the ego's centre to the nearer road edge, shape [ticks + 1]; negative off the road."""
-
-    @abstractmethod
-    def numbers(self, vehicle: int) -> FloatArray:
-        """Return the lane of a vehicle at each tick, counted from the left; -1 where such a number does not exist."""
-
-    @abstractmethod
-    def counted(self, tick: int, vehicle: int) -> float:
-        """Return the lane of a vehicle at a tick, counted to the right from some lane of the road; NaN if unknown."""
-
-    @abstractmethod
-    def direction_of_places(self, tick: int) -> float:
-        """Return the heading relative to which places around the ego are described."""
-
-    @abstractmethod
-    def drawn(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Convert world coordinates to those of a picture of the run."""
-
-    @property
-    @abstractmethod
-    def drawn_headings(self) -> FloatArray:
-        """The headings in a picture of the run, shape [ticks + 1, vehicles]."""
-
-
-class StraightRoadOfRun(RoadOfRun):
-    """The road of a run without a recorded track: straight lanes side by side.
-
-    Its track begins at the origin of the world's coordinates.
-    """
-
-    is_straight = True
-
-    @property
-    def track(self) -> FloatArray:
-        """The places of all vehicles along the lanes and across them, as ``Trace.track`` would have them."""
         cos, sin = self._cos_sin
         along = self.x * cos + self.y * sin
         return np.stack((along.T, self._across.T, self.angles, self._beside.T, np.ones(along.T.shape)), axis=-1)
 
     @property
     def heading(self) -> float | None:
-        """The heading that all lanes have; None in the unlikely case that they have several."""
+        """The heading that all lanes have everywhere; None if there are several."""
         heading = self._lanes[0].heading
         return None if any(lane.heading != heading for lane in self._lanes) else heading
 
     @property
     def angles(self) -> FloatArray:
-        """The headings relative to the first lane."""
+        """The headings relative to the road, shape [ticks + 1, vehicles]."""
         return self._states[..., HEADING] - self._lanes[0].heading
 
     @cached_property
     def is_on_way(self) -> npt.NDArray[np.bool_]:
-        """True everywhere, because NPCs have no other way."""
+        """True while an NPC is on the ego's way. An NPC that crosses is on that way only after it has merged."""
         return np.ones((self._states.shape[1] - 1, len(self._states)), dtype=np.bool_)
 
     @cached_property
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """The distances along and across the ego's lane."""
+        """The distances of each NPC's centre ahead of the ego's and to the right of it; NaN off the ego's way."""
         (cos, sin), x, y = self.direction, self.x[1:] - self.x[:1], self.y[1:] - self.y[:1]
         return x * cos + y * sin, y * cos - x * sin
 
     def offset(self, npc: int, tick: int) -> tuple[float, float]:
-        """Return the distances along and across the ego's lane."""
+        """Return the offsets of one NPC at one tick."""
         ego, other = self._states[tick, 0].tolist(), self._states[tick, npc + 1].tolist()
         heading = self._lanes[int(ego[LANE])].heading
         x, y, cos, sin = other[X] - ego[X], other[Y] - ego[Y], math.cos(heading), math.sin(heading)
         return x * cos + y * sin, y * cos - x * sin
 
     def turned(self, cos: FloatArray, sin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the angles to the ego's lane."""
+        """Return cosine and sine of each vehicle's angle to the road, from those of its heading, and the road's own."""
         road_cos, road_sin = self.direction
         return cos * road_cos + sin * road_sin, sin * road_cos - cos * road_sin, road_cos, road_sin
 
     def displacement(self, vehicle: int, first: int, last: int) -> float:
-        """Return the distance across the lane in which the vehicle is at the last tick, or the first lane."""
+        """Return how far to the side a vehicle was, between two ticks, of where it is at the last one."""
         states = self._states[first : last + 1, vehicle]
         heading = self._lanes[max(int(states[-1, LANE]), 0)].heading
         across = states[:, Y] * math.cos(heading) - states[:, X] * math.sin(heading)
         return float(abs(across - across[-1]).max())
 
     def to_edge(self) -> FloatArray:
-        """Return the distance to the nearer edge of the lanes together."""
+        """Return the distance of the ego's centre to the nearer road edge, shape [ticks + 1]; negative off the road."""
         cos, sin = math.cos(self._lanes[0].heading), math.sin(self._lanes[0].heading)
         across = self._states[:, 0, Y] * cos - self._states[:, 0, X] * sin
         edges = [(each.y * cos - each.x * sin, each.width / 2) for each in self._lanes]
@@ -310,27 +241,27 @@ class StraightRoadOfRun(RoadOfRun):
         return np.minimum(across - left, right - across)
 
     def numbers(self, vehicle: int) -> FloatArray:
-        """Return the lane at each tick, -1 off the road."""
+        """Return the lane of a vehicle at each tick, counted from the left; -1 where such a number does not exist."""
         return self._states[:, vehicle, LANE]
 
     def counted(self, tick: int, vehicle: int) -> float:
-        """Return the lane, counted from the leftmost."""
+        """Return the lane of a vehicle at a tick, counted to the right from some lane of the road; NaN if unknown."""
         lane = float(self._states[tick, vehicle, LANE])
         return lane if lane >= 0 else math.nan
 
     def direction_of_places(self, tick: int) -> float:
-        """Return the heading of the first lane, as a verdict has it."""
+        """Return the heading relative to which places around the ego are described."""
         return self._lanes[0].heading
 
     def drawn(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Convert world coordinates to distances along the first lane, and across that lane."""
+        """Convert world coordinates to those of a picture of the run."""
         lane, (cos, sin) = self._lanes[0], self._cos_sin
         dx, dy = x - lane.x, y - lane.y
         return dx * cos + dy * sin, dy * cos - dx * sin
 
     @property
     def drawn_headings(self) -> FloatArray:
-        """The headings relative to the first lane."""
+        """The headings in a picture of the run, shape [ticks + 1, vehicles]."""
         return self.angles
 
     @property
@@ -449,7 +380,7 @@ def driven_between(ego: Any, npc: Any) -> Any:
 
 def road_of_run(states: FloatArray, lanes: Sequence[Lane], track: FloatArray | None) -> RoadOfRun:
     """Return the road of a run, from its states, its lanes and its track if it has recorded one."""
-    return StraightRoadOfRun(states, lanes) if track is None else BentRoadOfRun(states, lanes, track)
+    return RoadOfRun(states, lanes) if track is None else BentRoadOfRun(states, lanes, track)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

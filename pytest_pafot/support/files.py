@@ -27,24 +27,19 @@ from pytest_pafot.support.text import visible
 # A lock shows whether the process that wrote a file is still alive: the system releases it however the process ends.
 # Process ids are not enough, because sessions in different containers may have the same id.
 
-if sys.platform == "win32":
-    import msvcrt
-else:
+if sys.platform != "win32":
     import fcntl
 
-_HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK})
-_LOCK_AT = 1 << 30  # beyond any content, because on Windows no other process can read locked bytes
+_HELD = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES})
 
 
-def hold(descriptor: int, *, is_inherited: bool = True) -> bool:
+def hold(descriptor: int) -> bool:
     """Lock a new file; return False if a different process deleted it before, because it seemed to be abandoned.
 
-    Forked processes inherit the lock and hold it even after this process has ended, unless ``is_inherited`` is False.
-    If it is False, this process must open the file only once, because the first descriptor that is closed releases the
-    lock.
+    Forked processes inherit the lock and hold it even after this process has ended.
     """
     try:
-        _lock(descriptor) if is_inherited else _lock_here(descriptor)
+        _lock(descriptor)
     except OSError as error:
         return error.errno not in _HELD  # this file system has no locks; the process id in the name decides
     return os.fstat(descriptor).st_nlink > 0
@@ -79,25 +74,10 @@ def _is_alive(pid: int) -> bool:
     return True
 
 
-if sys.platform == "win32":
-
-    def _lock(descriptor: int) -> None:
-        position = os.lseek(descriptor, 0, os.SEEK_CUR)
-        os.lseek(descriptor, _LOCK_AT, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        finally:
-            os.lseek(descriptor, position, os.SEEK_SET)
-
-    _lock_here = _lock  # Windows does not fork.
-
-else:
-
-    def _lock(descriptor: int) -> None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-    def _lock_here(descriptor: int) -> None:
-        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _lock(descriptor: int) -> None:
+    if sys.platform == "win32":  # where no lock lets others read the file
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 T = TypeVar("T")

@@ -180,7 +180,7 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
         ({"seed": 1.5}, "seed: expected a whole number"),
         ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
         ({"ego_speed": -1}, "ego_speed: expected m/s, at least 0, received -1"),
-        ({"ego_speed": math.nan}, "ego_speed: expected a finite number, received nan"),
+        ({"ego_speed": math.nan}, "ego_speed: expected m/s, at least 0, received nan"),
         ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 0"),
         ({"gene_seconds": 1e9}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0"),
     ],

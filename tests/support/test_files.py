@@ -2,7 +2,6 @@
 
 import errno
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -171,34 +170,6 @@ def test_temporary_file_stays_while_its_process_lives(path, writer):
     process.wait()
     write_whole(path, b"content")
     assert list(path.parent.iterdir()) == [path]
-
-
-FORKING = """
-import os, signal, sys
-from pytest_pafot.support import files
-file = open(sys.argv[1], "ab")
-files.hold(file.fileno(), is_inherited=False)
-forked = os.fork()
-if not forked:
-    signal.pause()
-print(forked, flush=True)
-sys.stdin.read()
-"""
-
-
-@pytest.mark.processes
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
-def test_lock_ends_with_its_process_despite_a_fork(tmp_path):
-    path = tmp_path / "lock"
-    command = [sys.executable, "-c", FORKING, path]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        forked = int(process.stdout.readline())
-        with path.open("ab") as file:
-            assert not files.hold(file.fileno(), is_inherited=False)
-            process.stdin.close()
-            process.wait()
-            assert files.hold(file.fileno(), is_inherited=False)
-        os.kill(forked, signal.SIGKILL)
 
 
 def test_process_id_in_the_name_decides_without_locks(path, writer, monkeypatch):
