@@ -585,10 +585,3 @@ def test_errors_of_a_world_are_given_a_line(path, part, error, line, field, told
     fault = located(path, part, error)
     assert (fault.line, fault.field) == (line, field)
     assert told in str(fault)
-
-
-@pytest.mark.parametrize("most", [1, 10])
-def test_number_of_values_is_limited_exactly(path, monkeypatch, most):
-    monkeypatch.setattr(reader, "MOST_VALUES", most)
-    assert fault(path, f"[{', '.join('0' * most)}]").expected == f"at most {most} values"
-    assert fault(path, f"[{', '.join('0' * (most - 1))}]").expected != f"at most {most} values"

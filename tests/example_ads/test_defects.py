@@ -8,7 +8,6 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-import pytest_pafot as pafot
 from example_ads import defects
 from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.model.trace import SPEED
@@ -169,12 +168,6 @@ def test_in_benign_traffic_nobody_collides(name, scenario):
     assert trace.duration == 20.0
 
 
-@pytest.mark.parametrize("name", mostly_oracle(defects.POLICIES, "brakes-for-ghosts"))
-def test_the_same_scenario_gives_the_same_trace(name):
-    first, second = (ROAD.rollout(BRAKES_AHEAD, defects.make(name)) for _ in range(2))
-    assert (first.states == second.states).all()
-
-
 @pytest.mark.parametrize("scenario", [oracle(PASSES_BY), oracle(STEADY_LEADER), BRAKES_AHEAD])
 def test_the_healthy_one_drives_as_highway_envs_own(scenario):
     with c_library():  # numpy may round differently
@@ -192,34 +185,6 @@ def test_the_healthy_one_sees_others_in_an_environment(env_id):
         healthy, stock = (world.rollout(scenario, policy) for policy in (defects.make("healthy"), IDMVehicle))
     assert healthy.states.tobytes() == stock.states.tobytes()
     assert healthy.ego[:, SPEED].min() < speed - 5.0
-
-
-def never_collides(run):
-    assert not run.collision
-
-
-@pytest.mark.oracle
-@pytest.mark.parametrize(
-    ("name", "seed", "fault", "npcs"),
-    [
-        ("brakes-for-ghosts", 8, "braked-for-nothing", 1),
-        ("stops-in-its-lane", 8, "stopped-for-nothing", 1),
-        ("trusts-any-gap-behind", 1, "entered-lane", 2),
-    ],
-)
-def test_search_finds_and_names_the_planted_fault(name, seed, fault, npcs):
-    found = pafot.explore(
-        defects.make(name),
-        holds=never_collides,
-        blame="ego",
-        seed=seed,
-        runs=8,
-        genes=4,
-        vehicles="car",
-        shrink_rollouts=15,
-    ).findings
-    assert [finding.expect.signature.slug for finding in found] == [fault]
-    assert len(found[0].scenario.npcs) == npcs
 
 
 @table("name", DEFECTIVE)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import random
-
 import numpy as np
 import pytest
-from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot.model.instructions import LaneInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway
-from tests.helpers.world_cases import EGOS, constant_speed, violations
+from tests.helpers.world_cases import constant_speed
 
 
 def chain(*genes):
@@ -23,16 +20,6 @@ def chain(*genes):
 
 def scenario(*chains, **fields):
     return Scenario(npcs=chains, **({"gene_seconds": 5.0} | fields))
-
-
-def random_lanes(rng, npcs=2, genes=4, **fields):
-    return scenario(
-        *(
-            chain(*(f"{rng.choice(['keep', 'left', 'right'])}@{rng.randint(0, 268) / 10}" for _ in range(genes)))
-            for _ in range(npcs)
-        ),
-        **fields,
-    )
 
 
 def drive(given, ego=constant_speed, **world):
@@ -105,29 +92,3 @@ def test_npc_does_not_steer_into_another_npc():
     assert trace.outcome is Outcome.SAFE
     assert trace.arrivals[0] == (None, 75)
     assert np.all(trace.npcs[:, 0, LANE] == 0)
-
-
-def test_the_repair_changes_nothing_of_them():
-    given = random_lanes(random.Random(1))
-    assert drive(given).executed == given
-
-
-@pytest.mark.parametrize("ego", EGOS, ids=lambda ego: ego.__name__)
-def test_npc_limits_hold_and_runs_repeat_exactly(ego):
-    rng = random.Random(ego.__name__)
-    outcomes = set()
-    for number in range(38):
-        world = Highway(lanes=rng.randint(3, 6), duration=8.0, physics_hz=rng.choice([5, 15]))
-        given = random_lanes(rng, npcs=number % 5 + 1, ego_lane=rng.randrange(world.lanes), gene_seconds=2.0)
-        trace = world.rollout(given, ego)
-        assert violations(trace, world.limits, world.speed_limit) == [], given.canonical()
-        if number % 10 == 0:
-            assert world.rollout(given, ego).states.tobytes() == trace.states.tobytes()
-        outcomes.add(trace.outcome)
-    assert Outcome.COLLISION in outcomes
-
-
-def test_npcs_seldom_crash_into_each_other():
-    rng = random.Random(3)
-    traces = [drive(random_lanes(rng), lambda: IDMVehicle) for _ in range(20)]
-    assert sum(trace.outcome is Outcome.INVALID for trace in traces) <= 4

@@ -67,12 +67,6 @@ def test_any_pair_of_numbers_is_an_action(action):
     assert set(trace.actions) == {(1.0, 0.0)}
 
 
-def test_planner_can_brake_to_standstill_but_not_reverse():
-    trace = HIGHWAY.rollout(SCENARIO, always((-9.0, 0.0)))
-    assert abs(trace.ego[-1, 3]) < 1e-9
-    assert trace.ego[:, 3].min() > -1e-9
-
-
 def test_extreme_actions_are_limited_to_what_car_can():
     for wild, tame in (((1e9, 0.0), (6.0, 0.0)), ((-1e9, 0.0), (-9.81, 0.0)), ((0.0, 9.0), (0.0, math.pi / 4))):
         a, b = (HIGHWAY.rollout(SCENARIO, always(action)) for action in (wild, tame))

@@ -182,11 +182,6 @@ def seconds_to_next_lane(*, speed=25.0, **limits):
     return np.flatnonzero(abs(y - 8.0) > 0.2).max() / 15
 
 
-def test_gentle_drive_takes_longer_than_sporty_drive():
-    assert seconds_to_next_lane(lateral_acceleration=1.0) > 1.2 * seconds_to_next_lane()
-    assert seconds_to_next_lane(lateral_acceleration=5.0, lateral_jerk=20.0) < 0.8 * seconds_to_next_lane()
-
-
 @table("speed", [10.0, 25.0])
 @table("jerk", [0.1, 0.5, 3.0, 20.0])
 def test_larger_acceleration_limit_never_slows_lane_change(speed, jerk):
@@ -252,21 +247,6 @@ def test_speeds_in_kilometres_an_hour_are_doubted():
     trace = Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=1, speed=90.0)))
     assert unit_doubt(trace).startswith("the ADS requested a speed of 90 m/s")
     assert unit_doubt(Highway(duration=1.0).rollout(BEHIND, always(Drive(lane=1, speed=25.0)))) == ""
-
-
-class Weaving:
-    """An ADS that decides by lanes, and beside two others by a pair."""
-
-    def __call__(self, seen):
-        lane = int(seen.time) % seen.lanes
-        return (0.1, 0.0) if len(seen.others) == 2 else Drive(lane=lane, speed=24.0)
-
-
-def test_decisions_that_were_recorded_are_driven_again():
-    world = Highway(duration=6.0)
-    trace = world.rollout(BEHIND, Weaving)
-    again = world.rollout(BEHIND, lambda: Weaving().__call__, decisions=trace.actions[:20])
-    assert differences(trace, again) == []
 
 
 # --- on roads that bend, which a planner sees as if they were straight

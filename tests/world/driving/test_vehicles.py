@@ -4,29 +4,21 @@ from __future__ import annotations
 
 import copy
 import math
-import random
 
-import gymnasium
 import numpy as np
 import pytest
-from highway_env.envs.highway_env import HighwayEnv
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
-from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, LANE, X, Y
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad, SearchedLanes, straight_network, straight_road
+from pytest_pafot.world.driving.vehicles import Car, SearchedLanes, straight_network, straight_road
 from pytest_pafot.world.kernel.bodies import Body
-from tests.helpers.stages import mostly_oracle, oracle
+from tests.helpers.stages import oracle
 from tests.helpers.tables import table
-from tests.helpers.world_cases import LENGTH, WIDTH, car, chains
+from tests.helpers.world_cases import car
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
 
@@ -156,40 +148,6 @@ def test_copy_of_a_car_leaves_its_body_alone(copied):
     assert (twin.body.x > 301.0, twin.speed, twin.action["acceleration"]) == (True, pytest.approx(20.1), 2.0)
 
 
-def crossroads(kind, seed, ego_class):
-    """Return an ego and others near the middle of an intersection, and how the others predict their places."""
-    rng, network = np.random.default_rng(seed), World("intersection-v0").network
-    road = kind(network, np_random=rng)
-    lanes = [lane for index, lane in network.lanes_dict().items() if index[0].startswith("o")]
-    for number in range(4):
-        lane, at = lanes[(seed + number) % len(lanes)], rng.uniform(70.0, 90.0)
-        start = lane.position(at, 0.0), lane.heading_at(at), rng.uniform(6.0, 10.0)
-        vehicle = (car if number else ego_class)(road, *start)
-        vehicle.check_collisions = False
-        road.vehicles.append(vehicle)
-    road.vehicles[0].plan_route_to("o1")
-    return road
-
-
-@pytest.mark.parametrize("ego_class", mostly_oracle([IDMVehicle, MDPVehicle], MDPVehicle))
-def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
-    told = 0
-    for seed in range(4):
-        stock, own = (crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad))
-        for _ in range(45):
-            for road in (stock, own):
-                road.vehicles[0].act()
-            own.regulate(1 / 15)
-            Road.step(own, 1 / 15)
-            stock.step(1 / 15)
-            yields = [getattr(road.vehicles[0], "is_yielding", None) for road in (stock, own)]
-            assert yields[0] == yields[1]
-            told += bool(yields[0])
-            assert stock.vehicles[0].target_speed == own.vehicles[0].target_speed
-            assert np.array_equal(stock.vehicles[0].position, own.vehicles[0].position)
-    assert (told > 0) == (ego_class is IDMVehicle)
-
-
 def test_car_works_as_vehicle_in_highway_env_code():
     road = Road(SearchedLanes(NETWORKS[0]), np_random=np.random.default_rng(0))
     own, stock = (each(road, [300.0, 4.5], 0.1, 20.0) for each in (car, Vehicle))
@@ -244,41 +202,6 @@ def from_the_right():
 )
 def test_roads_not_straight_along_x_are_recognised(network):
     assert straight_road(network) is None
-
-
-class OwnRoad(HighwayEnv):
-    """A user's environment: three narrow lanes that start somewhere else."""
-
-    def _create_road(self):
-        self.road = Road(parallel(x=100.0, y=-20.0, width=3.5, length=4000.0), np_random=self.np_random)
-
-
-@pytest.fixture
-def own_id():
-    gymnasium.register(id="OwnRoad-v0", entry_point=OwnRoad)
-    yield "OwnRoad-v0"
-    del gymnasium.registry["OwnRoad-v0"]
-
-
-@pytest.mark.parametrize("ego", [IDMVehicle, lambda: lambda observation: 1], ids=["vehicle class", "policy"])
-def test_registered_custom_environment_is_driven_on_its_road(own_id, ego):
-    world = World(own_id, duration=12.0)
-    assert (world.lanes, world.speed_limit, world.road.lane_width) == (3, 25.0, 3.5)
-    rng = random.Random(0)
-    for _ in range(4):
-        scenario = Scenario.repaired(
-            chains(rng, rng.randint(1, 5), 4, 25.0), ego_lane=rng.randrange(3), ego_speed=20.0, gene_seconds=3.0
-        )
-        trace = world.rollout(scenario, ego)
-        assert trace.states[0, 0, X] == 300.0
-        assert trace.states[0, 0, Y] == -20.0 + 3.5 * scenario.ego_lane
-        assert {lane.y for lane in trace.lanes} == {-20.0, -16.5, -13.0}
-        npcs = trace.npcs
-        half = (LENGTH * np.abs(np.sin(npcs[..., HEADING])) + WIDTH * np.abs(np.cos(npcs[..., HEADING]))) / 2
-        assert (npcs[..., Y] - half).min() >= -20.0 - 1.75
-        assert (npcs[..., Y] + half).max() <= -13.0 + 1.75
-        assert (npcs[..., LANE] >= 0).all()
-        assert world.rollout(trace.executed, ego).states.tobytes() == trace.states.tobytes()
 
 
 def test_lane_off_the_road_is_minus_one():

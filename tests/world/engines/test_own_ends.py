@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import random
 import time
-import warnings
 
 import gymnasium
 import numpy as np
@@ -587,11 +586,3 @@ def test_an_end_need_not_be_a_method_of_the_class(register, entry_point):
     assert trace.ticks == expected.rollout(scenario, idle).ticks
     assert World("ending-v0", ends="duration").rollout(scenario, idle).ended == ""
     assert World("ending-v0", ends="duration").to_dict()["ends"] == "duration"
-
-
-def test_the_checks_of_worlds_know_ends(register):
-    testing = pytest.importorskip("pytest_pafot.testing")
-    register("ending-v0", entry_point=Goal)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # nothing collides before the goal
-        testing.check_world(World("ending-v0"), ads=idle, npcs=1, runs=4)

@@ -20,7 +20,7 @@ from pytest_pafot import criticality
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import ACCELERATION, ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
+from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, Outcome, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
@@ -401,27 +401,6 @@ def test_attentive_npc_in_bend_holds_distance_along_road(lane):
 
 
 @pytest.mark.usefixtures("registered")
-@pytest.mark.parametrize("style", ["hostile", "paper"])
-def test_only_paper_npcs_hit_braking_ego_in_bend(style):
-    world = World("OwnCircuit-v0", duration=24.0)
-
-    class Brakes(ControlledVehicle):
-        ticks = 0
-
-        def act(self, action=None):
-            super().act(action)
-            self.ticks += 1
-            self.action["acceleration"] = max(-2.5, -self.speed) if self.ticks > 120 else 0.0
-
-    scenario = hold(world, 6, speed=10.0, ego_speed=10.0, traffic=style)
-    trace = world.rollout(scenario, lambda: Brakes)
-    assert trace.outcome is (Outcome.COLLISION if style == "paper" else Outcome.SAFE)
-    assert trace.collision is None or trace.collision.side == "rear"
-    brakes = trace.npcs[:, 0, ACCELERATION] < -0.5
-    assert style == "paper" or 1.0 <= np.argmax(brakes[121:]) / trace.physics_hz < 1.3
-
-
-@pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize(
     ("speed", "taper", "does_enter"),
     [(6.0, 100.0, False), oracle(6.0, 130.0, True), oracle(25.0, 350.0, False), (25.0, 500.0, True)],
@@ -455,14 +434,6 @@ def test_way_ends_with_the_lane_of_a_ramp():
     trace = world.rollout(hold(world, 2, speed=20.0), lambda: lambda seen: idle)
     assert trace.outcome is Outcome.COLLISION
     assert 290 < trace.npcs[-1, 0, X] < 306
-
-
-@pytest.mark.usefixtures("registered")
-def test_npc_without_target_lane_takes_only_the_speed():
-    world = World("OwnTaper-v0", config={"taper": 60.0}, duration=12.0)
-    trace = world.rollout(hold(world, 3, speed=14.0, ego_lane=0, ego_speed=10.0), constant)
-    assert trace.arrivals == ((None,),)
-    assert trace.npcs[-1, 0, SPEED] == pytest.approx(14.0, abs=0.2)
 
 
 @pytest.mark.usefixtures("registered")
