@@ -165,17 +165,6 @@ def test_wheel_with_missing_or_extra_contents_is_refused(check, tmp_path, change
             check["contents"](path)
 
 
-def test_failed_command_is_reported_with_its_output(check, capsys):
-    def fails():
-        return check["run"]("sh", "-c", "echo something went wrong; exit 3")
-
-    assert not check["checked"]("building", fails)
-    assert check["checked"]("version", lambda: "1.2.3")
-    first, *_, last = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"NOT YET  building \(\d+ s\): `sh -c echo .* exit 3` ended with 3", first)
-    assert re.fullmatch(r"ok       version \(\d+ s\): 1\.2\.3", last)
-
-
 def test_release_check_extracts_the_files_from_readme(check):
     files = check["readme_files"]()
     assert sorted(files) == ["conftest.py", "test_safety.py"]

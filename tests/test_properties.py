@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot as pafot
 from pytest_pafot import properties
-from pytest_pafot.criticality import RoadFrame, RssRules
+from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, AdsError, Outcome
 from pytest_pafot.oracle.checks import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
@@ -111,14 +111,6 @@ def test_other_rules_ask_for_other_distances():
     # 1 s of speeding up with 3.5 m/s^2, then braking with 4 m/s^2; the leader brakes with 8 m/s^2
     safe = 20 + 3.5 / 2 + 23.5**2 / 8 - 400 / 16
     assert only(properties.rss_distance, following(60.0), rules=intel).value == pytest.approx(60.0 - safe)
-
-
-def test_every_collision_is_below_it_when_it_happens():
-    for situation in COLLISIONS:
-        trace = situation.trace()
-        frame = RoadFrame(trace)
-        if frame.ahead[trace.collision.npc, -1] >= 0:
-            assert not only(properties.rss_distance, trace).holds, situation.name
 
 
 # Comfort.
@@ -301,21 +293,6 @@ def test_rules_of_another_kind_are_refused():
 
 
 # With NPCs that cross, or merge, at a junction.
-
-
-JUNCTIONS = (
-    junction_trace((CROSSES, 0.0)),
-    junction_trace((CROSSES, 10.0), seconds=4.5),
-    junction_trace((MERGES, 0.0)),
-    junction_trace((MERGES, 0.0), ego_speed=14.0),
-    junction_trace((CROSSES, 20.0), (MERGES, -20.0), (None, 60.0)),
-)
-
-
-@table("name", ["comfort", "stays_on_road"])
-@table("trace", JUNCTIONS)
-def test_steady_ego_at_a_junction_breaks_no_property(name, trace):
-    assert all(made.holds for made in judged(getattr(properties, name), trace))
 
 
 def test_rss_distance_counts_only_npcs_on_ego_path():

@@ -1,16 +1,12 @@
 """The ego's mistake follows from the other's place when the ego had to take it into account."""
 
-from dataclasses import replace
 from itertools import chain
 from typing import get_args
 
-from hypothesis import given
-from hypothesis import strategies as st
-
 from pytest_pafot.attribution.mistakes import BY_FAULT, CLOSE_AHEAD, mistake
 from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
-from pytest_pafot.model.trace import Outcome, X
-from tests.helpers.situations import LEFT, OWN, SITUATIONS, driven, hit
+from pytest_pafot.model.trace import Outcome
+from tests.helpers.situations import LEFT, OWN, SITUATIONS
 from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, trace_of, vehicle
 
@@ -65,24 +61,3 @@ def test_npc_within_two_metres_ahead_counts_as_alongside(gap, expected):
     ego, npc = vehicle(0.0, LEFT, ticks=1), vehicle(LENGTH + gap, OWN, ticks=1)
     verdict = Attribution(responsibility="ego", tick=0, time=0.0, fault="entered-lane")
     assert mistake(trace_of(ego, npc, outcome=Outcome.COLLISION), verdict) == expected
-
-
-@given(name=st.sampled_from(sorted(MADE)), shift=st.floats(-500, 500))
-def test_mistake_does_not_depend_on_road_position(name, shift):
-    trace = TRACES[name]()
-    if trace.track is None:
-        states = trace.states.copy()
-        states[..., X] += shift
-        trace = replace(trace, states=states, lanes=tuple(replace(lane, x=lane.x + shift) for lane in trace.lanes))
-    assert made(trace) == MADE[name]
-
-
-@table("along", [-30.0, -15.0, 1.0, 40.0])
-def test_left_and_right_are_alike(along):
-    """The ego comes from either side into the other's lane, at the same distance and speed."""
-    speed = 20.0 - along / 5
-    sides = [
-        hit(driven(0.0, side, shifts=[(2.0, OWN, 2.0)]), driven(along, OWN, speed=speed)) for side in (LEFT, 2 * OWN)
-    ]
-    assert [rss_rule(trace).fault for trace in sides] == ["entered-lane"] * 2
-    assert made(sides[0]) == made(sides[1])

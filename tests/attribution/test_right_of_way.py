@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, attributed
-from pytest_pafot.attribution.responsibility import Passing, position_rule, rss_rule, stopping
+from pytest_pafot.attribution.responsibility import Passing, position_rule, rss_rule
 from pytest_pafot.attribution.sentences import Doing, Fact, What, sentences
 from pytest_pafot.model.crossings import Holder, Kind, Origin, Zone
 from pytest_pafot.model.trace import ALONG, Y
@@ -78,29 +78,11 @@ def test_reason_says_what_happened_before_what_was_due():
     assert 0.0 <= to_spare - speed / 30 < speed / 15  # one tick later it would be too late
 
 
-def test_braking_at_chance_to_stop_suffices():
-    passing = Passing(ignored(), 0, ignored().zones[0])
-    last = passing.chances()[0].tick
-    left = [passing.begins - passing.places[tick] for tick in (last, last + 1)]
-    assert left[0] >= stopping(8.0, 6.0) > left[1]
-
-
 def test_contact_outside_zone_and_ways_blames_neither_vehicle():
     beyond = placed(ignored(), 100.0)
     found = rss_rule(beyond)
     assert (found.responsibility, found.fault, found.tick) == ("none", None, beyond.ticks)
     assert found.reason == "The ego touched NPC 0 at 6.4 s, outside the zone where their ways meet."
-
-
-def test_late_start_has_chance_to_stop_at_first_tick():
-    trace = ignored(priority="ego")
-    late = replace(
-        trace,
-        **{name: getattr(trace, name)[75:] for name in ("states", "track", "on_way")},
-        collision=replace(trace.collision, tick=trace.ticks - 75),
-    )
-    assert rss_rule(late).responsibility == "npc"
-    assert Passing(late, 1, late.zones[0]).chances()[0].tick < 75
 
 
 def test_npc_off_the_way_does_not_change_verdict():

@@ -198,11 +198,6 @@ def slug(assertion="", kind="AssertionError", run=None):
     return of_failure(run or Run(approaching()), Failure(kind=kind, assertion=assertion)).slug
 
 
-def test_slug_names_fault_or_side_and_cell():
-    assert of_failure(crash(), COLLIDES).slug == "leader-unanswered"
-    assert of_failure(crash(**STANDING), COLLIDES).slug == "left-8"
-
-
 def test_a_slug_names_the_subject_of_another_assertion():
     assert slug("assert run.min_ttc > 1.0") == "min-ttc"
     assert slug("assert not run.off_road") == "off-road"

@@ -205,6 +205,21 @@ def test_start_is_before_the_way_with_spare_time(instruction):
     assert (JUNCTION.start(instruction) < 0) == (needed < wanted)
 
 
+@given(crossings.filter(lambda each: each.act in {"hold", "late"} and JUNCTION.fits(each)))
+def test_waiting_npc_reaches_its_line_when_due(instruction):
+    way, start = JUNCTION.ways[instruction.zone], JUNCTION.start(instruction)
+    line = way.zone.npc[0] - 2.0
+    places, time = start, 0.0
+    while line - places > 0.5:
+        room = line - places
+        speed = min(instruction.speed, float(way.speeds[int(places / STEP)]), 0.7 * room, math.sqrt(5.0 * room))
+        places, time = places + 0.01 * speed, time + 0.01
+    wanted = JUNCTION.planned_entry(instruction) - (1.0 if instruction.act == "late" else 0.0)
+    starts_at_once = JUNCTION.start(instruction) > line - instruction.speed**2 / 5.0 - 0.5
+    assert time < wanted + 1.5 or starts_at_once
+    assert time > wanted - 1.5
+
+
 @given(crossings)
 def test_passing_npc_occupies_each_stretch_while_driving_through(instruction):
     assume(instruction.act == "pass")

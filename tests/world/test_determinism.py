@@ -122,16 +122,6 @@ def test_global_random_numbers_are_neither_used_nor_moved(first):
     assert pickle.dumps(np.random.get_state()) == pickle.dumps(numpys)
 
 
-def test_runs_in_between_leave_no_mark():
-    world, other = Highway(duration=8.0), World("highway-v0", duration=8.0)
-    rng = random.Random(1)
-    scenarios = [Scenario.repaired(chains(rng, 3, 4, 26.8), gene_seconds=2.0) for _ in range(6)]
-    forwards = [(world.rollout(s, IDMVehicle), other.rollout(s, policy)) for s in scenarios]
-    backwards = [(world.rollout(s, IDMVehicle), other.rollout(s, policy)) for s in reversed(scenarios)]
-    for a, b in zip(forwards, reversed(backwards), strict=True):
-        assert [trace.states.tobytes() for trace in a] == [trace.states.tobytes() for trace in b]
-
-
 def test_used_world_can_be_sent_to_another_process():
     scenario = Scenario.repaired(chains(random.Random(2), 2, 3, 26.8), gene_seconds=2.0)
     for world, ads in ((Highway(), constant_speed), (World("highway-v0"), policy)):

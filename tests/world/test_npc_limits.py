@@ -13,9 +13,9 @@ from pytest_pafot.model.trace import SPEED, Outcome, X, Y
 from pytest_pafot.world import Highway, NpcLimits, World
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.driver import NpcDriver
-from tests.helpers.stages import mostly_oracle, oracle
+from tests.helpers.stages import oracle
 from tests.helpers.tables import table
-from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, chains, constant_speed, random_scenario, stopping, violations
+from tests.helpers.world_cases import EGOS, LENGTH, WIDTH, chains, constant_speed, random_scenario, violations
 
 
 def random_highway(rng, physics_hz, limits=None):
@@ -75,28 +75,6 @@ def test_limits_are_options_and_hold_whatever_they_are(physics_hz, scenarios):
         scenario = random_scenario(rng, lanes=world.lanes, speed_limit=world.speed_limit)
         trace = world.rollout(scenario, EGOS[number % len(EGOS)])
         assert violations(trace, limits, world.speed_limit) == [], (number, world, scenario.canonical())
-
-
-def test_limits_hold_at_a_thousand_ticks_a_second():
-    rng = random.Random(0)
-    for _ in range(3):
-        world = Highway(physics_hz=1000, ads_hz=10, duration=6.0)
-        trace = world.rollout(random_scenario(rng, lanes=4, speed_limit=26.8, npcs=3), stopping)
-        assert violations(trace, world.limits, world.speed_limit) == []
-
-
-@pytest.mark.parametrize("env_id", mostly_oracle(["highway-v0", "highway-fast-v0"], "highway-v0"))
-@pytest.mark.parametrize("lanes", [1, 2, 4])
-def test_limits_hold_on_the_environments_roads_too(env_id, lanes):
-    rng = random.Random(lanes)
-    world = World(env_id, config={"lanes_count": lanes}, duration=8.0)
-    for _ in range(3):
-        lane = rng.randrange(lanes)
-        most = len(world.road.cells(lane))
-        scenario = Scenario.repaired(chains(rng, rng.randint(1, most), 3, 30.0), ego_lane=lane, gene_seconds=3.0)
-        trace = world.rollout(scenario, lambda: lambda observation: 1)
-        assert violations(trace, world.limits, world.speed_limit) == []
-        assert_fixed_point(world, trace, lambda: lambda observation: 1)
 
 
 @pytest.mark.parametrize(("ego", "runs"), [(constant_speed, 80), (IDMVehicle, 20)], ids=["constant_speed", "IDM"])

@@ -124,14 +124,6 @@ class Slowing:
         return -seen.ego.speed / 20, 0.0
 
 
-def test_longer_runs_begin_as_the_others():
-    scenario = scenarios()[2]
-    longer = TOY.lasting(30.0).rollout(scenario, Slowing)
-    short = TOY.rollout(scenario, Slowing)
-    assert longer.ticks > short.ticks
-    assert np.array_equal(longer.states[: short.ticks + 1], short.states)
-
-
 # Units and axes.
 
 FOOT, KMH = 0.3048, 1 / 3.6

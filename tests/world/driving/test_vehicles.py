@@ -8,15 +8,18 @@ import math
 import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.vehicles import Car, SearchedLanes, straight_network, straight_road
+from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad, SearchedLanes, straight_network, straight_road
 from pytest_pafot.world.kernel.bodies import Body
-from tests.helpers.stages import oracle
+from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table
 from tests.helpers.world_cases import car
 
@@ -146,6 +149,40 @@ def test_copy_of_a_car_leaves_its_body_alone(copied):
     twin.act({"acceleration": 2.0, "steering": 0.0})
     assert (own.body.x, own.speed, own.action["acceleration"]) == (300.0, 20.0, 1.0)
     assert (twin.body.x > 301.0, twin.speed, twin.action["acceleration"]) == (True, pytest.approx(20.1), 2.0)
+
+
+def crossroads(kind, seed, ego_class):
+    """Return an ego and others near the middle of an intersection, and how the others predict their places."""
+    rng, network = np.random.default_rng(seed), World("intersection-v0").network
+    road = kind(network, np_random=rng)
+    lanes = [lane for index, lane in network.lanes_dict().items() if index[0].startswith("o")]
+    for number in range(4):
+        lane, at = lanes[(seed + number) % len(lanes)], rng.uniform(70.0, 90.0)
+        start = lane.position(at, 0.0), lane.heading_at(at), rng.uniform(6.0, 10.0)
+        vehicle = (car if number else ego_class)(road, *start)
+        vehicle.check_collisions = False
+        road.vehicles.append(vehicle)
+    road.vehicles[0].plan_route_to("o1")
+    return road
+
+
+@pytest.mark.parametrize("ego_class", mostly_oracle([IDMVehicle, MDPVehicle], MDPVehicle))
+def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
+    told = 0
+    for seed in range(4):
+        stock, own = (crossroads(kind, seed, ego_class) for kind in (RegulatedRoad, EgosRegulatedRoad))
+        for _ in range(45):
+            for road in (stock, own):
+                road.vehicles[0].act()
+            own.regulate(1 / 15)
+            Road.step(own, 1 / 15)
+            stock.step(1 / 15)
+            yields = [getattr(road.vehicles[0], "is_yielding", None) for road in (stock, own)]
+            assert yields[0] == yields[1]
+            told += bool(yields[0])
+            assert stock.vehicles[0].target_speed == own.vehicles[0].target_speed
+            assert np.array_equal(stock.vehicles[0].position, own.vehicles[0].position)
+    assert (told > 0) == (ego_class is IDMVehicle)
 
 
 def test_car_works_as_vehicle_in_highway_env_code():

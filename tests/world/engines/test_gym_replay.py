@@ -10,7 +10,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import SPEED, Outcome
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, World
 from pytest_pafot.world.engines.gym_replay import StockVehicle
@@ -18,17 +18,6 @@ from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import differences
 from tests.helpers.world_cases import constant_speed, random_scenario
-
-
-def assert_confirmed(world, scenario, ads):
-    first = world.rollout(scenario, ads)
-    again = world.rollout_in_gym(first.executed, ads)
-    assert disagreement(Run(first), Run(again)) == ""
-    assert again.executed == first.executed
-    assert again.arrivals == first.arrivals
-    assert again.states.shape == first.states.shape
-    assert np.abs(again.states - first.states).max() < 0.01
-    return first
 
 
 def scenarios(seed, count, **arguments):
@@ -84,38 +73,3 @@ def test_only_the_class_itself_repeats_runs_in_an_environment():
 
     worlds = (Highway(), Derived(), Repeats())
     assert [base_world(world).replays_in_gym for world in worlds] == [True, False, True]
-
-
-def drives_at(x, y):
-    """Return a vehicle class that drives straight on for 150 m, and then at a point of the road [m]."""
-
-    class DrivesAt(Vehicle):
-        def act(self, action=None):
-            to_x, to_y = x - self.position[0], y - self.position[1]
-            wanted = np.arctan2(to_y, to_x) if self.position[0] > 150 and to_x > 1 else 0.0
-            steering = float(np.clip(wanted - self.heading, -0.3, 0.3))
-            super().act({"acceleration": 0.0, "steering": steering})
-
-    return DrivesAt
-
-
-def obstacle_ahead():
-    """Return a world with an obstacle, a scenario in which no NPC is near it, and the obstacle."""
-    world = World("merge-v0", duration=14.0)
-    (obstacle,) = world.environment.unwrapped.road.objects
-    lane, speed = world.start
-    return world, Scenario(npcs=[[PositionInstruction(6, 5.0)]], ego_lane=lane, ego_speed=speed), obstacle
-
-
-def test_ego_that_touches_a_fixed_obstacle_has_a_collision_there():
-    """The obstacle stands at the end of the lane that merges; highway-env calls the contact a crash."""
-    world, behind, obstacle = obstacle_ahead()
-    first = assert_confirmed(world, behind, drives_at(*obstacle.position))
-    distance = np.hypot(*(first.ego[:, :2] - obstacle.position).T)
-    assert first.outcome is Outcome.COLLISION
-    hit = first.collision
-    assert (hit.npc, hit.cell, hit.tick, hit.npc_speed) == (None, None, first.ticks, 0.0)
-    assert hit.closing_speed == hit.ego_speed == first.ego[-1, SPEED]
-    assert Run(first).responsibility == "ego"
-    assert f"collision after {hit.time:.1f} s: a fixed object against the ego's {hit.side}" in Run(first).explain()
-    assert 2.0 < distance[-1] < 3.5 < distance[-2], "half the lengths of the car and the obstacle, 5 m and 2 m"

@@ -194,16 +194,6 @@ def test_ways_merge_if_they_differ_by_less_than_a_tenth_of_a_radian(angle, merge
     assert meeting.merges == merges
 
 
-@pytest.mark.parametrize("destination", ["o1", oracle("o2"), oracle("o3")])
-def test_vehicle_waiting_before_a_zone_blocks_no_way(destination):
-    world = intersection(destination)
-    along_ego, ego = poses_of_ego(world)
-    for zone in world.crossings.zones:
-        along, npc = poses_of_way(world, zone.way)
-        assert not touching(ego[::2], npc[along <= zone.npc[0]][-20:], WIDER).any()
-        assert not touching(ego[along_ego <= zone.ego[0]][-20:], npc[::2], WIDER).any()
-
-
 def test_merging_zone_ends_one_vehicle_length_after_joining():
     for world in (intersection("o1"), intersection("o2"), intersection("o3"), world_of("roundabout-v1")):
         for zone in world.crossings.zones:
