@@ -584,12 +584,6 @@ def _all_blocks(scenario: Scenario) -> Iterator[tuple[int, int, int, int]]:
             yield npc, start, end, _tenths(chain[start])
 
 
-def blocks(chain: Chromosome) -> list[tuple[int, int]]:
-    """Return [start, end) of each run of equal instructions."""
-    starts = [gene for gene in range(len(chain)) if gene == 0 or chain[gene] != chain[gene - 1]]
-    return list(pairwise([*starts, len(chain)]))
-
-
 def _parts(chain: Chromosome) -> list[tuple[int, int]]:
     """Return [start, end) of each instruction to read: equal ones in a row, and each change of lanes on its own."""
     starts = [0, *(gene for gene in range(1, len(chain)) if not continues(chain[gene - 1], chain[gene]))]

@@ -318,13 +318,3 @@ class TestEveryArray:
 def test_swapping_ego_and_npc_changes_nothing(seed):
     trace = random_trace(seed, vehicles=2)
     assert differing(SYMMETRIC, with_states(trace.states[:, ::-1], trace.sizes[::-1]), trace) == []
-
-
-def test_measures_of_two_runs_in_turn_are_those_of_each_run_alone():
-    names = ("ettc", "ttc", "gap", "centre_distance", "safety_distance")
-    names += ("mettc", "min_ttc", "min_gap", "min_centre_distance", "min_safety_distance", "max_safety_shortfall")
-    one, other = random_trace(3), random_trace(4)
-    in_turn = [getattr(criticality, name)(trace) for name in names for trace in (one, other)]
-    alone = [[getattr(criticality, name)(trace) for name in names] for trace in (random_trace(3), random_trace(4))]
-    for values, expected in zip(in_turn, (each for pair in zip(*alone, strict=True) for each in pair), strict=True):
-        np.testing.assert_array_equal(values, expected)

@@ -8,7 +8,6 @@ from pytest_pafot.model.crossings import CrossingVehicle, Zone
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, Y
-from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import Highway, Observation, VehicleState, WorldError
 from pytest_pafot.world.reference_drivers import CRITICAL, HARD_BRAKING, REFERENCES, CarefulHuman, Leader
 
@@ -181,25 +180,6 @@ class TestInTheWorld:
     def test_can_be_the_ads_of_a_search(self, name):
         trace = Highway(ads_hz=15, duration=20.0).rollout(BRAKES, REFERENCES[name])
         assert trace.states.tobytes() == Highway(duration=20.0).rollout_reference(BRAKES, name).states.tobytes()
-
-
-def constant_speed_in(told):
-    """Return the run of an ego that never brakes, in a world with reference drivers."""
-    return Run(Highway().rollout(told, lambda: lambda observation: (0.0, 0.0)), world=Highway())
-
-
-def test_what_nobody_survives_is_preventable_by_nobody():
-    """The NPC comes from behind, at the limit: no lane keeper can do anything about it."""
-    run = constant_speed_in(scenario(26.8, cell=6))
-    assert run.preventable_by == ()
-    assert run.reference_drivers == dict.fromkeys(REFERENCES, "hit")
-
-
-def test_careful_driver_avoids_what_constant_speed_ego_hits():
-    slow = scenario(22.0, 15.0, cell=2)
-    run = constant_speed_in(slow)
-    assert run.collision
-    assert run.reference_drivers["careful-human"] == "avoids"
 
 
 def test_unknown_driver_is_refused_with_the_known_names():
