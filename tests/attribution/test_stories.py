@@ -23,12 +23,6 @@ STORIES = {
         "hard by 5.7 s. It drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s. "
         "From 5.1 s it sped up to 18.1 m/s.",
     ),
-    "let go": (
-        [(2.0, 4.0, 14.0)],
-        (40.0, 10.0),
-        "hard by 4.2 s. It drove 20.0 m/s at 0.0 s; from 2.0 s it braked at up to 4.0 m/s^2, to 14.1 m/s. "
-        "From 3.5 s it kept 14.0 m/s.",
-    ),
     "softly, hard too late": (
         [(0.3, 0.8, 17.0), (2.3, 8.5, 0.0)],
         (29.0, 10.0),
@@ -40,12 +34,6 @@ STORIES = {
         (50.0, 10.0),
         "From 3.0 s it kept 16.0 m/s; from 3.5 s it sped up to 20.0 m/s. "
         "From 4.8 s it kept 20.0 m/s; from 5.0 s it braked at up to 4.0 m/s^2, to 19.2 m/s.",
-    ),
-    "braked hard enough, then let go": (
-        [(0.5, 4.0, 14.0)],
-        (40.0, 10.0),
-        "hard by 6.4 s. It drove 20.0 m/s at 0.0 s; from 0.5 s it braked at up to 4.0 m/s^2, to 14.0 m/s. "
-        "From 2.1 s it kept 14.0 m/s.",
     ),
     "braked just before the danger": (
         [(1.0, 4.0, 16.0)],
