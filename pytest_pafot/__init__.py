@@ -15,8 +15,13 @@ if TYPE_CHECKING:
     from pytest_pafot.campaign.explore import Exploration, explore
     from pytest_pafot.campaign.saved_scenario import SavedScenario, load
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
-    from pytest_pafot.model.grid import Cell
-    from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction, ScenarioError
+    from pytest_pafot.model.instructions import (
+        Cell,
+        CrossingInstruction,
+        LaneInstruction,
+        PositionInstruction,
+        ScenarioError,
+    )
     from pytest_pafot.model.scenario import Chromosome, Scenario
     from pytest_pafot.model.trace import Collision, Outcome, Trace
     from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
@@ -44,8 +49,7 @@ _NAMES = {
     "campaign.explore": "Exploration explore",
     "campaign.saved_scenario": "SavedScenario load",
     "model.crossings": "CrossingVehicle Zone",
-    "model.grid": "Cell",
-    "model.instructions": "CrossingInstruction LaneInstruction PositionInstruction ScenarioError",
+    "model.instructions": "Cell CrossingInstruction LaneInstruction PositionInstruction ScenarioError",
     "model.scenario": "Chromosome Scenario",
     "model.trace": "Collision Outcome Trace",
     "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",

@@ -16,8 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import SHIFTS, SPEED_STEPS_PER_MPS, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import SHIFTS, SPEED_STEPS_PER_MPS, Cell, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import EGO_SPEED, GENE_SECONDS, PAPER_SPEED_LIMIT, Chromosome, Scenario
 from pytest_pafot.model.vehicle_type import CAR, STYLES, Style, VehicleName, VehicleType, named_vehicles
 

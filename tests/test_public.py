@@ -34,7 +34,7 @@ from pytest_pafot import *
 Highway(), World("highway-v0")
 heavy = {"gymnasium", "highway_env", "matplotlib", "pandas", "pygame", "scipy", "torch"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
-import pytest_pafot.campaign.judging
+import pytest_pafot.campaign.harness
 assert callable(pytest_pafot.reject), "a module in the place of the function"
 """
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot
 from pytest_pafot import CAR, TRUCK, Highway, strategies
-from pytest_pafot.model.grid import is_adjacent
-from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, is_adjacent
 from pytest_pafot.model.scenario import Scenario
 from tests.helpers.tables import table
 

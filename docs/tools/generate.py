@@ -32,8 +32,8 @@ from pytest_pafot.export.exporter import add_arguments as add_export_arguments
 from pytest_pafot.findings.finding import Expect, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
+    Cell,
     CrossingInstruction,
     LaneInstruction,
     PositionInstruction,

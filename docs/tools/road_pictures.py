@@ -26,8 +26,7 @@ sys.path.insert(0, str(DOCS.parent))
 from pytest_pafot import Run, World  # noqa: E402
 from pytest_pafot.attribution.responsibility import rss_rule  # noqa: E402
 from pytest_pafot.findings.finding import Finding, Found  # noqa: E402
-from pytest_pafot.findings.labels import Observed  # noqa: E402
-from pytest_pafot.findings.sighting import Seen  # noqa: E402
+from pytest_pafot.findings.sighting import Observed, Seen  # noqa: E402
 from pytest_pafot.findings.signature import Failure  # noqa: E402
 from pytest_pafot.model.trace import Trace  # noqa: E402
 from pytest_pafot.report.views import finding_view  # noqa: E402

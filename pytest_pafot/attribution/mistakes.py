@@ -15,9 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pytest_pafot.attribution.responses import FOLLOWING
+from pytest_pafot.attribution.responses import FOLLOWING, avoidance_sentence
 from pytest_pafot.attribution.responsibility import Attribution, Fault, Mistake, frame_of, rss_rule
-from pytest_pafot.attribution.sentences import avoidance_sentence
 from pytest_pafot.criticality.measures import Encounters, depth
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, Trace

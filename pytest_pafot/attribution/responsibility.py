@@ -39,6 +39,7 @@ from pytest_pafot.attribution.manoeuvres import (
 )
 from pytest_pafot.attribution.responses import (
     ALREADY_BRAKING,
+    BRAKES,
     CUT_OFF,
     DISTANCES,
     EMERGENCY,
@@ -50,12 +51,15 @@ from pytest_pafot.attribution.responses import (
     SPED_UP,
     VISIBLY,
     Braking,
+    Fact,
     Pursuit,
+    Reason,
+    What,
     answer,
     brakings,
     room_to_leave,
+    sentences,
 )
-from pytest_pafot.attribution.sentences import BRAKES, Fact, Reason, What, sentences
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.criticality.measures import Boxes, overlaps, relate
 from pytest_pafot.model.crossings import Zone

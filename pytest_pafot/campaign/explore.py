@@ -15,8 +15,7 @@ from typing import Any, ClassVar, Literal, NoReturn, Unpack
 
 from pytest_pafot.campaign import run_table
 from pytest_pafot.campaign.events import Listener, Search, SearchEvent
-from pytest_pafot.campaign.harness import Harness, reference_of
-from pytest_pafot.campaign.judging import source_file
+from pytest_pafot.campaign.harness import Harness, reference_of, source_file
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, RUNS, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import (

@@ -17,7 +17,7 @@ from pytest_pafot.campaign.events import Paired, Phase, Refining, SearchEvent
 from pytest_pafot.campaign.results import State
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import Whole
+from pytest_pafot.execution.runner import Whole
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import Outcome

@@ -1,7 +1,7 @@
 """The options of a search, in one typed table.
 
 Command-line options, ini and toml keys, arguments of the mark and of ``pafot.explore``, and the reference documentation
-are all generated from the fields of :class:`Settings`. :mod:`pytest_pafot.plugin.option_sources` defines the precedence
+are all generated from the fields of :class:`Settings`. :mod:`pytest_pafot.plugin.session` defines the precedence
 of these sources.
 """
 

@@ -9,16 +9,29 @@ from datetime import date
 from functools import partial
 from pathlib import Path
 
-from pytest_pafot.campaign.harness import Harness, begins_alike, is_same_run, refusals
-from pytest_pafot.campaign.judging import SetupFaultError, cause_of, headline
+from pytest_pafot.campaign.harness import (
+    Harness,
+    SetupFaultError,
+    begins_alike,
+    cause_of,
+    headline,
+    is_same_run,
+    refusals,
+)
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.results import UNJUDGED
-from pytest_pafot.corpus.reader import located
-from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.execution import scenario_pool
+from pytest_pafot.corpus.reader import Saved, located
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Runner, judged_apart, runner_for
-from pytest_pafot.execution.scenario_pool import NOT_REPEATED, ExecutionError, LostRun, expectation
+from pytest_pafot.execution.runner import (
+    NOT_REPEATED,
+    ExecutionError,
+    LostRun,
+    Runner,
+    expectation,
+    forks,
+    judged_apart,
+    runner_for,
+)
 from pytest_pafot.findings.failure_rate import ENOUGH, RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
@@ -32,7 +45,7 @@ from pytest_pafot.findings.finding import (
     is_same_failure,
     of_failure,
 )
-from pytest_pafot.findings.labels import Observed
+from pytest_pafot.findings.sighting import Observed
 from pytest_pafot.findings.signature import Failure, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.instructions import ScenarioError
@@ -278,7 +291,7 @@ class Replays:
         __tracebackhide__ = True
         harness, (longer, note) = self.harness, self._longer(saved, world)
         # A separate session replays a whole file, so it could not tell in which part a process died.
-        has_processes = harness.request.settings.isolate or scenario_pool.METHOD == "fork" or saved.needs_own_process
+        has_processes = harness.request.settings.isolate or forks() or saved.needs_own_process
         is_lost = longer is not None and not has_processes and bool(harness.left_behind(owner))
         if is_lost:
             note = f"not {PAST_END}, because a process died in it before, and this system cannot fork processes"

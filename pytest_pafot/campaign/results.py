@@ -13,15 +13,13 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Literal, Self
 
-from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.judging import Cause, cause_of, headline, unit_doubt
+from pytest_pafot.campaign.harness import Cause, Harness, cause_of, headline, unit_doubt
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.scenario_pool import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
+from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
 from pytest_pafot.findings.finding import Finding, Found, Manner, failed_as
-from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.sighting import Alike, worse
 from pytest_pafot.findings.signature import CHECK_FAILED, Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Severity, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run
@@ -74,7 +72,7 @@ class Result:
         failed: a failure that counts, if it is not known; otherwise None.
         cause: the cause of a failure that can be a fault of the set-up; otherwise None.
         caught: the names of checks that failed although the test function passed.
-        doubt: see :func:`~pytest_pafot.campaign.judging.unit_doubt`.
+        doubt: see :func:`~pytest_pafot.campaign.harness.unit_doubt`.
         excused: what happened in a collision that the rules excuse, though braking late avoids it; otherwise empty.
         broken: how the reference itself failed in the scenario; empty if it did not, None if it was not driven.
     """

@@ -16,7 +16,7 @@ from typing import Any
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.results import Counts, Result, State
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import Chunk, LostRun
+from pytest_pafot.execution.runner import Chunk, LostRun
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import CampaignFinished, CampaignStarted, EndReason, Evaluated, Evaluation, Event

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Progress, SearchEvent
-from pytest_pafot.campaign.judging import SetupFaultError, cause_of
+from pytest_pafot.campaign.harness import SetupFaultError, cause_of
 from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.results import Counts, Result, State, lost
 from pytest_pafot.campaign.scenarios import FIRST, Bred, Early, Numbers

@@ -24,8 +24,7 @@ from pytest_pafot.campaign.events import (
     SearchEvent,
     SearchStarted,
 )
-from pytest_pafot.campaign.harness import Harness, refusals
-from pytest_pafot.campaign.judging import SetupFaultError, no_skip, skips
+from pytest_pafot.campaign.harness import Harness, SetupFaultError, no_skip, refusals, skips
 from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.campaign.options import RUNS
 from pytest_pafot.campaign.refine.steps import refine
@@ -35,11 +34,10 @@ from pytest_pafot.campaign.results import Driver, Examiner, State
 from pytest_pafot.campaign.scenarios import Bred, Numbers
 from pytest_pafot.campaign.search import LEAST, TimedWatch, Watch, search
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.corpus.saved import Saved, saved_in
-from pytest_pafot.execution import scenario_pool
+from pytest_pafot.corpus.reader import Saved, saved_in
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import judged_apart, runner_for
+from pytest_pafot.execution.runner import forks, judged_apart, runner_for
 from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
@@ -273,7 +271,7 @@ def _why_judged_here(harness: Harness) -> str:
     if not harness.needs_only_run:
         return "the test function needs more than the run"
     is_apart = harness.cluster is not None  # its workers may be on other machines
-    return "they were not forked from it" if is_apart or scenario_pool.METHOD != "fork" else ""
+    return "they were not forked from it" if is_apart or not forks() else ""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -456,7 +454,7 @@ class SearchSession:
                 )
                 continue
             death, trace = None, None
-            if harness.request.settings.isolate or scenario_pool.METHOD == "fork":
+            if harness.request.settings.isolate or forks():
                 try:
                     trace = judged_apart(harness.job(world), scenario, partial(harness.judge_trace, world))
                 except ProcessLostError as error:
@@ -695,7 +693,7 @@ def isolated_after_a_death(harness: Harness, replays: Replays) -> Harness:
     This is done only if processes are forked, because otherwise some factories cannot be passed to another process.
     """
     settings = harness.request.settings
-    if scenario_pool.METHOD != "fork" or settings.isolate or not settings.is_search:
+    if not forks() or settings.isolate or not settings.is_search:
         return harness
     if harness.left_behind() or any(each.is_crash and replays.still_fails(each) for each in saved_in(harness.folder)):
         return replace(harness, request=replace(harness.request, settings=replace(settings, isolate=True)))

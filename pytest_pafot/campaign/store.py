@@ -11,18 +11,16 @@ from typing import Any
 
 from pytest_pafot.campaign.bench import Bench, Confirmed
 from pytest_pafot.campaign.events import SearchEvent
-from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.judging import PlainFailure
+from pytest_pafot.campaign.harness import Harness, PlainFailure
 from pytest_pafot.campaign.results import Counts, Failed, Result, State, found_by, lost
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
-from pytest_pafot.execution.scenario_pool import LostRun, expectation
+from pytest_pafot.execution.runner import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, portable
-from pytest_pafot.findings.labels import Observed
-from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from pytest_pafot import Highway, Run, World, WorldLike
 from pytest_pafot.campaign.explore import AlgorithmRun
-from pytest_pafot.campaign.judging import SetupFaultError
+from pytest_pafot.campaign.harness import SetupFaultError
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.commands.policy_reference import ads_factory, chosen_world
 from pytest_pafot.oracle.checks import require

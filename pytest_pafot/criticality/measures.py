@@ -3,8 +3,8 @@
 The road of the run (:class:`pytest_pafot.model.trace.RoadOfRun`) defines the distances. The record of a collision, the
 explanation of a run and the report page share them. *Ahead* is the distance driven along the road, *right* is the
 distance across it, both from the ego's centre to the NPC's [m]. Neither depends on the ego's heading. Both together
-determine the cell, see :func:`pytest_pafot.model.grid.cell_at`: rows are as long as the ego, columns as wide as its
-lane. While an NPC that crosses is not on the ego's way, its distances, gaps and safe distances are NaN, it is in no
+determine the cell, see :func:`pytest_pafot.model.instructions.cell_at`: rows are as long as the ego, columns as wide as
+its lane. While an NPC that crosses is not on the ego's way, its distances, gaps and safe distances are NaN, it is in no
 cell, and it shares a lane with no vehicle.
 
 Sources, unless another is named: Crespo-Rodriguez, Neelofar, Aleti, "PAFOT", AST 2024, section 2.1 (Modelling Target
@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.criticality import sweep
-from pytest_pafot.model.grid import Cell, cell_at
+from pytest_pafot.model.instructions import Cell, cell_at
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, FloatArray, Lane, Trace, road_of_run
 
 

@@ -24,10 +24,10 @@ from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any
 
 from pytest_pafot.execution.pool import ProcessLostError, WorkerPool
-from pytest_pafot.execution.scenario_pool import Answer, ExecutionError, Job, LostRun, Timed, Whole
+from pytest_pafot.execution.runner import Answer, Cluster, ExecutionError, Job, LostRun, Timed, Whole
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import flag, install
 from pytest_pafot.support.process import installed_versions
@@ -192,10 +192,6 @@ def _named(error: Exception) -> str:
 def _lost(task: Task, error: Exception) -> LostRun:
     scenario = task.scenario if isinstance(task, Whole) else task
     return ProcessLostError(scenario, pid=0, how=f"was lost ({type(error).__name__})")
-
-
-Cluster: TypeAlias = Callable[[Job], DaskPool]
-"""A function that makes pools of the workers on other machines."""
 
 
 # What is sent.

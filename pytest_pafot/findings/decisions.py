@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING
+from pytest_pafot.attribution.responses import advice, change_advice, drift_advice
 from pytest_pafot.attribution.responsibility import Fault, frame_of
-from pytest_pafot.attribution.sentences import advice, change_advice, drift_advice
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run

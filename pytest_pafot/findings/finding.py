@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from pytest_pafot.attribution.mistakes import Avoidance, Manoeuvre, manoeuvre_before
+from pytest_pafot.attribution.responses import ANSWERS, AT_FAULT, sentences
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
-from pytest_pafot.attribution.sentences import ANSWERS, AT_FAULT, sentences
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.signature import (
@@ -31,7 +31,7 @@ from pytest_pafot.findings.signature import (
     zone_in_words,
 )
 from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side, Trace, Y

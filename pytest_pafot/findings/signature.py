@@ -15,7 +15,7 @@ from typing import Any, Self, cast, get_args
 from pytest_pafot.attribution.mistakes import BY_FAULT, NOT_GIVEN_WAY, Manoeuvre
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.model.crossings import Kind, Origin, Zone
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome, Side
 from pytest_pafot.oracle.checks import Check, CheckFailed
 

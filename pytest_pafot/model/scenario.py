@@ -17,15 +17,18 @@ from functools import lru_cache
 from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING, Any, cast
 
-from pytest_pafot.model.grid import Cell, are_valid, is_adjacent, repair_chains
 from pytest_pafot.model.instructions import (
     KINDS,
+    Cell,
     CrossingInstruction,
     Instruction,
     PositionInstruction,
     ScenarioError,
+    are_valid,
     encoded,
     instruction_of,
+    is_adjacent,
+    repair_chains,
 )
 from pytest_pafot.model.vehicle_type import CAR, PAPERS, STYLES, Style, VehicleName, VehicleType, without_last_cars
 from pytest_pafot.support.errors import POSITIVE, FieldError, checked_number, checked_whole

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Chromosome, Scenario, with_targets
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution.mistakes import Avoidance, TakeOver, attributed
+from pytest_pafot.attribution.responses import due_by, responsible_sentence
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
-from pytest_pafot.attribution.sentences import due_by, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     Asked,
@@ -30,8 +30,7 @@ from pytest_pafot.criticality.signals import (
     leader,
 )
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction
+from pytest_pafot.model.instructions import Cell, CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, STYLES

@@ -18,17 +18,20 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
 from pytest_pafot.plugin.collection import Collection
 from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
-from pytest_pafot.plugin.option_sources import add_options, option_value, resolve
 from pytest_pafot.plugin.session import (
     INVENTORY,
     SESSION,
     SHARED,
     Header,
+    Messages,
     Shared,
+    add_options,
     cause_of,
     end_in_order,
     guard_exits,
     is_worker,
+    option_value,
+    resolve,
     stale_day,
 )
 from pytest_pafot.report.session import Session
@@ -138,9 +141,7 @@ def _report(config: pytest.Config) -> None:
     """Register the plugins that report on marked items, unless they are registered. A worker only sends messages."""
     if config.pluginmanager.has_plugin("pafot-messages"):
         return
-    from pytest_pafot.plugin import messages  # noqa: PLC0415
-
-    features: dict[str, object] = {"messages": messages}
+    features: dict[str, object] = {"messages": Messages()}
     if not is_worker(config):
         from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
         from pytest_pafot.plugin.report_files import Files  # noqa: PLC0415
@@ -189,12 +190,11 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     The function fails the test if the ADS raises, hangs or returns no action, and warns of an invalid run. It is warmed
     up: its first call is not slower than the others.
     """
-    from pytest_pafot.campaign.judging import ads_text  # noqa: PLC0415
+    from pytest_pafot.campaign.harness import ads_text  # noqa: PLC0415
     from pytest_pafot.execution.pool import ProcessLostError  # noqa: PLC0415
     from pytest_pafot.execution.runner import drive_once  # noqa: PLC0415
     from pytest_pafot.findings.finding import ads_failure  # noqa: PLC0415
-    from pytest_pafot.model.grid import Cell  # noqa: PLC0415
-    from pytest_pafot.model.instructions import PositionInstruction  # noqa: PLC0415
+    from pytest_pafot.model.instructions import Cell, PositionInstruction  # noqa: PLC0415
     from pytest_pafot.model.scenario import Scenario  # noqa: PLC0415
     from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415

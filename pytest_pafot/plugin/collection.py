@@ -22,12 +22,11 @@ from pytest_pafot.plugin.marks import (
     qualified_name,
     saved_part,
 )
-from pytest_pafot.plugin.option_sources import value_if_right
-from pytest_pafot.plugin.session import GIVEN, INVENTORY, SHARED, Inventory, base_line, call_of, path_of
+from pytest_pafot.plugin.session import GIVEN, INVENTORY, SHARED, Inventory, base_line, call_of, path_of, value_if_right
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
-    from pytest_pafot.corpus.saved import Saved
+    from pytest_pafot.corpus.reader import Saved
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""
@@ -141,7 +140,7 @@ class Collection:
         name = qualified_name(definition)
         chosen = layout.chosen_folder(definition.path, corpus)
         link = layout.link_out(chosen, module_folder.parent, self._rootpath)
-        from pytest_pafot.corpus.saved import refused_in, saved_in  # noqa: PLC0415  (few sessions have searches)
+        from pytest_pafot.corpus.reader import refused_in, saved_in  # noqa: PLC0415  (few sessions have searches)
 
         found: dict[str, Saved] = {}
         if module_folder not in self._listed:
@@ -245,21 +244,9 @@ def saved_of(item: pytest.Item) -> Saved | None:
     mark = item.get_closest_marker(SAVED_MARK)
     if mark is None:
         return None
-    from pytest_pafot.corpus.saved import Saved  # noqa: PLC0415  (few sessions have one)
+    from pytest_pafot.corpus.reader import Saved  # noqa: PLC0415  (few sessions have one)
 
     return mark.args[0] if mark.args and isinstance(mark.args[0], Saved) else None
-
-
-def policy_of(item: pytest.Item) -> Callable[..., Any]:
-    """Return the ADS factory of a search or a replay, once pytest has set up its fixtures.
-
-    Raises:
-        RequestError: if the fixture of the policy returns no factory.
-    """
-    from pytest_pafot.campaign.harness import checked_factory  # noqa: PLC0415
-
-    ads = item.stash[REQUEST].ads
-    return checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads  # type: ignore[attr-defined]
 
 
 def is_parametrised(metafunc: pytest.Metafunc, arg: str) -> bool:

@@ -17,13 +17,12 @@ from typing import Any
 import pytest
 
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of
 from pytest_pafot.plugin.marks import base_id, is_driven
-from pytest_pafot.plugin.messages import AS_SAVED
-from pytest_pafot.plugin.session import SHARED
+from pytest_pafot.plugin.session import AS_SAVED, SHARED
 from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
 
 REPLAYED = pytest.StashKey[bool]()

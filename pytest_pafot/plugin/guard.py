@@ -37,8 +37,7 @@ from pytest_pafot.corpus.layout import (
     is_inside as is_inside_project,
 )
 from pytest_pafot.plugin.marks import MARKED
-from pytest_pafot.plugin.option_sources import value_if_right
-from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of
+from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of, value_if_right
 from pytest_pafot.report.session import ADVICE, WHY_UNNAMED
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import plural, visible

@@ -7,14 +7,15 @@ import os
 import sys
 import threading
 import traceback
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from typing import Any
 
 import pytest
 
 from pytest_pafot.campaign.events import Note
 from pytest_pafot.campaign.options import BY_NAME, is_ci
-from pytest_pafot.campaign.request import AgainstError, Request
+from pytest_pafot.campaign.request import AgainstError, Request, check_names, checked_request
 from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by, records_of
 from pytest_pafot.execution.pool import GRACE
@@ -24,6 +25,7 @@ from pytest_pafot.plugin.marks import (
     ANY_MARK,
     DEFAULT_ADS,
     DEFAULT_ARG,
+    POSITIONAL,
     SEARCH_MARK,
     WORLD_FIXTURE,
     arguments_of,
@@ -31,10 +33,9 @@ from pytest_pafot.plugin.marks import (
     is_driven,
 )
 from pytest_pafot.plugin.messages import set_of_saved
-from pytest_pafot.plugin.option_sources import request_of_mark
 from pytest_pafot.plugin.replay_item import run_replay
 from pytest_pafot.plugin.search_item import run_search
-from pytest_pafot.plugin.session import SHARED, is_worker, uncaptured
+from pytest_pafot.plugin.session import SHARED, is_worker, report_on, resolve, uncaptured
 from pytest_pafot.support.errors import RequestError, asserts_run, flag
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.support.text import meant, visible, wrapped_to
@@ -272,7 +273,7 @@ def _flush(item: pytest.Item, stack: str) -> None:
         f"saves it. With {flag('isolate')}, the search continues after such a hang"
     )
     told = f"{reason}.\n\nWhat it calls, innermost call last:\n{stack}"
-    report = messages.report_on(item, "call", outcome="failed", longrepr=told)
+    report = report_on(item, "call", outcome="failed", longrepr=told)
     item.ihook.pytest_runtest_logreport(report=report)
     try:
         pytest.exit(f"the ADS or its environment hangs in {item.nodeid}, as its failure says", returncode=STATUS)
@@ -292,3 +293,22 @@ def _real_stderr(config: pytest.Config) -> int | None:
     with suppress(OSError), uncaptured(config):
         return os.dup(2)
     return None
+
+
+def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Request:
+    """Return the checked request for the arguments of a mark. Positional arguments are under :data:`POSITIONAL`.
+
+    Raises:
+        RequestError: on the first wrong argument or option.
+    """
+    given = {"ads": DEFAULT_ADS, "arg": DEFAULT_ARG, **arguments}
+    positional = given.pop(POSITIONAL, ())
+    if positional:
+        name = getattr(positional[0], "__name__", "")
+        example = "runs=20" if not callable(positional[0]) else f"ads={name if name.isidentifier() else '...'}"
+        raise RequestError(
+            f"@pafot.search: expected keyword arguments only, received {positional!r:.200}; write the argument's name, "
+            f"as in @pafot.search({example})"
+        )
+    check_names(given)
+    return checked_request(given, resolve(config, arguments))

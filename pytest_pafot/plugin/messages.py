@@ -1,13 +1,9 @@
-"""Messages from a running item to the controller, also from the workers of pytest-xdist.
-
-A message is a test report of a phase that only this plugin knows. pytest-xdist passes the message to the controller at
-once, like every report. Other plugins take it for the report of a passed phase without output.
-"""
+"""What an item sends to the controller, also from the workers of pytest-xdist, and its properties in reports."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Iterable, Iterator, MutableSequence
+from collections.abc import Iterable, Iterator, MutableSequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -16,33 +12,23 @@ from weakref import WeakKeyDictionary
 import pytest
 
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.saved import Saved
-from pytest_pafot.support.process import postponed
+from pytest_pafot.corpus.reader import Saved
+from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.plugin.session import PHASE, report_on
+from pytest_pafot.searching.plain import plain
 from pytest_pafot.support.text import visible
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
-    from pytest_pafot.findings.sighting import Seen
     from pytest_pafot.model.trace import Trace
     from pytest_pafot.oracle.checks import Check
     from pytest_pafot.oracle.run import Run
     from pytest_pafot.report.session import Event
 
 
-PHASE = "pafot"  # the phase of a report that is a message
-
-
 def packed(value: object) -> str:
     """Return a value as ASCII text for a message: pytest-xdist cannot send texts with invalid characters."""
-    from pytest_pafot.searching.plain import plain  # noqa: PLC0415
-
     return json.dumps(plain(value))
-
-
-def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
-    """Return a report on a phase of an item, which has passed unless it is given otherwise."""
-    passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
-    return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})
 
 
 def send(item: pytest.Item, event: Event, **more: Any) -> None:
@@ -71,32 +57,6 @@ def send_seen(
 
         more["view"] = json.dumps(finding_view(seen, note=note, check=check), allow_nan=False)
     send(item, seen, **more)
-
-
-def received(report: pytest.TestReport | pytest.CollectReport) -> tuple[Event, dict[str, Any]] | None:
-    """Return the event in a report and what was sent with it, or None for an ordinary report."""
-    if getattr(report, "when", None) != PHASE:
-        return None
-    from pytest_pafot.campaign.events import Note, Progress, Search  # noqa: PLC0415
-    from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
-    from pytest_pafot.searching.plain import from_plain  # noqa: PLC0415
-
-    kind, text, more = report.pafot
-    events: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
-    return from_plain(events[kind], json.loads(text)), more
-
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_logreport() -> Generator[None, object, object]:
-    """Let all that listen to a report take it, before an interrupt ends the session."""
-    with postponed():
-        return (yield)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_report_teststatus(report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
-    """Return empty texts for messages, so that pytest does not count them as results."""
-    return ("", "", "") if getattr(report, "when", None) == PHASE else None
 
 
 # Properties of items, which appear in files for other tools, such as the file of ``--junitxml``.
@@ -146,13 +106,6 @@ class OfOneRun:
 
 OF_ONE_RUN: pytest.StashKey[OfOneRun] = pytest.StashKey()
 """The properties that the marked test of an item records."""
-
-AS_SAVED = "pafot_saved"
-"""The attribute of a report that holds the id and the file of a failing saved scenario, for programs.
-
-Its value is JSON in ASCII, because file names may contain bytes that are not valid characters, and pytest-xdist cannot
-send such a text.
-"""
 
 
 def set_properties(properties: Properties, **values: object) -> None:

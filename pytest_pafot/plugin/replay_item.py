@@ -10,17 +10,16 @@ from typing import Any
 import pytest
 
 from pytest_pafot.campaign.events import Note
-from pytest_pafot.campaign.judging import Cause, SetupFaultError, cause_of, headline
+from pytest_pafot.campaign.harness import Cause, SetupFaultError, cause_of, headline
 from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.store import cause
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled
-from pytest_pafot.findings.labels import Observed, label
-from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.sighting import Observed, Seen, label
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run

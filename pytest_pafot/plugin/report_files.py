@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.plugin.option_sources import value_if_right
-from pytest_pafot.plugin.session import SESSION, exit_code, not_written
+from pytest_pafot.plugin.session import SESSION, exit_code, not_written, value_if_right
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import flag, rerun
 

@@ -24,8 +24,7 @@ from pytest_pafot.campaign.events import (
     SearchEvent,
     SearchStarted,
 )
-from pytest_pafot.campaign.harness import Harness, checked_factory, reference_of
-from pytest_pafot.campaign.judging import PlainFailure, Test, source_file
+from pytest_pafot.campaign.harness import Harness, PlainFailure, Test, checked_factory, reference_of, source_file
 from pytest_pafot.campaign.options import BUDGETS, BY_NAME, Settings
 from pytest_pafot.campaign.replays import Replays
 from pytest_pafot.campaign.request import Request, build_world
@@ -38,13 +37,13 @@ from pytest_pafot.campaign.search_session import (
 )
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
 from pytest_pafot.execution.crash_records import records_of
-from pytest_pafot.execution.scenario_pool import ExecutionError
+from pytest_pafot.execution.runner import ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.plugin import marks, messages
-from pytest_pafot.plugin.collection import COLLECTED, policy_of
+from pytest_pafot.plugin.collection import COLLECTED, REQUEST
 from pytest_pafot.plugin.failure_reports import OUTPUT, explained
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.session import SHARED, is_worker
@@ -59,7 +58,7 @@ from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.driving.policy import Policy
 
 if TYPE_CHECKING:
-    from pytest_pafot.execution.dask_cluster import Cluster
+    from pytest_pafot.execution.runner import Cluster
 
 TIDIED: pytest.StashKey[set[Path]] = pytest.StashKey()
 """The folders of saved scenarios from which this session has removed the unfinished files of killed processes."""
@@ -157,6 +156,16 @@ def _cluster_of(config: pytest.Config) -> Cluster | None:
     if isinstance(found := config.stash[CLUSTER], ExecutionError):
         pytest.fail(str(found), pytrace=False)
     return found
+
+
+def policy_of(item: pytest.Item) -> Callable[..., Any]:
+    """Return the ADS factory of a search or a replay, once pytest has set up its fixtures.
+
+    Raises:
+        RequestError: if the fixture of the policy returns no factory.
+    """
+    ads = item.stash[REQUEST].ads
+    return checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads  # type: ignore[attr-defined]
 
 
 def bound_test(item: pytest.Function, arg: str) -> Test:

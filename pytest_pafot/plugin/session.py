@@ -3,25 +3,101 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from datetime import date, timedelta
 from functools import partial
 from os import getpid
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, is_ci
+from pytest_pafot.campaign.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Option, Settings, is_ci
 from pytest_pafot.corpus.layout import link_below, refusal
-from pytest_pafot.plugin.option_sources import resolve, value_if_right
 from pytest_pafot.report.session import Session
 from pytest_pafot.support.errors import RequestError, flag
+from pytest_pafot.support.process import postponed
+
+_INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
+"""The type of the ini key for each kind of option. The keys of all other kinds are strings."""
+_LAST = r"(?<=')[^']*(?='$)|[^\s']+$"
+"""The last word or quoted text of a message: pytest's messages about an ini key end with the key's value."""
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Declare all options of the plugin to pytest, on the command line and in configuration files."""
+    group = parser.getgroup("pafot", "search for traffic that makes a driving policy crash (pytest-pafot)")
+    for option in OPTIONS:
+        value: dict[str, Any] = {"type": option.read, "metavar": option.metavar}
+        if option.kind == "switch":
+            value = {"action": "store_true"}
+        group.addoption(option.flag, dest=option.key, default=None, help=option.help, **value)
+        if option.everywhere:
+            text = f"Same as {option.flag}."
+            parser.addini(option.key, text, type=_INI_TYPES.get(option.kind, "string"), default=None)
+
+
+def resolve(config: pytest.Config, marker: Mapping[str, object]) -> Settings:
+    """Return the value of every option for an item whose mark has the arguments ``marker``.
+
+    Arguments that are not options are ignored.
+
+    Raises:
+        RequestError: if a value is wrong; the message names its source.
+    """
+    for option in OPTIONS:  # A wrong argument is an error even if the command line replaces it today.
+        if option.is_argument:
+            _read(option, f"@pafot.search({option.name}=...)", marker.get(option.name))
+    values = {option.name: option_value(config, option, marker) for option in OPTIONS if option.everywhere}
+    # The first source with a budget decides on both.
+    budgets = [*zip(*(_values(config, BY_NAME[name], marker) for name in BUDGETS), strict=True)]
+    given = next((budget for budget in budgets if budget != (None, None)), (RUNS, None))
+    # Generations mean the paper's algorithm, also if a source before gives the number of runs.
+    values["algorithm"] = values["algorithm"] or ("pafot" if any(budget[1] for budget in budgets) else None)
+    return Settings(**values | dict(zip(BUDGETS, given, strict=True)))
+
+
+def option_value(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Any:
+    """Return the value of an option for a mark with some arguments.
+
+    Raises:
+        RequestError: if the value is wrong; the message names its source.
+    """
+    return next((value for value in _values(config, option, marker) if value is not None), option.default)
+
+
+def value_if_right(config: pytest.Config, name: str) -> Any:
+    """Return the value of an option of the whole session; None if it is wrong, which each search reports."""
+    try:
+        return option_value(config, BY_NAME[name], {})
+    except RequestError:
+        return None
+
+
+def _values(config: pytest.Config, option: Option, marker: Mapping[str, object]) -> Iterator[Any]:
+    """Yield an option's value on the command line, in the mark and in the configuration file; None without one."""
+    yield _read(option, option.flag, config.getoption(option.key))
+    argument = marker.get(option.name) if option.is_argument else None
+    yield _read(option, f"@pafot.search({option.name}=...)", argument)
+    try:
+        value = config.getini(option.key)
+    except (TypeError, ValueError, pytest.UsageError) as error:  # the message ends with the value
+        value = "".join(re.findall(_LAST, str(error)))
+    yield _read(option, f"ini key {option.key}", value)
+
+
+def _read(option: Option, place: str, value: object) -> Any:
+    try:
+        return None if value is None else option.read(value)
+    except RequestError as error:
+        raise RequestError(f"{place}: {error}") from None
+
 
 LOG_SECONDS = 10.0  # the interval between reports of a search's progress in a log [s]
 LISTED = 5  # the number of files that a line names
@@ -218,3 +294,39 @@ class Header:
 
         reason = why_interpreted()
         return f"pafot: kernel interpreted ({reason})" if reason else "pafot: kernel compiled"
+
+
+# Messages from a running item to the controller.
+#
+# A message is a test report of a phase that only this plugin knows. pytest-xdist passes the message to the controller
+# at once, like every report. Other plugins take it for the report of a passed phase without output.
+
+PHASE = "pafot"  # the phase of a report that is a message
+
+AS_SAVED = "pafot_saved"
+"""The attribute of a report that holds the id and the file of a failing saved scenario, for programs.
+
+Its value is JSON in ASCII, because file names may contain bytes that are not valid characters, and pytest-xdist cannot
+send such a text.
+"""
+
+
+class Messages:
+    """The hooks through which messages go, in each process of a session."""
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_logreport(self) -> Generator[None, object, object]:
+        """Let all that listen to a report take it, before an interrupt ends the session."""
+        with postponed():
+            return (yield)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_report_teststatus(self, report: pytest.TestReport | pytest.CollectReport) -> tuple[str, str, str] | None:
+        """Return empty texts for messages, so that pytest does not count them as results."""
+        return ("", "", "") if getattr(report, "when", None) == PHASE else None
+
+
+def report_on(item: pytest.Item | pytest.TestReport, when: str, **given: Any) -> pytest.TestReport:
+    """Return a report on a phase of an item, which has passed unless it is given otherwise."""
+    passed: dict[str, Any] = {"keywords": {}, "outcome": "passed", "longrepr": None}
+    return pytest.TestReport(**{**passed, "nodeid": item.nodeid, "location": item.location, "when": when, **given})

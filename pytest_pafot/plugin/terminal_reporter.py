@@ -13,15 +13,24 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
 from pytest_pafot.plugin.marks import SAVED_MARK, SEARCH_MARK
-from pytest_pafot.plugin.messages import AS_SAVED, received, report_on
 from pytest_pafot.plugin.report_files import Files
-from pytest_pafot.plugin.session import INVENTORY, SESSION, SHARED, base_line, terminal_width, uncaptured, unclaimed
+from pytest_pafot.plugin.session import (
+    AS_SAVED,
+    INVENTORY,
+    PHASE,
+    SESSION,
+    SHARED,
+    base_line,
+    report_on,
+    terminal_width,
+    uncaptured,
+    unclaimed,
+)
 from pytest_pafot.report.session import RESULTS, Session
 from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
     from pytest_pafot.findings.sighting import Seen
-    from pytest_pafot.report.session import Event
 
 VERDICT = re.compile(r"\b(is|are) responsible|at fault\b")
 DEADLINE = re.compile(r"\bshould have\b|\bavoids the collision|\bhad too little time\b")
@@ -109,7 +118,7 @@ class Reporter:
 
         Make room for what pytest prints of a phase; after the teardown of a search, print its new findings.
         """
-        message = received(report)
+        message = getattr(report, "pafot") if report.when == PHASE else None  # noqa: B009
         if message is None:
             self._take_phase(report)
             self._live.erase_progress()
@@ -203,13 +212,13 @@ class Reporter:
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
 
-    def _take(self, report: pytest.TestReport, event: Event, more: dict[str, Any]) -> None:
+    def _take(self, report: pytest.TestReport, kind: str, text: str, more: dict[str, Any]) -> None:
         """Take an event of an item, and show at once what a reader wants to know before the summary."""
         from pytest_pafot.campaign.events import Progress, Search  # noqa: PLC0415
         from pytest_pafot.findings.sighting import Seen  # noqa: PLC0415
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        record = self._record
+        record, event = self._record, terminal.event_of(kind, text)
         is_first = isinstance(event, Seen) and event.node_id not in record.seen
         record.add(event, report.nodeid, more.get("view", ""))
         match event:
@@ -227,17 +236,17 @@ class Reporter:
                 if self._live.rewrites or not event.of or key not in self._worked_on:
                     self._live.show_progress(partial(terminal.progress_line, event))
                     self._worked_on.add(key)
-            case Seen() if event.label == "new":
+            case Seen() if event.observed.new == "new":
                 self._files.write_json()
                 self._show_new(report, event, more, is_first=is_first)
-            case Seen() if event.label == "no worse":
+            case Seen() if event.observed.new == "no worse":
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
     def _show_new(self, report: pytest.TestReport, seen: Seen, data: dict[str, Any], *, is_first: bool) -> None:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         if seen.node_id not in self._expanded:
-            pending = data["report"], getattr(report, "node", None), seen.rank
+            pending = data["report"], getattr(report, "node", None), terminal.by_rank(seen)
             self._pending.setdefault(report.nodeid, {})[seen.node_id] = pending
         self._live.erase_progress()
         width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")

@@ -18,7 +18,7 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.attribution.sentences import AT_FAULT
+from pytest_pafot.attribution.responses import AT_FAULT
 from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.corpus.layout import SEARCH_PART, SUFFIX, name_without
 from pytest_pafot.findings.sighting import Seen

@@ -19,10 +19,9 @@ from typing import Any
 
 from pytest_pafot.campaign.events import Search
 from pytest_pafot.findings.finding import portable
-from pytest_pafot.findings.labels import GROUPS
-from pytest_pafot.findings.severity import worsening
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.sighting import GROUPS, Seen
+from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
 from pytest_pafot.report.terminal import further, parameter_shares

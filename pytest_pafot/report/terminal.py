@@ -6,24 +6,28 @@ paths and the user's own words.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import attrgetter
 
-from pytest_pafot.campaign.events import UNTESTED, Ending, Progress, Search
+from pytest_pafot.campaign.events import UNTESTED, Ending, Note, Progress, Search
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect, Finding
-from pytest_pafot.findings.severity import worsening
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
+from pytest_pafot.searching.plain import from_plain
 from pytest_pafot.support.errors import command, flag, rerun
 from pytest_pafot.support.proportions import interval_text, none_text
 from pytest_pafot.support.text import ascii_text, fitted_lines, listed, plural, wrapped_to
+
+Event = Progress | Search | Seen | Note
+"""What an item says to the record of the session."""
 
 WIDTH = 80
 MINUTE, HOUR = 60, 3600
@@ -166,7 +170,17 @@ def prevention_text(expect: Expect) -> str:
     return "; ".join(clauses)
 
 
-by_rank = attrgetter("rank")
+def event_of(kind: str, text: str) -> Event:
+    """Return the event of an item from the name of its class and the text of a message."""
+    kinds: dict[str, type[Event]] = {each.__name__: each for each in (Progress, Search, Seen, Note)}
+    return from_plain(kinds[kind], json.loads(text))
+
+
+def by_rank(seen: Seen) -> tuple[float | str, ...]:
+    """Return the key by which findings are listed, the worst first."""
+    return seen.rank
+
+
 """A key that sorts findings, the worst first, as in all lists."""
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution.manoeuvres import stretches
-from pytest_pafot.campaign.judging import collision_in_short
+from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc

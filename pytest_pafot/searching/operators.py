@@ -12,8 +12,7 @@ from dataclasses import replace
 
 from numpy.random import Generator
 
-from pytest_pafot.model.grid import is_adjacent
-from pytest_pafot.model.instructions import Instruction
+from pytest_pafot.model.instructions import Instruction, is_adjacent
 from pytest_pafot.model.scenario import Chromosome, Scenario, retimed
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.searching.crossing_traffic import CrossingTraffic

@@ -20,14 +20,16 @@ import numpy as np
 from numpy.random import Generator
 
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.grid import Cell, are_valid, repair_chains
 from pytest_pafot.model.instructions import (
     SPEED_STEPS_PER_MPS,
+    Cell,
     Choices,
     Instruction,
     PositionInstruction,
+    are_valid,
     known,
     random_lanes,
+    repair_chains,
 )
 from pytest_pafot.model.scenario import (
     EGO_LANE,

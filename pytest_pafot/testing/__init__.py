@@ -14,8 +14,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from pytest_pafot.campaign.request import SpaceArguments
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.instructions import Cell, LaneInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.trace import SPEED, Outcome, Trace, X, Y
 from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN

@@ -19,8 +19,7 @@ import numpy as np
 from pytest_pafot.attribution.mistakes import STEADY_BRAKING
 from pytest_pafot.attribution.responses import FOLLOWING, HARDEST
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.instructions import Cell, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType

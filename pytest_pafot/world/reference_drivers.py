@@ -24,8 +24,7 @@ from typing import NamedTuple
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING, KEEPING
 from pytest_pafot.attribution.mistakes import STEADY_BRAKING
-from pytest_pafot.attribution.responses import EMERGENCY, FOLLOWING
-from pytest_pafot.attribution.sentences import BRAKES
+from pytest_pafot.attribution.responses import BRAKES, EMERGENCY, FOLLOWING
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.kernel.bodies import Body

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from pytest_pafot.model.crossings import Crossings
-from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
     LARGEST_SLOT,
     SLOT_STEPS_PER_SECOND,
+    Cell,
     CrossingInstruction,
     ScenarioError,
 )

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.manoeuvres import Stop, hard_braking
 from pytest_pafot.attribution.mistakes import Avoidance
-from pytest_pafot.attribution.responses import DISTANCES
-from pytest_pafot.attribution.responsibility import Conflict, position_rule, rss_rule
-from pytest_pafot.attribution.sentences import (
+from pytest_pafot.attribution.responses import (
     ANSWERS,
+    DISTANCES,
     Doing,
     Fact,
     Phase,
@@ -23,9 +22,10 @@ from pytest_pafot.attribution.sentences import (
     responsible_sentence,
     sentences,
 )
+from pytest_pafot.attribution.responsibility import Conflict, position_rule, rss_rule
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
 from pytest_pafot.oracle.run import LINE_LENGTH, Run, with_avoidance
 from tests.helpers.drives import HZ, crash, driven

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pytest_pafot.attribution.mistakes import NOT_GIVEN_WAY, attributed
+from pytest_pafot.attribution.responses import Doing, Fact, What, sentences
 from pytest_pafot.attribution.responsibility import Passing, position_rule, rss_rule
-from pytest_pafot.attribution.sentences import Doing, Fact, What, sentences
 from pytest_pafot.model.crossings import Holder, Kind, Origin, Zone
 from pytest_pafot.model.trace import ALONG, Y
 from pytest_pafot.oracle.run import LINE_LENGTH

@@ -4,9 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.responses import FINEST, MOST, NEAR, answer, phases_of
+from pytest_pafot.attribution.responses import FINEST, MOST, NEAR, What, answer, due_by, phases_of, sentences
 from pytest_pafot.attribution.responsibility import rss_rule
-from pytest_pafot.attribution.sentences import What, due_by, sentences
 from pytest_pafot.model.trace import Outcome
 from tests.helpers import junctions
 from tests.helpers.drives import crash, driven

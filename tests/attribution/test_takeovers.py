@@ -7,8 +7,7 @@ import pytest
 
 from pytest_pafot import Drive
 from pytest_pafot.attribution.mistakes import Avoidance, avoidance, keeping_lane
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.world import Highway

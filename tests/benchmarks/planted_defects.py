@@ -36,7 +36,7 @@ from matplotlib.figure import Figure
 import pytest_pafot as pafot
 from pytest_pafot import Run, Scenario
 from pytest_pafot.campaign.events import SearchStarted
-from pytest_pafot.campaign.judging import judge
+from pytest_pafot.campaign.harness import judge
 from pytest_pafot.comparison.figures import SETTINGS, STYLES
 from pytest_pafot.searching import PafotSearch
 from pytest_pafot.searching.evaluation import Evaluated

@@ -14,7 +14,7 @@ from pytest_pafot.campaign.scenarios import Bred
 from pytest_pafot.campaign.search import Watch, search
 from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import expectation
+from pytest_pafot.execution.runner import expectation
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict

@@ -15,7 +15,7 @@ from pytest_pafot.campaign import bench, explore, search, search_session
 from pytest_pafot.campaign.events import Progress
 from pytest_pafot.campaign.refine.simplest import Turn
 from pytest_pafot.execution import runner
-from pytest_pafot.execution.scenario_pool import CapturedOutput
+from pytest_pafot.execution.runner import CapturedOutput
 from pytest_pafot.findings.shrink import OutOfBudget
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.report import terminal

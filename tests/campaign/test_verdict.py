@@ -1,6 +1,6 @@
 """The verdict of the user's function on a run, and on reference drivers in the ego's place."""
 
-from pytest_pafot.campaign.judging import judge, reference_outcomes
+from pytest_pafot.campaign.harness import judge, reference_outcomes
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.checks import Rejected
 from pytest_pafot.oracle.run import Run

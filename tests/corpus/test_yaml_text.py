@@ -11,8 +11,7 @@ from pytest_pafot.corpus.reader import load, parse, parsed
 from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import Situation
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError

@@ -4,8 +4,7 @@ import pytest
 
 from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import CapturedOutput, ExecutionError, Job
+from pytest_pafot.execution.runner import CapturedOutput, ExecutionError, Job, runner_for
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import scenario, trace_of

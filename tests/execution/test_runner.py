@@ -6,10 +6,9 @@ import sys
 import pytest
 
 from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
-from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution import runner
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.runner import ExecutionError, Job, runner_for
 from pytest_pafot.world.driving.policy import Policy
 
 SCENARIOS = [
@@ -94,7 +93,7 @@ def test_isolated_runs_raise_the_exception_of_the_factory(runner_of):
 
 
 def test_isolated_runs_refuse_an_unpicklable_factory(runner_of, monkeypatch):
-    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+    monkeypatch.setattr(runner, "METHOD", "spawn")
     with pytest.raises(ExecutionError, match=r"^--pafot-isolate: expected an ADS factory .* pickled"):
         runner_of(lambda: None, isolate=True).run(SCENARIOS[0])
 

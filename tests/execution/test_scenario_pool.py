@@ -10,9 +10,9 @@ import warnings
 import numpy as np
 import pytest
 
-from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution import runner
 from pytest_pafot.execution.crash_records import leftovers
-from pytest_pafot.execution.scenario_pool import Job, expectation, made_from, pool_for
+from pytest_pafot.execution.runner import Job, expectation, made_from, pool_for
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -152,7 +152,7 @@ def test_warning_filters_apply_in_the_scenario_process(pool_of, recwarn):
 
 @pytest.mark.processes
 def test_spawned_processes_run_a_picklable_factory(job_of, monkeypatch):
-    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+    monkeypatch.setattr(runner, "METHOD", "spawn")
     with pool_for(job_of(idle), 1) as pool:
         assert made_from(fetched(pool, SCENARIOS[1])).scenario == SCENARIOS[1]
     assert pool.failure == ""

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_pafot.execution import scenario_pool
+from pytest_pafot.execution import runner
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import judged_apart, once_apart
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.runner import ExecutionError, Job, judged_apart, once_apart
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
@@ -30,7 +29,7 @@ def job_of(tmp_path):
 
 @pytest.fixture
 def no_fork(monkeypatch):
-    monkeypatch.setattr(scenario_pool, "METHOD", "spawn")
+    monkeypatch.setattr(runner, "METHOD", "spawn")
 
 
 def idle(number):

@@ -10,13 +10,18 @@ from pytest_pafot.attribution.mistakes import LANE_CHANGES, Avoidance, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
-from pytest_pafot.findings.labels import Observed
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.sighting import Alike, Seen
+from pytest_pafot.findings.sighting import Alike, Observed, Seen
 from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import ACTS, SHIFTS, CrossingInstruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import (
+    ACTS,
+    SHIFTS,
+    Cell,
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+)
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome

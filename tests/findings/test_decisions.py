@@ -9,7 +9,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.attribution.mistakes import Avoidance
-from pytest_pafot.attribution.sentences import Fact, What, advice
+from pytest_pafot.attribution.responses import Fact, What, advice
 from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import Moment, advice_on, deciding, differ, placed, seen_of, vehicle_of
 from pytest_pafot.findings.finding import Bounded, Expect

@@ -18,7 +18,7 @@ from pytest_pafot.findings.finding import (
 )
 from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.findings.situation import Situation
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.run import Run
 from tests.findings.builders import plain_finding

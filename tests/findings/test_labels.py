@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from pytest_pafot.findings.labels import GROUPS, Label, New, Observed, label
+from pytest_pafot.findings.sighting import GROUPS, Label, New, Observed, label
 from tests.helpers.tables import table
 
 PASSES, FAILS = {"is_handled": True}, {"fails": True, "is_same": True}

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.severity import Severity, severity_of, worsening
 from pytest_pafot.findings.signature import CHECK_FAILED, Failure
+from pytest_pafot.findings.verdict import Severity, severity_of, worsening
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Y

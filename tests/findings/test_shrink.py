@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import instructions, size_of, sort_key
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import SHIFTS, instruction_of
+from pytest_pafot.model.instructions import SHIFTS, Cell, instruction_of
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import MOTORCYCLE, PAPERS, TRUCK
 from pytest_pafot.strategies import scenarios

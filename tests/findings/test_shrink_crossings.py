@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.shrink import instructions, size_of, sort_key
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.instructions import Cell, CrossingInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from tests.helpers.crossings import junction
 from tests.helpers.shrinking import shrunk_by

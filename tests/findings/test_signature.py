@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.signature import Failure, Signature, normalised
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run

@@ -7,7 +7,7 @@ import pytest
 from pytest_pafot.findings.finding import Expect, Finding, Found, handles, unhandled
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.situation import Situation, missed, seconds_after
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome, X
 from pytest_pafot.oracle.checks import Check
 from pytest_pafot.oracle.run import Run

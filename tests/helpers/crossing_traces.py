@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.instructions import Cell, CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from tests.helpers.traces import LANE_WIDTH, collision_at, trace_of

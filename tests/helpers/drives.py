@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pytest_pafot import criticality
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import (
     ACCELERATION,
     ACROSS,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
 from tests.helpers.traces import scenario_of
 

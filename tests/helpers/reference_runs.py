@@ -1,6 +1,6 @@
 """Runs made by hand, and a world whose reference drivers drive as in these runs."""
 
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.traces import collision_at, scenario_of, trace_of, vehicle
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pytest_pafot.attribution.responsibility import Attribution
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run

@@ -13,9 +13,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.model.crossings import APART, LENGTH, STEP
-from pytest_pafot.model.grid import Cell
 from pytest_pafot.model.instructions import (
     SLOTS,
+    Cell,
     CrossingInstruction,
     LaneInstruction,
     PositionInstruction,

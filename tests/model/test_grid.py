@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.grid import (
+from pytest_pafot.model.instructions import (
     ALL_CELLS,
     Cell,
     cell_at,

@@ -14,8 +14,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.model.instructions import (
+    Cell,
+    CrossingInstruction,
+    LaneInstruction,
+    PositionInstruction,
+    ScenarioError,
+)
 from pytest_pafot.model.scenario import MAX_SEED, Scenario, retimed
 from pytest_pafot.model.vehicle_type import STYLES
 from tests.helpers.tables import table

@@ -16,8 +16,7 @@ import pytest
 from pytest_pafot.execution import dask_cluster
 from pytest_pafot.execution.dask_cluster import DaskPool, packed, versions_here
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import runner_for
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.runner import ExecutionError, Job, runner_for
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome

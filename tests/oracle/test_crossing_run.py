@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pytest_pafot.criticality import Encounters
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import ACTS, CrossingInstruction
+from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run, crossing_text
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot import criticality
 from pytest_pafot.findings.shrink import instructions
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Outcome
 from pytest_pafot.oracle.run import NoReferenceDriversError, Run

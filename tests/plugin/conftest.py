@@ -17,8 +17,7 @@ from pytest_pafot.campaign import bench
 from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.refine import steps
 from pytest_pafot.execution.crash_records import CrashRecord, records_of
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway
 from tests.helpers.sessions import (

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import pytest_pafot.execution.scenario_pool
+import pytest_pafot.execution.runner
 
 pytestmark = [
     pytest.mark.processes,
@@ -44,9 +44,9 @@ def ads():
 """A conftest with an ADS that ends every process, including the session's."""
 
 SPAWNS = """
-import pytest_pafot.execution.scenario_pool
+import pytest_pafot.execution.runner
 
-pytest_pafot.execution.scenario_pool.METHOD = "spawn"
+pytest_pafot.execution.runner.METHOD = "spawn"
 """
 """A conftest as on a platform that cannot fork processes."""
 
@@ -184,7 +184,7 @@ def test_output_of_the_other_process_is_captured_once(crash):
 
 @forks
 def test_hang_replays_in_a_process_that_is_killed(crash, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.runner, "GRACE", 0.4)
     text = crash.only_file.read_text()
     crash.only_file.write_text(text.replace("hang_limit: 30.0", "hang_limit: 0.1").replace("ads_error", "hang"))
     crash.pytester.makeconftest(DIES.replace("os.kill(os.getpid(), signal.SIGSEGV)", "sum(range(10**12))"))

@@ -7,7 +7,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.execution.scenario_pool import LostRun, expectation
+from pytest_pafot.execution.runner import LostRun, expectation
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.checks import Check
@@ -186,8 +186,8 @@ def test_reference_that_dies_after_the_end_does_so_once(saved):
 @pytest.mark.processes
 def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
     assert replay(saved, "dying", apart=True).ret == 9
-    monkeypatch.setattr("pytest_pafot.execution.scenario_pool.METHOD", "spawn")  # here, and in sessions of its own
-    before = "import pytest_pafot.execution.scenario_pool as pool\npool.METHOD = 'spawn'\n"
+    monkeypatch.setattr("pytest_pafot.execution.runner.METHOD", "spawn")  # here, and in sessions of its own
+    before = "import pytest_pafot.execution.runner as pool\npool.METHOD = 'spawn'\n"
     for _ in range(2):
         result = replay(saved, "dying", before=before)
         result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes", "  passes*: *"])

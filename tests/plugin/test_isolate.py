@@ -131,8 +131,8 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
 
 
 def test_exception_of_another_process_is_not_retried_here(isolated):
-    more = "def breaks(observation):\n    note()\n    scenario_pool.run_recorded = None\n    return 0.0, 0.0\n"
-    project = isolated("breaks", f"from pytest_pafot.execution import scenario_pool\n\n{more}")
+    more = "def breaks(observation):\n    note()\n    runner.run_recorded = None\n    return 0.0, 0.0\n"
+    project = isolated("breaks", f"from pytest_pafot.execution import runner\n\n{more}")
     result = project.run("--pafot-isolate", "-p", "no:cacheprovider", runs=4)
     result.stdout.fnmatch_lines(["*TypeError: 'NoneType' object is not callable*", "*not tried again in the session*"])
     assert result.parseoutcomes()["passed"] == 1

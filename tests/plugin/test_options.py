@@ -6,7 +6,7 @@ import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
 from pytest_pafot.campaign.request import RoadArguments, SearchArguments, SpaceArguments
-from pytest_pafot.plugin.option_sources import resolve
+from pytest_pafot.plugin.session import resolve
 from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.support.errors import RequestError
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.scenario_pool
+import pytest_pafot.execution.runner
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import Isolated
@@ -148,7 +148,7 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
 @forks
 @pytest.mark.processes
 def test_process_stuck_in_native_code_is_a_hang(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.4)
+    monkeypatch.setattr(pytest_pafot.execution.runner, "GRACE", 0.4)
     write(project, "sum(range(10**12))")
     project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
     result = replayed(project)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pytest_pafot.campaign.judging import SetupFaultError, cause_of
+from pytest_pafot.campaign.harness import SetupFaultError, cause_of
 from pytest_pafot.campaign.results import Counts, State
 from pytest_pafot.campaign.search import check_set_up
 from pytest_pafot.corpus.reader import load

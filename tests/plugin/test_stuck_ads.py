@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import pytest_pafot.execution.scenario_pool
+import pytest_pafot.execution.runner
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.plugin import item_checks
@@ -20,11 +20,11 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.scenario_pool
+import pytest_pafot.execution.runner
 import pytest_pafot.plugin.item_checks
 from pytest_pafot import Highway
 
-pytest_pafot.execution.scenario_pool.GRACE = pytest_pafot.plugin.item_checks.GRACE = 0.3
+pytest_pafot.execution.runner.GRACE = pytest_pafot.plugin.item_checks.GRACE = 0.3
 
 @pytest.fixture
 def pafot_world():
@@ -134,7 +134,7 @@ def test_under_xdist_only_the_worker_ends(hanging):
 
 @forks
 def test_worker_that_ignores_interrupt_ends_but_search_continues(dear, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(pytest_pafot.execution.scenario_pool, "GRACE", 0.3)
+    monkeypatch.setattr(pytest_pafot.execution.runner, "GRACE", 0.3)
     swallows = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "swallow()")
     project = dear("hangs", swallows + IMPATIENT + STUCK[STUCK.index("def swallow") : STUCK.index("def hold")])
     result, contents = session(project, 2, runs=16)

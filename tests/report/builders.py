@@ -12,8 +12,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 import pytest_pafot as pafot
 from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.findings.finding import Finding, Found
-from pytest_pafot.findings.labels import Observed
-from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import Shown, render_page

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import Search
 from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.sighting import Alike, Seen
+from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.failure_reports import SCENARIO
 from pytest_pafot.report.page import finding_article

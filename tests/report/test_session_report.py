@@ -1,7 +1,7 @@
 """What a page says of a session: the order of its findings, its facts, and the findings that it only lists."""
 
 from pytest_pafot.campaign.options import BY_NAME
-from pytest_pafot.findings.severity import Severity
+from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.report.page import WHOLE, by_test, session_facts
 from tests.findings.builders import sighting
 from tests.helpers.tables import table

@@ -9,11 +9,10 @@ from dataclasses import replace
 from pytest_pafot.campaign.events import Ending, Progress, Search, concluded
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.severity import Severity
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.findings.verdict import Severity
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pytest_pafot.model.grid import Cell, repair_gene, toss
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction, repair_gene, toss
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.evaluation import Evaluation

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.instructions import Cell, CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import STYLES

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.grid import Cell, is_adjacent
+from pytest_pafot.model.instructions import Cell, is_adjacent
 from pytest_pafot.searching.space import PATTERNS, chain_of_patterns
 from tests.helpers.tables import table
 

@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.labels import Observed
-from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.signature import Signature
 from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
 from pytest_pafot.plugin.messages import packed
 from pytest_pafot.searching.evaluation import Evaluation, Health

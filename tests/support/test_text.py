@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign import saved_scenario
 from pytest_pafot.campaign.events import Progress, Search
-from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.reader import Saved, load
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.plugin.marks import saved_part
 from pytest_pafot.plugin.messages import set_properties

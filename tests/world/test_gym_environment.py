@@ -40,8 +40,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Expect, disagreement, is_same_event
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction, ScenarioError
+from pytest_pafot.model.instructions import Cell, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, Collision, Outcome
 from pytest_pafot.oracle.run import Run

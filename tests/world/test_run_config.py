@@ -12,8 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from pytest_pafot import criticality
-from pytest_pafot.model.grid import Cell, cell_at
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction, cell_at
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import HEADING, LANE, SPEED, X, Y
 from pytest_pafot.world import Highway, World

@@ -14,7 +14,7 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.results import State, signature_of
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.scenario_pool import Whole
+from pytest_pafot.execution.runner import Whole
 from pytest_pafot.findings.failure_rate import RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Phase, Refining
-from pytest_pafot.campaign.judging import headline
+from pytest_pafot.campaign.harness import headline
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
 from pytest_pafot.campaign.refine.simplest import Simplest, Turn, check_limits, failure_rate, shows, simplest_of
 from pytest_pafot.campaign.results import State, fingerprint

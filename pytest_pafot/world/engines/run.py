@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.criticality.measures import RelativePositions
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario, rng_of
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import (

@@ -15,8 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from pytest_pafot.model.crossings import APART, BEFORE_LINE, EGOS, STEP, longer
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import ACTS, CrossingInstruction
+from pytest_pafot.model.instructions import ACTS, Cell, CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import Body

@@ -13,8 +13,7 @@ from dataclasses import replace
 from itertools import repeat
 from typing import Any
 
-from pytest_pafot.model.grid import Cell, longitudinal_target, repair_gene, toss
-from pytest_pafot.model.instructions import LANE_STARTS
+from pytest_pafot.model.instructions import LANE_STARTS, Cell, longitudinal_target, repair_gene, toss
 from pytest_pafot.model.scenario import Chromosome, Scenario, on_grid, with_targets
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES
 from pytest_pafot.world.kernel.bodies import Body

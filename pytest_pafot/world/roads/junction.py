@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot.model.crossings import EGOS, NOT_ON_WAY, Crossings, Holder, Kind, Origin, Stretch, Way, Zone, longer
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.model.vehicle_type import CAR, TIGHTEST, VehicleType

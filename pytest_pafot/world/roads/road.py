@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pytest_pafot.model.crossings import Crossings, Zone
-from pytest_pafot.model.grid import Cell
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Lane

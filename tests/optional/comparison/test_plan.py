@@ -9,7 +9,7 @@ import pytest
 from pytest_pafot import Highway, Run
 from pytest_pafot.attribution.responsibility import position_rule, rss_rule
 from pytest_pafot.campaign.explore import _note_of
-from pytest_pafot.campaign.judging import judge
+from pytest_pafot.campaign.harness import judge
 from pytest_pafot.comparison.plan import COLUMNS, Plan, never_collides, run_rows
 from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.execution.dask_cluster import connected
-from pytest_pafot.execution.scenario_pool import ExecutionError, Job
+from pytest_pafot.execution.runner import ExecutionError, Job
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario

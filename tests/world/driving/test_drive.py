@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot import Drive, Highway, PositionInstruction, Scenario, World
-from pytest_pafot.campaign.judging import unit_doubt
+from pytest_pafot.campaign.harness import unit_doubt
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, STEERING, Outcome, X, Y
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import Case, differences

@@ -13,7 +13,7 @@ from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import PositionInstruction, Run, Scenario
-from pytest_pafot.campaign.judging import ads_text
+from pytest_pafot.campaign.harness import ads_text
 from pytest_pafot.findings.finding import ads_failure
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import OutOfTime

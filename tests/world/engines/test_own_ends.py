@@ -17,8 +17,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot.findings.finding import Finding, Found, handles, unhandled
 from pytest_pafot.findings.signature import Failure
-from pytest_pafot.model.grid import Cell
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, X
 from pytest_pafot.oracle.run import Run
