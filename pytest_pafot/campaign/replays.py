@@ -20,10 +20,11 @@ from pytest_pafot.campaign.harness import (
 )
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.results import UNJUDGED
-from pytest_pafot.corpus.reader import Saved, located
+from pytest_pafot.corpus.reader import located
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import (
-    NOT_REPEATED,
+    NOT_TRIED_HERE,
     ExecutionError,
     LostRun,
     Runner,
@@ -162,8 +163,8 @@ class Replays:
                         raise
                     raise ExecutionError(
                         "expected a scenario that has ended a process to run in a separate process, received from "
-                        f"there {type(error).__name__}: {error}. {NOT_REPEATED} Or delete the file; a search may then "
-                        "find it again"
+                        f"there {type(error).__name__}: {error}. {NOT_TRIED_HERE} Or delete the file; a search may "
+                        "then find it again"
                     ) from None
         with harness.recording(job) as record:
             record.write(scenario)

@@ -42,7 +42,7 @@ FIRST = 16
 
 @dataclass(frozen=True, slots=True)
 class Early:
-    """The result of a scenario before its turn, which has failed; or the death of its process."""
+    """The result of a scenario before its turn, which has failed, and its number."""
 
     result: Result
     number: int
@@ -254,9 +254,9 @@ class Numbers:
                 continue
             driven.said.append(heard[1])
             made = heard[1][0] if isinstance(heard[1], tuple) else None
-            driven.heard += made.runs if isinstance(made, Counts) else 1
             if isinstance(made, Result) and made.failed is not None and driven is not head:
                 self._early.append(Early(made, driven.heard))
+            driven.heard += made.runs if isinstance(made, Counts) else 1
         if head is None or chunk is None or self._early:
             return None
         said = head.said.popleft()

@@ -34,7 +34,7 @@ from pytest_pafot.campaign.results import Driver, Examiner, State
 from pytest_pafot.campaign.scenarios import Bred, Numbers
 from pytest_pafot.campaign.search import LEAST, TimedWatch, Watch, search
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.corpus.reader import Saved, saved_in
+from pytest_pafot.corpus.saved import Saved, saved_in
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import forks, judged_apart, runner_for
@@ -42,7 +42,6 @@ from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import EndReason
@@ -462,8 +461,9 @@ class SearchSession:
                 except Exception:  # noqa: BLE001, S110  (the first run of the search reports it)
                     pass
             has_died_twice = sum(not each.is_watched for each in same) > 1
-            # An error of the ADS may occur only in the separate process.
-            is_well = trace is not None and trace.outcome not in (Outcome.ADS_ERROR, Outcome.HANG)
+            # An error of the ADS at its first decision may occur only in the separate process.
+            raised = None if trace is None else trace.error
+            is_well = trace is not None and (raised is None or (raised.tick > 0 and not raised.interrupted))
             if has_died_twice or not is_well:
                 sighting = self.store.add_crash(leftover, scenario, death)
                 pending.remove(leftover)

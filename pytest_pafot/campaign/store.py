@@ -122,11 +122,11 @@ class Store:
         """
         for signature, (path, result, number) in [*self.early.items()]:
             if keeps:
-                sighting = self.add(result, number - 1)
+                sighting = self.add(result, number)
                 id_ = sighting if isinstance(sighting, str) else sighting.id
                 if not isinstance(sighting, str):
                     self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
-                yield signature, id_, Counts.of(result, number - 1)
+                yield signature, id_, Counts.of(result, number)
             elif path is not None:
                 _remove_early(path)
         self.early.clear()

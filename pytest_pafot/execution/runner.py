@@ -130,7 +130,7 @@ def forks() -> bool:
     return METHOD == "fork"
 
 
-NOT_REPEATED = (
+NOT_TRIED_HERE = (
     "This was raised in the process in which the ADS has to run, and is not tried again in the session. If it works in "
     "the session, the ADS or its factory uses something that a different process cannot have, such as CUDA, a thread "
     "or a connection: open that in the factory, not before."
@@ -342,7 +342,7 @@ def made_apart(answer: Answer) -> Any:
     __tracebackhide__ = True
     made = made_from(answer)
     if made is None and isinstance(answer, Exception):
-        answer.add_note(NOT_REPEATED)
+        answer.add_note(NOT_TRIED_HERE)
         raise answer
     return made
 

@@ -26,7 +26,7 @@ from pytest_pafot.plugin.session import GIVEN, INVENTORY, SHARED, Inventory, bas
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request
-    from pytest_pafot.corpus.reader import Saved
+    from pytest_pafot.corpus.saved import Saved
 
 COLLECTED: pytest.StashKey[dict[Path, dict[str, Saved]]] = pytest.StashKey()
 """The saved scenarios that existed when the session collected its items, by folder and file name."""
@@ -140,7 +140,7 @@ class Collection:
         name = qualified_name(definition)
         chosen = layout.chosen_folder(definition.path, corpus)
         link = layout.link_out(chosen, module_folder.parent, self._rootpath)
-        from pytest_pafot.corpus.reader import refused_in, saved_in  # noqa: PLC0415  (few sessions have searches)
+        from pytest_pafot.corpus.saved import refused_in, saved_in  # noqa: PLC0415  (few sessions have searches)
 
         found: dict[str, Saved] = {}
         if module_folder not in self._listed:
@@ -244,7 +244,7 @@ def saved_of(item: pytest.Item) -> Saved | None:
     mark = item.get_closest_marker(SAVED_MARK)
     if mark is None:
         return None
-    from pytest_pafot.corpus.reader import Saved  # noqa: PLC0415  (few sessions have one)
+    from pytest_pafot.corpus.saved import Saved  # noqa: PLC0415  (few sessions have one)
 
     return mark.args[0] if mark.args and isinstance(mark.args[0], Saved) else None
 

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.reader import Saved
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.oracle.checks import CheckFailed
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.collection import saved_of

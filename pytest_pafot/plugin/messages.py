@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import pytest
 
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.reader import Saved
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.plugin.session import PHASE, report_on
 from pytest_pafot.searching.plain import plain

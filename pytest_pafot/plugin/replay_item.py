@@ -15,7 +15,7 @@ from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.store import cause
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.reader import Saved
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled

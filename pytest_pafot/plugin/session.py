@@ -22,7 +22,6 @@ from pytest_pafot.campaign.options import BUDGETS, BY_NAME, OPTIONS, RUNS, Optio
 from pytest_pafot.corpus.layout import link_below, refusal
 from pytest_pafot.report.session import Session
 from pytest_pafot.support.errors import RequestError, flag
-from pytest_pafot.support.process import postponed
 
 _INI_TYPES: Mapping[str, Literal["int", "float", "bool"]] = {"integer": "int", "seconds": "float", "switch": "bool"}
 """The type of the ini key for each kind of option. The keys of all other kinds are strings."""
@@ -317,6 +316,8 @@ class Messages:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logreport(self) -> Generator[None, object, object]:
         """Let all that listen to a report take it, before an interrupt ends the session."""
+        from pytest_pafot.support.process import postponed  # noqa: PLC0415  (slow to import; few sessions have marked tests)
+
         with postponed():
             return (yield)
 

@@ -20,7 +20,7 @@ from typing import Any
 from pytest_pafot.campaign.events import Search
 from pytest_pafot.findings.finding import portable
 from pytest_pafot.findings.shrink import size_of
-from pytest_pafot.findings.sighting import GROUPS, Seen
+from pytest_pafot.findings.sighting import GROUPS, Observed, Seen, label
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
@@ -32,6 +32,9 @@ from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_js
 VERSION = 3
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
+UNREAD = label(Observed(is_error=True))
+"""The label of a saved scenario that could not be read or run, of which nothing else is known."""
+
 NOT_WRITTEN = ("seconds", "process_notes")
 """The attributes of a search that only the terminal shows, because the same seed may give others."""
 
@@ -40,7 +43,7 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "node_id": ("", lambda seen: seen.node_id),
     "id": ("", lambda seen: seen.id),
     "test": ("", lambda seen: seen.finding.test),
-    "status": ("error", lambda seen: str(seen.label)),
+    "status": (UNREAD, lambda seen: str(seen.label)),
     "result": ("", None),
     "file": (None, lambda seen: seen.path or None),
     "replay": ("", None),
@@ -219,7 +222,7 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
     for node_id, saved in sorted(session.unread.items()):
         if node_id not in session.seen:
             told = f"{code(saved['test'])}: {plain(session.reasons[node_id])}"
-            groups["error"].append([f"- {told}", f"  <br>{code(saved['replay'])}"])
+            groups[UNREAD].append([f"- {told}", f"  <br>{code(saved['replay'])}"])
     counts = [f"{len(group)} {status}" for status, group in groups.items() if group]
     yield f"### pafot: {', '.join([*([] if groups['new'] else ['nothing new']), *counts])}"
     yield ""

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.corpus.reader import Saved
+from pytest_pafot.corpus.saved import Saved
 from pytest_pafot.findings.finding import Expect, of_failure
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict

@@ -41,7 +41,7 @@ def test_message_of_finding_requires_no_later_braking(monkeypatch, earlier):
     latest = Avoidance(time=max(by_rules - earlier, 0.0), braking=6.0)
     monkeypatch.setattr(Harness, "avoidance", lambda *_: latest)
     told = first()
-    texts = [str(told.exception), told.run.explain(), " ".join(told.run.sentences)]
+    texts = [str(told.raised), told.run.explain(), " ".join(told.run.sentences)]
     expected = None if earlier > 1.0 else pytest.approx(latest.time, abs=0.051)
     assert [due(text) for text in texts] == [expected] * 3
     assert told.finding.expect.sentences_on(replace(told.run, avoided_by=None))[1] == latest.sentence

@@ -181,7 +181,8 @@ def test_modules_of_the_project_travel_by_value(tmp_path, monkeypatch):
 
 class Unable(InThisProcess):
     def fetch(self, scenario):
-        return LookupError("my-env-v0 is not registered") if scenario.seed else super().fetch(scenario)
+        seed = getattr(scenario, "scenario", scenario).seed  # of a whole run
+        return LookupError("my-env-v0 is not registered") if seed else super().fetch(scenario)
 
 
 def test_runs_impossible_on_workers_happen_in_the_session(pool_of):

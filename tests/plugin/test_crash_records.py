@@ -61,3 +61,21 @@ def test_crash_record_of_an_absent_test_is_reported(project):
     result = project.run()
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["  problem: a process (pid *) died while test_old.py::test_dies ran*"])
+
+
+def test_an_ads_that_raises_later_has_not_ended_its_process(project):
+    """Its session was killed from outside while it drove, as by the end of a CI job."""
+    project.write("""
+def drive(observation):
+    if observation.time > 1:
+        raise KeyError("lane")
+    return 0.0, 0.0
+
+@pafot.search(SHORT, ads=lambda: drive)
+def test_it(run):
+    pass
+""")
+    project.leave_behind("test_it.py::test_it")
+    result = project.run(runs=0)
+    assert project.files == []
+    result.stdout.fnmatch_lines(["*ran to its end when it was tried again: the process was killed from outside*"])
