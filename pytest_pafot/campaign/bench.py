@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.results import Driver, Examiner, Result, fingerprint, signature_of
@@ -30,18 +29,6 @@ from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in
 
 JUDGED_OTHERWISE = "the same run was judged otherwise when it was made again"
 """What differs if the runs are the same, and only the test function decides otherwise."""
-
-
-class Confirmed(NamedTuple):
-    """What the second run of a failure shows.
-
-    Its fields are that run, None if it does not show the failure; the verdict on it, None if the test function was not
-    called; and what differs from the first run, empty if nothing does, None if no time was left to tell.
-    """
-
-    run: Run | None
-    verdict: Verdict | None
-    differs: str | None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -157,20 +144,18 @@ class Bench:
         self.record.clear()
         return Run(trace)
 
-    def confirm_new(self, result: Result) -> Confirmed:
-        """Drive the scenario of a new failure again; see :meth:`confirm`."""
-        failed, signature = result.failed, result.evaluation.kind
-        if failed is None or not isinstance(signature, Signature):
-            raise ValueError(f"result: expected that of a run with a new failure, received {result!r:.200}")
-        return self.confirm(failed.finding.scenario, failed.fingerprint, signature)
-
-    def confirm(self, scenario: Scenario, expected: str, found: Signature | None = None) -> Confirmed:
+    def confirm(
+        self, scenario: Scenario, expected: str, found: Signature | None = None
+    ) -> tuple[Run | None, Verdict | None, str | None]:
         """Drive the scenario of a failure again, also in highway-env's own environment; measure how long that takes.
 
         Args:
             scenario: the scenario as it was driven.
             expected: the fingerprint of the run that failed, to the last bit; empty if wall-clock time decides.
             found: the signature of the failure; None if the run need not be judged.
+
+        Return the run, None if it does not show the failure; the verdict on it, None if it was not judged; and what
+        differs from the first run, empty if nothing does, None if no time was left to tell.
         """
         began, before, seconds_of_run = self.clock(), self.runner.decisions, 1.0
         run = verdict = None
@@ -197,7 +182,7 @@ class Bench:
         self.confirm_seconds += seconds
         self.confirm_decisions += self.runner.decisions - before
         self.pace = max(self.pace, seconds / seconds_of_run)
-        return Confirmed(run, verdict, differs)
+        return run, verdict, differs
 
     def _told(self, difference: str) -> str:
         """Return what differs in highway-env's own environment, with its likely cause; empty if nothing does."""

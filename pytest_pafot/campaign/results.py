@@ -18,7 +18,7 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
 from pytest_pafot.findings.finding import Finding, Found, Manner, failed_as
 from pytest_pafot.findings.sighting import Alike, worse
-from pytest_pafot.findings.signature import CHECK_FAILED, Signature
+from pytest_pafot.findings.signature import CHECK_FAILED, Failure, Signature
 from pytest_pafot.findings.verdict import Severity, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
@@ -31,6 +31,8 @@ from pytest_pafot.world import codec
 
 FAILING = ("failed", "unpreventable", "common")
 """The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
+Fails = Literal["", "ego", "check", "otherwise"]
+
 UNJUDGED = ("npc", "avoidable", "invalid")
 """The kinds of verdicts on runs for which the test function was not called."""
 
@@ -40,6 +42,7 @@ class Failed:
     """A failure that counts and that was not known where it was driven.
 
     Attributes:
+        signature: its identity.
         finding: the content of its file, except for the number of the generation.
         headline: one line on it.
         text: what was raised, in the words of a failure without a traceback.
@@ -48,6 +51,7 @@ class Failed:
         drew: whether the policy drew random numbers.
     """
 
+    signature: Signature
     finding: Finding
     headline: str
     text: str
@@ -81,7 +85,7 @@ class Result:
     kind: str
     ended: str
     responsible: str | None = None
-    fails: Literal["", "ego", "check", "otherwise"] = ""
+    fails: Fails = ""
     decisions: int = 0
     manner: Manner | None = None
     severity: Severity | None = None
@@ -127,15 +131,15 @@ class Examiner:
         run = self.harness.run_of(trace)
         verdict = self.harness.judge(run)
         signature = manner = failed = None
-        fails: Literal["", "ego", "check", "otherwise"] = ""
+        fails: Fails = ""
         if verdict.kind in FAILING:
             # An ADS that raised or hung has failed by itself, even if a collision followed.
-            is_by_ego = not verdict.is_ads and run.responsibility in ("ego", "both")
-            fails = "ego" if is_by_ego else "check" if verdict.is_check else "otherwise"
+            fails = "check" if verdict.is_check else "otherwise"
+            fails = fails if verdict.is_ads or run.responsibility not in ("ego", "both") else "ego"
         if verdict.failed and verdict.failure is not None:
             signature, manner = failed_as(run, verdict.failure)
             if signature not in known:
-                failed = self._failed(run, verdict)
+                failed = self._failed(run, verdict.failure, signature, verdict)
         evaluation = Evaluation.of(
             trace,
             fitness=self.fitness(run),
@@ -162,9 +166,8 @@ class Examiner:
             excused=verdict.excused,
         )
 
-    def _failed(self, run: Run, verdict: Verdict) -> Failed:
-        assert verdict.failure is not None  # noqa: S101  (the run has failed)
-        harness, failure = self.harness, verdict.failure
+    def _failed(self, run: Run, failure: Failure, signature: Signature, verdict: Verdict) -> Failed:
+        harness = self.harness
         finding = Finding.of(
             run,
             failure,
@@ -176,6 +179,7 @@ class Examiner:
             root=str(harness.root),
         )
         return Failed(
+            signature=signature,
             finding=finding,
             headline=finding.with_sight(headline(run, verdict)),
             text=str(verdict.exception) if verdict.is_ads else f"{failure.kind}: {failure.message}",

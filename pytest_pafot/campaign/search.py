@@ -14,17 +14,15 @@ from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Progress, SearchEvent
 from pytest_pafot.campaign.harness import SetupFaultError, cause_of
 from pytest_pafot.campaign.refine.simplest import rollouts_for
-from pytest_pafot.campaign.results import Counts, Result, State, lost
+from pytest_pafot.campaign.results import Counts, Failed, Result, State, lost
 from pytest_pafot.campaign.scenarios import FIRST, Bred, Early, Numbers
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.findings.signature import Signature
 from pytest_pafot.searching.evaluation import (
     CampaignFinished,
     EndReason,
     Evaluated,
     Evaluation,
-    Event,
     GenerationFinished,
     Health,
 )
@@ -214,12 +212,13 @@ def search(
         except OutOfTime:
             reason = "time"
             break
-        happened: Sequence[Event] = ()
+        happened: Sequence[SearchEvent] = ()
         match done:
             case Early():
                 store.add_early(done.result, done.number, state.known)
                 continue
-            case Counts() if isinstance(scenarios, Numbers):
+            case Counts():
+                assert isinstance(scenarios, Numbers)  # noqa: S101  (an algorithm that learns is told each run)
                 state.counts += done
                 scenarios.count(done.runs)
                 yield from watch.after_event()
@@ -230,17 +229,15 @@ def search(
             case Result():
                 state.take(done)
                 yield from _released(state, store)
-                signature = done.evaluation.kind
+                failed = done.failed
                 # It is on disk before the next scenario, so nothing is lost.
-                if isinstance(signature, Signature) and signature not in state.known:
-                    state.finds[signature] = yield from _save_and_confirm(done, state, bench, store, watch)
+                if failed is not None and failed.signature not in state.known:
+                    state.finds[failed.signature] = yield from _confirmed(done, failed, state, bench, store, watch)
                 happened = scenarios.take(done.evaluation)
             case Evaluation():
                 happened = scenarios.take(done, reused=True)
             case None:  # a process died in it before
                 happened = scenarios.take(lost(scenarios.scenario(), None).evaluation, reused=True)
-            case Counts():
-                raise TypeError("scenarios: expected counts only of random scenarios, whose order does not matter")
             case _:
                 happened = done
         yield from _released(state, store)
@@ -252,7 +249,7 @@ def search(
     yield from _told(scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch)
 
 
-def _told(happened: Iterable[Event], state: State, bench: Bench, watch: Watch) -> Iterator[SearchEvent]:
+def _told(happened: Iterable[SearchEvent], state: State, bench: Bench, watch: Watch) -> Iterator[SearchEvent]:
     """Yield events of the algorithm, and keep what matters of them for the search."""
     for event in happened:
         yield event
@@ -283,15 +280,15 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
         raise SetupFaultError(run, verdict, f"all {judged} runs{where}{judged_only}")
 
 
-def _save_and_confirm(
-    result: Result, state: State, bench: Bench, store: Store, watch: Watch
+def _confirmed(
+    result: Result, failed: Failed, state: State, bench: Bench, store: Store, watch: Watch
 ) -> Generator[SearchEvent, None, str]:
     """Save a new failure, run its scenario again to confirm it, and report it or hold it back; return its id."""
     sighting = store.add(result, state.generation)
     if isinstance(sighting, str):
         return sighting
     yield from watch.before_rerun(sighting.id)
-    sighting = store.confirmed(sighting, bench.confirm_new(result))
+    sighting = store.confirmed(sighting, *bench.confirm(failed.finding.scenario, failed.fingerprint, failed.signature))
     if not store.is_holding:
         yield from store.publish(sighting)
     return sighting.id

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.campaign.bench import Bench, Confirmed
+from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import SearchEvent
 from pytest_pafot.campaign.harness import Harness, PlainFailure
 from pytest_pafot.campaign.results import Counts, Failed, Result, State, found_by, lost
@@ -25,6 +25,7 @@ from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.process import REPLACED, postponed
 from pytest_pafot.world import codec
@@ -84,14 +85,14 @@ class Store:
             verdict = Verdict(kind="failed", exception=PlainFailure(failed.text), severity=result.severity)
             return self._held(self._saved(finding, failed.headline, verdict, has_drawn=failed.drew))
 
-    def confirmed(self, sighting: Seen, again: Confirmed) -> Seen:
-        """Return a finding with the run that confirms it, or with what differs in its second run."""
-        if again.differs:
-            sighting = self.call_flaky(sighting, again.differs)
-        elif again.differs is None:
+    def confirmed(self, sighting: Seen, run: Run | None, verdict: Verdict | None, differs: str | None) -> Seen:
+        """Return a finding with what :meth:`.Bench.confirm` says of it."""
+        if differs:
+            sighting = self.call_flaky(sighting, differs)
+        elif differs is None:
             sighting = replace(sighting, unshrunk=UNCONFIRMED)
-        if again.run is not None and again.verdict is not None:
-            observed = replace(sighting.observed, run=again.run, verdict=again.verdict)
+        if run is not None and verdict is not None:
+            observed = replace(sighting.observed, run=run, verdict=verdict)
             sighting = replace(sighting, observed=observed)
         self.findings[sighting.id] = sighting
         return sighting
@@ -132,8 +133,7 @@ class Store:
         self.early.clear()
 
     def _finding(self, result: Result, generation: int) -> tuple[Finding, Failed]:
-        if result.failed is None:
-            raise ValueError(f"result: expected that of a run with a new failure, received {result!r:.200}")
+        assert result.failed is not None  # noqa: S101  (the failure is new)
         found = replace(result.failed.finding.found, generation=generation)
         return replace(result.failed.finding, found=found), result.failed
 

@@ -21,7 +21,7 @@ from functools import partial
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Self, TypeAlias, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar, cast
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
@@ -498,8 +498,7 @@ class Runner:
         if self._failure:
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
-            notes: list[str] = getattr(self._pool, "notes")  # noqa: B009
-            return notes
+            return list(getattr(self._pool, "notes"))  # noqa: B009
         option = flag("workers", self._workers)
         if self._runs_before:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self.job.remark}"
@@ -643,8 +642,7 @@ class Isolated(Runner):
         workers.
         """
         __tracebackhide__ = True
-        trace: Trace = made_apart(self._fetched(Whole(scenario, "rollout_in_gym")))
-        return trace
+        return cast("Trace", made_apart(self._fetched(Whole(scenario, "rollout_in_gym"))))
 
     def _fetched(self, task: Any) -> Answer:
         __tracebackhide__ = True
@@ -744,8 +742,7 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
             judge(trace)
         return trace
 
-    made: Trace = once_apart(job, scenario, drive if forks() else None)
-    return made
+    return cast("Trace", once_apart(job, scenario, drive if forks() else None))
 
 
 def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:

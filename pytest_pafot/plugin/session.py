@@ -192,21 +192,6 @@ def stale_day(asked: str, today: date) -> list[str]:
     ]
 
 
-def unclaimed(config: pytest.Config) -> list[str]:
-    """Return warnings about the records of processes that died, if no test of this session has processed them."""
-    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers, records_of  # noqa: PLC0415
-
-    try:
-        found = leftovers(records_of(config.rootpath))
-    except CrashRecordError as error:
-        return [str(error)]
-    return [
-        f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
-        f"that test runs it again, or delete {each.path}"
-        for each in found
-    ]
-
-
 def end_in_order(config: pytest.Config) -> None:
     """Let SIGTERM and SIGHUP interrupt the session, which would otherwise leave processes and no results behind."""
     from pytest_pafot.support.process import interrupted_by_signals  # noqa: PLC0415

@@ -24,7 +24,6 @@ from pytest_pafot.plugin.session import (
     report_on,
     terminal_width,
     uncaptured,
-    unclaimed,
 )
 from pytest_pafot.report.session import RESULTS, Session
 from pytest_pafot.support.text import ascii_text
@@ -295,3 +294,18 @@ class _Sparing:
             stands_out, indent = self._last[1], self._last[0]
         self._last = indent, stands_out
         self._writer.line(text, **(markup if stands_out else {}))
+
+
+def unclaimed(config: pytest.Config) -> list[str]:
+    """Return warnings about the records of processes that died, if no test of this session has processed them."""
+    from pytest_pafot.execution.crash_records import CrashRecordError, leftovers, records_of  # noqa: PLC0415
+
+    try:
+        found = leftovers(records_of(config.rootpath))
+    except CrashRecordError as error:
+        return [str(error)]
+    return [
+        f"a process (pid {each.pid}) died while {each.owner or 'an unknown test'} ran {each.scenario or 'a scenario'}; "
+        f"that test runs it again, or delete {each.path}"
+        for each in found
+    ]

@@ -91,7 +91,8 @@ class Bench:
         evaluation = Evaluation.of(
             run.trace, fitness=0.0, failing=verdict.failed, discarded=verdict.discarded, kind=kind
         )
-        return Result(evaluation=evaluation, kind=verdict.kind, ended=run.outcome)
+        failed = SimpleNamespace(signature=kind) if kind is not None and kind not in known else None
+        return Result(evaluation=evaluation, kind=verdict.kind, ended=run.outcome, failed=failed)
 
     def is_common(self, scenario):
         """Return whether a scenario fails the reference: every second one does if a process dies."""

@@ -77,7 +77,7 @@ def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkey
     def confirming(*given):
         confirmed.append(clock.now)
         clock.now += 30
-        return bench.Confirmed(None, None, "")
+        return None, None, ""
 
     confirmed = []
     clock.step = lambda: 20.0
@@ -129,7 +129,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
     def confirming(self, *given):
         clock.now += 30
         self.confirm_seconds += 30
-        return bench.Confirmed(None, None, "")
+        return None, None, ""
 
     def judged(run):
         ended.append(clock.now)
@@ -239,7 +239,7 @@ def confirming(monkeypatch):
 
     def confirming(*given):
         calls.append(given)
-        return bench.Confirmed(None, None, None) if len(calls) <= 3 else confirm(*given)
+        return (None, None, None) if len(calls) <= 3 else confirm(*given)
 
     monkeypatch.setattr(bench.Bench, "confirm", confirming)
     return calls

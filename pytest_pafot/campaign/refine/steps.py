@@ -152,7 +152,7 @@ def _confirmed(
         differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
     else:
         is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
-        again = "" if is_confirmed else bench.confirm(scenario, fingerprint(run.trace)).differs
+        again = "" if is_confirmed else bench.confirm(scenario, fingerprint(run.trace))[-1]
         if again is None:
             raise OutOfTime
         differs = again
