@@ -63,7 +63,7 @@ class InThisProcess:
         self.work, self.recovered = work, []
 
     def fetch(self, scenario):
-        ran.append(scenario.seed)
+        ran.append(getattr(scenario, "scenario", scenario).seed)  # of a whole run, too
         return self.work(scenario, None)
 
 

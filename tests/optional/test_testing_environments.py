@@ -3,13 +3,14 @@
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation, MaxAndSkipObservation
+from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot import Outcome, Scenario, World
+from pytest_pafot import Outcome, PositionInstruction, Scenario, World
 from pytest_pafot.testing import check_world
 from pytest_pafot.testing.traces import contacts, end
-from tests.world.engines.test_gym_replay import drives_at, obstacle_ahead
 from tests.world.test_gym_environment import (
     AT_ONCE,
     IDLE,
@@ -19,6 +20,19 @@ from tests.world.test_gym_environment import (
     Roadworks,
     register,  # noqa: F401  (a fixture)
 )
+
+
+def drives_at(x, y):
+    """Return a vehicle class that drives straight on for 150 m, and then at a point of the road [m]."""
+
+    class DrivesAt(Vehicle):
+        def act(self, action=None):
+            to_x, to_y = x - self.position[0], y - self.position[1]
+            wanted = np.arctan2(to_y, to_x) if self.position[0] > 150 and to_x > 1 else 0.0
+            steering = float(np.clip(wanted - self.heading, -0.3, 0.3))
+            super().act({"acceleration": 0.0, "steering": steering})
+
+    return DrivesAt
 
 
 @pytest.mark.parametrize(
@@ -51,7 +65,10 @@ def test_contact_with_an_obstacle_is_accepted(options, register):
 
 
 def test_contact_with_an_obstacle_of_a_lane_that_merges_is_accepted():
-    world, behind, obstacle = obstacle_ahead()
+    world = World("merge-v0", duration=14.0)
+    (obstacle,) = world.environment.unwrapped.road.objects
+    lane, speed = world.start
+    behind = Scenario(npcs=[[PositionInstruction(6, 5.0)]], ego_lane=lane, ego_speed=speed)
     trace = world.rollout(behind, drives_at(*obstacle.position))
     assert trace.outcome is Outcome.COLLISION
     assert all(is_kept for rule in (end(world, trace), contacts(trace)) for is_kept, *_ in rule)
