@@ -218,10 +218,9 @@ def _difference_in_gym(run: Run, bench: Bench) -> str:
     """Return how a run ends otherwise in highway-env's own environment, if the world has it; or empty."""
     try:
         other = bench.rerun_in_gym(run.scenario)
-        differs = "" if other is None else disagreement(run, other)
+        return "" if other is None else disagreement(run, other)
     except (ProcessLostError, OutOfTime):
         raise
     except UNFIT as error:  # any exception of the environment or the ADS is the difference
         let_through(error)
-        differs = f"{type(error).__name__}: {message_of(error)}"[:165]
-    return differs
+        return f"{type(error).__name__}: {message_of(error)}"[:165]

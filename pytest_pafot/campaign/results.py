@@ -61,7 +61,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """What a search needs of a run.
+    """The part of a run that a search needs.
 
     Attributes:
         evaluation: what the algorithm sees of the run. Its kind is the signature of a failure that counts.
@@ -149,7 +149,6 @@ class Examiner:
             margins=verdict.margins,
             note=None if self.note is None else self.note(run, verdict),
         )
-        is_caught = verdict.kind == "passed"
         return Result(
             evaluation=evaluation,
             kind=verdict.kind,
@@ -161,7 +160,7 @@ class Examiner:
             severity=verdict.severity,
             failed=failed,
             cause=cause_of(run, verdict),
-            caught=tuple({each.name for each in verdict.checks if not each.holds}) if is_caught else (),
+            caught=tuple({each.name for each in verdict.checks if not each.holds}) if verdict.kind == "passed" else (),
             doubt=unit_doubt(trace),
             excused=verdict.excused,
         )

@@ -244,6 +244,10 @@ def search(
         yield from _told(happened, state, bench, watch)
         if isinstance(scenarios, Numbers) and scenarios.number == FIRST:
             check_set_up(state, bench, " at the beginning")
+    # No failure may be counted that neither a finding nor a saved scenario shows, or the search would pass with it.
+    failures = state.counts.failures
+    if failures.keys() - state.known or sum(each.runs for each in failures.values()) != state.counts.kinds["failed"]:
+        raise RuntimeError(f"a failure has no finding: {state.counts!r:.300}; please report this fault of pytest-pafot")
     if isinstance(scenarios, Numbers) and reason == "runs" and scenarios.number < FIRST:
         check_set_up(state, bench, "")
     yield from _told(scenarios.finished(reason or "generations", state.clock() - began), state, bench, watch)
@@ -272,7 +276,10 @@ def check_set_up(state: State, bench: Bench, where: str) -> None:
     counts, is_alike, state.is_set_up = state.counts, state.is_alike, True
     if not is_alike or state.first is None:
         return
-    run = bench.run(state.first)
+    try:
+        run = bench.run(state.first)
+    except ProcessLostError:  # which is no fault of the set-up
+        return
     verdict = bench.finish(run)
     if cause_of(run, verdict) in counts.causes:
         judged = counts.causes.total()

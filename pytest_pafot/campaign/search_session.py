@@ -564,12 +564,8 @@ class SearchSession:
         # An error says nothing about the ego, and a rate of random scenarios that end at the first failure is too high.
         is_told = state.is_random and reason not in (Ending.ERROR, Ending.FINDINGS)
         fails = counts.fails if is_told else Counter[str]()
-        random = Counter(
-            runs=fails.total(),
-            at_fault=fails["ego"],
-            otherwise=fails["check"] + fails["otherwise"],
-            checks=fails["check"],
-        )
+        others = fails["check"] + fails["otherwise"]
+        random = Counter(runs=fails.total(), at_fault=fails["ego"], otherwise=others, checks=fails["check"])
         budgets = {"generations": settings.generations, "runs": settings.runs}
         decisions = {
             "search": counts.decisions,

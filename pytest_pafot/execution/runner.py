@@ -21,7 +21,7 @@ from functools import partial
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Self, TypeAlias, TypeVar, cast
+from typing import Any, Self, TypeAlias, cast
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
@@ -357,9 +357,6 @@ def expectation(lost: LostRun) -> Expect:
     return Expect(failure=PROCESS_CRASH, outcome=outcome, time=0.0, message=message)
 
 
-ResultT = TypeVar("ResultT")
-
-
 def runner_for(
     job: Job,
     record: CrashRecord,
@@ -608,8 +605,8 @@ class Runner:
             self._failure = str(error)
 
     def _begin(self) -> ScenarioPool:
-        pool: ScenarioPool
-        pool = pool_for(self.job, self._workers) if self._cluster is None else self._cluster(self.job)
+        cluster = self._cluster
+        pool: ScenarioPool = pool_for(self.job, self._workers) if cluster is None else cluster(self.job)
         self._pool = pool
         pool.expect(self.announced)
         return pool

@@ -37,7 +37,7 @@ GROUPS: Mapping[str, str] = MappingProxyType({
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """What the run of a new finding or the runs of a replay showed, and what its session knows besides.
+    """The facts that the run of a new finding or the runs of a replay showed, and those that its session adds.
 
     Attributes:
         new: ``new`` for a new finding, ``no worse`` if it does not count in a comparison; empty for a replay.
@@ -256,7 +256,7 @@ class Seen:
 
     @property
     def compared(self) -> Literal["", "introduced", "common", "fixed"]:
-        """How a replay compares with that of its reference; empty if that is not known, or nothing changed."""
+        """The comparison of a replay with that of its reference; empty if that is not known, or nothing changed."""
         now = self.observed
         if now.reference_passes is None or now.is_unsteady:
             return ""
@@ -266,7 +266,7 @@ class Seen:
 
     @property
     def on_search(self) -> str:
-        """Where the search of its test found the failure of a replay that passes, or in how many runs it did not.
+        """The words on where the search of its test found the failure of a replay that passes, or in how many runs not.
 
         Some of the runs are random. The text is empty for any other replay, and without a search.
         """
@@ -280,7 +280,7 @@ class Seen:
 
     @property
     def on_alike(self) -> str:
-        """How many runs failed like it and which was the worst; empty if none was worse than the finding itself."""
+        """The number of runs that failed like it, and the worst; empty if none was worse than the finding itself."""
         worst, number, own = self.alike.severity, self.alike.number, self.severity
         if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
             return ""

@@ -399,12 +399,6 @@ class Health:
     gap: float = math.inf  # the smallest gap to another vehicle in them [m]
 
     @classmethod
-    def of(cls, events: Iterable[Event]) -> Health:
-        """Count over the events of a campaign."""
-        evaluated = [event for event in events if isinstance(event, Evaluated)]
-        return cls.of_runs(len(evaluated), [event.evaluation for event in evaluated if not event.reused])
-
-    @classmethod
     def of_runs(cls, evaluated: int, runs: Sequence[Evaluation]) -> Health:
         """Count over the evaluations of simulated scenarios; ``evaluated`` is the number of all scenarios."""
         invalid = [each for each in runs if each.outcome is Outcome.INVALID]

@@ -1,11 +1,12 @@
 """The search loop with stand-ins for the simulation and the test function."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from pytest_pafot.campaign.results import Result, State, signature_of
 from pytest_pafot.campaign.results import lost as result_of_death
@@ -222,6 +223,13 @@ def test_dying_processes_are_known_from_saved_scenario():
     row = row_of(Evaluated(generation=0, local_generation=0, index=0, evaluation=evaluation, reused=False))
     assert [row[name] for name in ("failing", "verdict", "outcome")] == [True, "failed", "ads_error"]
     assert row["kind"] == signature.slug
+
+
+def test_a_failure_that_nothing_shows_ends_the_search_with_an_error(monkeypatch):
+    result = Bench.result
+    monkeypatch.setattr(Bench, "result", lambda *given: replace(result(*given), failed=None))
+    with pytest.raises(RuntimeError, match=r"a failure has no finding: .*; please report this fault"):
+        searched(lambda number: failed())
 
 
 def test_search_seed_depends_on_base_seed_and_node():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching import Health
-from pytest_pafot.searching.evaluation import LEAVING, Evaluated
+from pytest_pafot.searching.evaluation import LEAVING
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.tables import table
 
@@ -150,14 +150,15 @@ def test_the_health_of_the_parts_of_a_campaign_is_together_that_of_the_whole(mak
         }
     )
     runs = data.draw(st.lists(st.tuples(fields, st.booleans()), max_size=12))
-    events = [
-        Evaluated(generation=0, local_generation=0, index=0, evaluation=make_evaluation(**each), reused=reused)
-        for each, reused in runs
-    ]
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(events)), max_size=3)))
-    parts = [events[start:end] for start, end in zip([0, *cuts], [*cuts, len(events)], strict=True)]
-    whole = Health.of(events)
-    assert sum(map(Health.of, parts), Health()) == whole
+    evaluated = [(make_evaluation(**each), reused) for each, reused in runs]
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(runs)), max_size=3)))
+    parts = [evaluated[start:end] for start, end in zip([0, *cuts], [*cuts, len(runs)], strict=True)]
+
+    def counted(part):
+        return Health.of_runs(len(part), [each for each, reused in part if not reused])
+
+    whole = counted(evaluated)
+    assert sum(map(counted, parts), Health()) == whole
     simulated = [each for each, reused in runs if not reused]
     assert (whole.evaluated, whole.simulated) == (len(runs), len(simulated))
     assert whole.invalid == sum(each["outcome"] is Outcome.INVALID for each in simulated)

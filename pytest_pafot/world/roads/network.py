@@ -237,7 +237,7 @@ class NetworkRoad(Road):
 
     @property
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """What an error says of the ego's lane."""
+        """The words of an error on the ego's lane: see the base class."""
         lanes = " or ".join(map(str, self.start_lanes))
         fix = "lanes are counted from 0 at the left, over all lanes along the ego's way"
         return f"a lane that exists where the ego starts, {lanes}", fix

@@ -114,7 +114,7 @@ class Road(ABC):
     @property
     @abstractmethod
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """What an error expects of the ego's lane, and how it says which lanes there are."""
+        """The words of an error on the ego's lane: the lane that it expects, and the lanes that there are."""
 
     @abstractmethod
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
@@ -274,7 +274,7 @@ class StraightRoad(Road):
 
     @property
     def said_of_start_lanes(self) -> tuple[str, str]:
-        """What an error says of the ego's lane."""
+        """The words of an error on the ego's lane: see the base class."""
         return f"a lane from 0 to {self.lane_count - 1}", f"the road has {self.lane_count} lanes"
 
     def start_cells(self, lane: int, distance: float) -> frozenset[Cell]:
