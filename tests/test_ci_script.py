@@ -116,15 +116,12 @@ def saved(folder):
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.pafot.yaml"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"base": ""}, "expected BASE; see the head of this file"),
-        ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
-        ({"base": "HEAD^{tree}"}, "expected a commit as BASE, received HEAD^{tree}, a tree; name the commit"),
-        ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "expected"), [
+    ({"base": ""}, "expected BASE; see the head of this file"),
+    ({"base": "0123456"}, "expected the commit BASE=0123456; fetch it first"),
+    ({"base": "HEAD^{tree}"}, "expected a commit as BASE, received HEAD^{tree}, a tree; name the commit"),
+    ({"base": "--output=planner.py"}, "expected the commit BASE=--output=planner.py; fetch it first"),
+])  # fmt: skip
 def test_incomparable_pull_request_is_refused_with_advice(repository, changes, expected):
     commit(repository, {"planner.py": PLANNER}, "A planner")
     code, printed = run_action({"task": "pull-request", "base": "main"} | changes, repository)
@@ -185,15 +182,12 @@ def test_the_exit_code_is_that_of_pytest(repository, fake, code):
         assert ended == code, printed
 
 
-@pytest.mark.parametrize(
-    ("written", "received"),
-    [
-        ("none", "received no such file"),
-        ("null", "received null, as of a session that has not come to its end"),
-        ("1", "received 1"),
-        ("[", "received no JSON of a session"),
-    ],
-)
+@pytest.mark.parametrize(("written", "received"), [
+    ("none", "received no such file"),
+    ("null", "received null, as of a session that has not come to its end"),
+    ("1", "received 1"),
+    ("[", "received no JSON of a session"),
+])  # fmt: skip
 def test_session_passes_only_by_exit_code_in_json(repository, fake, written, received):
     (repository / "pafot.json").write_text('{"exit": 0}')  # a file from an earlier session
     code, printed = shell(

@@ -338,17 +338,14 @@ def test_a_sample_ends_where_what_is_printed_does():
         check_output(block, PRINTED + "and more\n")
 
 
-@table(
-    ("rest", "code", "holds"),
-    [
-        ("...\n2 passed in 0.1s\n", 0, True),
-        ("=== 1 passed, 1 xfailed in 0.1s ===\n", 0, True),
-        ("1 failed, 2 passed in 0.1s\n", 1, True),
-        ("2 passed in 0.1s\n", 1, False),
-        ("1 failed in 0.1s\n", 0, False),
-        ("2 passed\n...\n", 0, False),
-    ],
-)
+@table(("rest", "code", "holds"), [
+    ("...\n2 passed in 0.1s\n", 0, True),
+    ("=== 1 passed, 1 xfailed in 0.1s ===\n", 0, True),
+    ("1 failed, 2 passed in 0.1s\n", 1, True),
+    ("2 passed in 0.1s\n", 1, False),
+    ("1 failed in 0.1s\n", 0, False),
+    ("2 passed\n...\n", 0, False),
+])  # fmt: skip
 def test_pytest_sample_ends_with_summary_matching_exit_status(rest, code, holds):
     with nullcontext() if holds else pytest.raises(AssertionError):
         check_end(Block((), "console", "$ pytest", rest), SimpleNamespace(ret=code))

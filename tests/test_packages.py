@@ -137,21 +137,18 @@ def members():
     }
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({}, None),
-        ({"pytest_pafot/world/kernel/loop.abi.so": None}, "without compiled form: pytest_pafot/world/kernel/loop."),
-        ({RECORD: None}, "expected one record of what was compiled, received none"),
-        ({"pytest_pafot/py.typed": None}, "not in the wheel: pytest_pafot/py.typed"),
-        ({"pytest_pafot/report/assets/main.js": None}, "not in the wheel: pytest_pafot/report/assets/main.js"),
-        ({"pytest_pafot/example_ads/ppo/actor.npz": None}, "not in the wheel: pytest_pafot/example_ads/ppo/actor.npz"),
-        ({"tests/oracle/test_run.py": ""}, "in the wheel: tests/oracle/test_run.py"),
-        ({"pytest_pafot/example_ads/conftest.py": ""}, "in the wheel: pytest_pafot/example_ads/conftest.py"),
-        ({METADATA: "Name: pytest-pafot\nLicense-Expression: ISC\n"}, "its licence is ISC"),
-        ({LICENCE: None}, "the text of the licence is not in the wheel"),
-    ],
-)
+@pytest.mark.parametrize(("change", "told"), [
+    ({}, None),
+    ({"pytest_pafot/world/kernel/loop.abi.so": None}, "without compiled form: pytest_pafot/world/kernel/loop."),
+    ({RECORD: None}, "expected one record of what was compiled, received none"),
+    ({"pytest_pafot/py.typed": None}, "not in the wheel: pytest_pafot/py.typed"),
+    ({"pytest_pafot/report/assets/main.js": None}, "not in the wheel: pytest_pafot/report/assets/main.js"),
+    ({"pytest_pafot/example_ads/ppo/actor.npz": None}, "not in the wheel: pytest_pafot/example_ads/ppo/actor.npz"),
+    ({"tests/oracle/test_run.py": ""}, "in the wheel: tests/oracle/test_run.py"),
+    ({"pytest_pafot/example_ads/conftest.py": ""}, "in the wheel: pytest_pafot/example_ads/conftest.py"),
+    ({METADATA: "Name: pytest-pafot\nLicense-Expression: ISC\n"}, "its licence is ISC"),
+    ({LICENCE: None}, "the text of the licence is not in the wheel"),
+])  # fmt: skip
 def test_wheel_with_missing_or_extra_contents_is_refused(check, tmp_path, change, told):
     path = tmp_path / "any.whl"
     with zipfile.ZipFile(path, "w") as archive:

@@ -34,13 +34,10 @@ def test_repr_of_a_value_makes_an_equal_value(value):
     assert type(again) is type(value)
 
 
-@pytest.mark.parametrize(
-    ("strategy", "text"),
-    [
-        (strategies.chromosomes(), "(PositionInstruction(Cell.FRONT_LEFT, 0.0),)"),
-        (strategies.scenarios(), "Scenario(npcs=((PositionInstruction(Cell.FRONT_LEFT, 0.0),),), traffic='hostile')"),
-    ],
-)
+@pytest.mark.parametrize(("strategy", "text"), [
+    (strategies.chromosomes(), "(PositionInstruction(Cell.FRONT_LEFT, 0.0),)"),
+    (strategies.scenarios(), "Scenario(npcs=((PositionInstruction(Cell.FRONT_LEFT, 0.0),),), traffic='hostile')"),
+])  # fmt: skip
 def test_failing_example_is_printed_so_that_it_can_be_pasted(strategy, text):
     @settings(max_examples=10, database=None, phases=[Phase.generate, Phase.shrink])
     @given(strategy)
@@ -146,20 +143,17 @@ def test_npcs_may_follow_each_other_around_the_ring():
         assert find(pairs, follows(step), settings=many, random=random.Random(seed))
 
 
-@table(
-    ("arguments", "message"),
-    [
-        ({"cells": []}, "at least one cell"),
-        ({"min_speed": 5.0, "max_speed": 4.0}, "min_speed <= max_speed"),
-        ({"min_genes": 0}, "min_genes"),
-        ({"max_npcs": 9}, "<= 8"),
-        ({"lanes": 2, "max_npcs": 8}, "no more NPCs than cells"),
-        ({"ego_lane": 7}, "from 0 to 3"),
-        ({"lanes": 0}, "lanes: expected at least 1, received 0"),
-        ({"instructions": "cell"}, "one of cells, lanes, both, received 'cell'"),
-        ({"traffic": "rude"}, "one of paper, hostile, assertive, everyday, received 'rude'"),
-    ],
-)
+@table(("arguments", "message"), [
+    ({"cells": []}, "at least one cell"),
+    ({"min_speed": 5.0, "max_speed": 4.0}, "min_speed <= max_speed"),
+    ({"min_genes": 0}, "min_genes"),
+    ({"max_npcs": 9}, "<= 8"),
+    ({"lanes": 2, "max_npcs": 8}, "no more NPCs than cells"),
+    ({"ego_lane": 7}, "from 0 to 3"),
+    ({"lanes": 0}, "lanes: expected at least 1, received 0"),
+    ({"instructions": "cell"}, "one of cells, lanes, both, received 'cell'"),
+    ({"traffic": "rude"}, "one of paper, hostile, assertive, everyday, received 'rude'"),
+])  # fmt: skip
 def test_impossible_bounds_say_what_was_expected(arguments, message):
     with pytest.raises(ValueError, match=message):
         strategies.scenarios(**arguments)

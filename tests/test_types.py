@@ -127,17 +127,14 @@ def test_mypy_finds_each_mistake_and_nothing_else(tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    ("typed", "names"),
-    [
-        (AlgorithmName, ALGORITHMS),
-        (FitnessName, FITNESSES),
-        (Instructions, LANE_SHARES),
-        (Noise, NOISES),
-        (Style, STYLES),
-        (VehicleName, READY),
-    ],
-)
+@pytest.mark.parametrize(("typed", "names"), [
+    (AlgorithmName, ALGORITHMS),
+    (FitnessName, FITNESSES),
+    (Instructions, LANE_SHARES),
+    (Noise, NOISES),
+    (Style, STYLES),
+    (VehicleName, READY),
+])  # fmt: skip
 def test_names_are_those_that_types_list(typed, names):
     assert sorted(get_args(typed)) == sorted(names)
 

@@ -93,17 +93,14 @@ def test_a_leader_keeps_its_speed_after_the_recording():
     assert not is_avoided(pursuit(25.0, 20.0, run.speeds[1][-1]), 0, CALM)
 
 
-@table(
-    ("right", "aside", "before", "avoids"),
-    [
-        (1.8, 0.0, 13, True),  # 0.87 s: 10 m/s are lost in 1.67 s and 8.3 m, of which 0.83 s are before the impact
-        (1.8, 0.0, 11, False),
-        (1.8, 1.0, 11, True),  # 0.73 s: 0.2 s after the impact the leader is 2.0 m aside; the ego needs 1.0 of 1.6 m
-        (1.8, 1.0, 7, False),  # 0.47 s: the ego is 7.2 m/s faster then, and needs 1.3 m, of which it has gained 0.65 m
-        (0.1, -6.0, 12, False),  # it comes back, and would be on the other side after 0.35 s
-        (1.99, 0.2, 11, False),  # it hardly moves
-    ],
-)
+@table(("right", "aside", "before", "avoids"), [
+    (1.8, 0.0, 13, True),  # 0.87 s: 10 m/s are lost in 1.67 s and 8.3 m, of which 0.83 s are before the impact
+    (1.8, 0.0, 11, False),
+    (1.8, 1.0, 11, True),  # 0.73 s: 0.2 s after the impact the leader is 2.0 m aside; the ego needs 1.0 of 1.6 m
+    (1.8, 1.0, 7, False),  # 0.47 s: the ego is 7.2 m/s faster then, and needs 1.3 m, of which it has gained 0.65 m
+    (0.1, -6.0, 12, False),  # it comes back, and would be on the other side after 0.35 s
+    (1.99, 0.2, 11, False),  # it hardly moves
+])  # fmt: skip
 def test_leader_that_moves_out_of_the_way_is_not_hit_any_more(right, aside, before, avoids):
     run = pursuit(30.0, 20.0, 10.0)
     left = np.arange(len(run.right))[::-1] / HZ

@@ -47,16 +47,13 @@ def test_every_fault_except_those_by_position_names_mistake():
     assert {*BY_FAULT, "entered-lane", "did-not-give-way"} == set(get_args(Fault))
 
 
-@table(
-    ("gap", "expected"),
-    [
-        (CLOSE_AHEAD + 0.1, "kept-no-distance"),
-        (CLOSE_AHEAD - 0.1, "moved-into-side"),
-        (-LENGTH, "moved-into-side"),
-        (-2 * LENGTH + 0.1, "moved-into-side"),
-        (-2 * LENGTH - 0.1, "moved-in-front"),
-    ],
-)
+@table(("gap", "expected"), [
+    (CLOSE_AHEAD + 0.1, "kept-no-distance"),
+    (CLOSE_AHEAD - 0.1, "moved-into-side"),
+    (-LENGTH, "moved-into-side"),
+    (-2 * LENGTH + 0.1, "moved-into-side"),
+    (-2 * LENGTH - 0.1, "moved-in-front"),
+])  # fmt: skip
 def test_npc_within_two_metres_ahead_counts_as_alongside(gap, expected):
     ego, npc = vehicle(0.0, LEFT, ticks=1), vehicle(LENGTH + gap, OWN, ticks=1)
     verdict = Attribution(responsibility="ego", tick=0, time=0.0, fault="entered-lane")

@@ -71,17 +71,14 @@ def test_driver_that_had_just_stood_should_have_waited():
     assert told[1] == "The ego should have waited but set off at 8.0 s."
 
 
-@table(
-    ("helps", "due"),
-    [
-        (range(5, 20), 19),  # until this tick
-        (range(40, 45), 44),  # which may be the last one before the impact
-        ((*range(5, 20), *range(25, 27)), 19),  # and for a moment later on
-        ((*range(5, 20), *range(30, 40)), 39),
-        ((*range(20, 22), *range(23, 25), *range(26, 28)), None),  # never for long
-        ((), None),
-    ],
-)
+@table(("helps", "due"), [
+    (range(5, 20), 19),  # until this tick
+    (range(40, 45), 44),  # which may be the last one before the impact
+    ((*range(5, 20), *range(25, 27)), 19),  # and for a moment later on
+    ((*range(5, 20), *range(30, 40)), 39),
+    ((*range(20, 22), *range(23, 25), *range(26, 28)), None),  # never for long
+    ((), None),
+])  # fmt: skip
 def test_braking_is_due_at_the_end_of_the_last_time_in_which_it_helps(helps, due):
     speeds = np.append(np.full(45, 20.0), 19.9)
     trace = trace_of(vehicle(np.arange(46.0), speed=speeds), vehicle(60.0), outcome=Outcome.COLLISION)
@@ -132,14 +129,11 @@ def test_braking_that_answered_a_cut_in_is_told():
     )
 
 
-@table(
-    "latest, says",
-    [
-        (6.0, "The ego should have braked hard by 5.7 s."),
-        (1.2, "The ego should have braked hard by 1.2 s."),
-        (0.5, "The ego drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s."),
-    ],
-)
+@table("latest, says", [
+    (6.0, "The ego should have braked hard by 5.7 s."),
+    (1.2, "The ego should have braked hard by 1.2 s."),
+    (0.5, "The ego drove 20.0 m/s at 0.0 s; from 3.0 s it braked at up to 1.9 m/s^2, to 16.0 m/s."),
+])  # fmt: skip
 def test_no_text_requires_braking_that_comes_too_late(latest, says):
     brakes, (ahead, speed), _ = STORIES["braked weakly, then sped up"]
     found = rss_rule(crash(driven(0.0, brakes=brakes), driven(ahead, speed=speed)))

@@ -69,26 +69,23 @@ def test_a_run_that_does_not_repeat_has_none(ticks):
     assert tried == [27]
 
 
-@table(
-    ("taken", "is_free"),
-    [
-        (braked(), True),
-        (braked(hit=27 + 180), False),
-        (braked(hit=27 + 181), True),
-        (braked(outcome=Outcome.INVALID, ticks=60), False),
-        (braked(outcome=Outcome.INVALID), True),
-        (braked(outcome=Outcome.ADS_ERROR, ticks=60), False),
-        (braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
-        (braked(ticks=27 + 181), True),
-        (braked(ticks=27 + 180), False),
-        (braked(rate=8.0), False),
-        (braked(rate=4.5), False),
-        (braked(rate=6.3), True),
-        (braked(since=29), True),
-        (braked(since=60), False),
-        (braked(lane=0), False),
-    ],
-)
+@table(("taken", "is_free"), [
+    (braked(), True),
+    (braked(hit=27 + 180), False),
+    (braked(hit=27 + 181), True),
+    (braked(outcome=Outcome.INVALID, ticks=60), False),
+    (braked(outcome=Outcome.INVALID), True),
+    (braked(outcome=Outcome.ADS_ERROR, ticks=60), False),
+    (braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
+    (braked(ticks=27 + 181), True),
+    (braked(ticks=27 + 180), False),
+    (braked(rate=8.0), False),
+    (braked(rate=4.5), False),
+    (braked(rate=6.3), True),
+    (braked(since=29), True),
+    (braked(since=60), False),
+    (braked(lane=0), False),
+])  # fmt: skip
 def test_braking_avoids_only_if_ego_brakes_untouched(taken, is_free):
     """A contact from behind counts, too. A run that ends before, or without its driver, shows nothing."""
     names = []
@@ -117,19 +114,16 @@ class Lasting:
         return None if self.longer is None else lambda *_: self.longer
 
 
-@table(
-    ("short", "longer", "is_free"),
-    [
-        (braked(ticks=33), braked(), True),
-        (braked(ticks=33), None, False),
-        (braked(ticks=33), braked(hit=100), False),
-        (braked(ticks=33), braked(ticks=60), False),
-        (braked(ticks=33), braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
-        (braked(ticks=33), braked(since=60), False),
-        (braked(ticks=40), braked(lane=0), False),
-        (braked(ticks=40), braked(since=29), False),  # the longer run begins otherwise
-    ],
-)
+@table(("short", "longer", "is_free"), [
+    (braked(ticks=33), braked(), True),
+    (braked(ticks=33), None, False),
+    (braked(ticks=33), braked(hit=100), False),
+    (braked(ticks=33), braked(ticks=60), False),
+    (braked(ticks=33), braked(outcome=Outcome.END_OF_ROAD, ticks=60), False),
+    (braked(ticks=33), braked(since=60), False),
+    (braked(ticks=40), braked(lane=0), False),
+    (braked(ticks=40), braked(since=29), False),  # the longer run begins otherwise
+])  # fmt: skip
 def test_run_that_ends_before_twelve_seconds_is_driven_on(short, longer, is_free):
     take_over = Lasting(short, longer)
     assert (avoidance(crash(), "leader-unanswered", take_over) is not None) == is_free
@@ -165,18 +159,15 @@ def test_braking_through_another_vehicle_avoids_nothing():
     assert avoidance(crash(), "leader-unanswered", lambda trace, tick, name: taken if tick == 27 else trace) is None
 
 
-@table(
-    ("taken", "is_free"),
-    [
-        (braked(), True),
-        (braked(rate=1.0), True),  # this driver need not brake
-        (braked(lane=0), False),
-        (braked(hit=27 + 180), False),
-        (braked(ticks=60), False),  # it ends before 12 s are over
-        (crash(), False),
-        (trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=300), vehicle(90.0, 4.0, speed=10.0, ticks=300)), False),
-    ],
-)
+@table(("taken", "is_free"), [
+    (braked(), True),
+    (braked(rate=1.0), True),  # this driver need not brake
+    (braked(lane=0), False),
+    (braked(hit=27 + 180), False),
+    (braked(ticks=60), False),  # it ends before 12 s are over
+    (crash(), False),
+    (trace_of(vehicle(1.0, 4.0, speed=20.0, ticks=300), vehicle(90.0, 4.0, speed=10.0, ticks=300)), False),
+])  # fmt: skip
 def test_a_careful_driver_who_keeps_the_lane_avoids_only_untouched(taken, is_free):
     names = []
 

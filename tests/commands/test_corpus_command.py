@@ -127,13 +127,10 @@ def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys, monk
     assert file.read_text() == over_lines
 
 
-@pytest.mark.parametrize(
-    ("day", "told"),
-    [
-        ("soon", "expected a day such as 2027-01-31, received 'soon'"),
-        ("2026-01-31", "expected today or a later day, received 2026-01-31, which is over"),
-    ],
-)
+@pytest.mark.parametrize(("day", "told"), [
+    ("soon", "expected a day such as 2027-01-31, received 'soon'"),
+    ("2026-01-31", "expected today or a later day, received 2026-01-31, which is over"),
+])  # fmt: skip
 def test_a_day_that_is_none_or_over_is_told(folder, capsys, monkeypatch, day, told):
     monkeypatch.chdir(folder)
     with pytest.raises(SystemExit, match="2"):
@@ -148,14 +145,11 @@ def test_an_id_is_that_which_pytest_prints(folder, capsys, monkeypatch, form):
     assert capsys.readouterr().out == "test_it/test_x/a-111111.pafot.yaml: accepted until 2999-01-31: TICKET-7\n"
 
 
-@pytest.mark.parametrize(
-    ("wrong", "fix"),
-    [
-        ("111111", "did you mean a-111111?"),
-        ("b-222", "did you mean b-222222?"),
-        ("other", "`python -m pytest_pafot corpus list` lists the files"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "fix"), [
+    ("111111", "did you mean a-111111?"),
+    ("b-222", "did you mean b-222222?"),
+    ("other", "`python -m pytest_pafot corpus list` lists the files"),
+])  # fmt: skip
 def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, monkeypatch, wrong, fix):
     monkeypatch.chdir(folder)
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))  # told only once

@@ -62,25 +62,22 @@ def ids(rows):
     return [row["id"] for row in rows]
 
 
-@pytest.mark.parametrize(
-    ("changes", "what"),
-    [
-        ({}, "collision after 12.4 s: NPC 0 in cell 2 (front)"),
-        (
-            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
-            | AHEAD,
-            "gap 0.64 < 10 m at 5.9 s (NPC 0)",
-        ),
-        (
-            {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=None, at_most=2.0)} | AHEAD,
-            "gap nan is not within 2 at 5.9 s (NPC 0)",
-        ),
-        ({"assertion": "run.min_ttc > N"} | AHEAD, "run.min_ttc > N fails"),
-        ({"failure": "KeyError", "assertion": "speeds[0]"} | AHEAD, "speeds[0] raises KeyError"),
-        ({"failure": "ValueError", "outcome": Outcome.ADS_ERROR, "message": "no\x1b[31m"}, "ValueError: no\\x1b[31m"),
-        ({"outcome": Outcome.OFF_ROAD, "npc": None, "cell": None, "side": None}, "off_road after 12.4 s"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "what"), [
+    ({}, "collision after 12.4 s: NPC 0 in cell 2 (front)"),
+    (
+        {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
+        | AHEAD,
+        "gap 0.64 < 10 m at 5.9 s (NPC 0)",
+    ),
+    (
+        {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=None, at_most=2.0)} | AHEAD,
+        "gap nan is not within 2 at 5.9 s (NPC 0)",
+    ),
+    ({"assertion": "run.min_ttc > N"} | AHEAD, "run.min_ttc > N fails"),
+    ({"failure": "KeyError", "assertion": "speeds[0]"} | AHEAD, "speeds[0] raises KeyError"),
+    ({"failure": "ValueError", "outcome": Outcome.ADS_ERROR, "message": "no\x1b[31m"}, "ValueError: no\\x1b[31m"),
+    ({"outcome": Outcome.OFF_ROAD, "npc": None, "cell": None, "side": None}, "off_road after 12.4 s"),
+])  # fmt: skip
 def test_a_row_says_what_failed(here, capsys, changes, what):
     save(here, finding("a", test="test_it.py::test_x[planner-b]", **changes))
     (row,) = listed(capsys)

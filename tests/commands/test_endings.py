@@ -81,14 +81,11 @@ sys.meta_path.insert(0, Interrupted())
 """
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "command"),
-    [
-        ("pytest_pafot.commands.corpus_command", "SIGTERM", ["corpus", "list"]),
-        ("pytest_pafot.support.process", "SIGINT", ["corpus", "list"]),
-        ("pytest_pafot.support.process", "SIGINT", ["search", "slow:make"]),
-    ],
-)
+@pytest.mark.parametrize(("module", "name", "command"), [
+    ("pytest_pafot.commands.corpus_command", "SIGTERM", ["corpus", "list"]),
+    ("pytest_pafot.support.process", "SIGINT", ["corpus", "list"]),
+    ("pytest_pafot.support.process", "SIGINT", ["search", "slow:make"]),
+])  # fmt: skip
 def test_signal_while_a_command_is_imported_is_told(tmp_path, module, name, command):
     (tmp_path / "sitecustomize.py").write_text(IMPORTING.format(module=module, name=name))
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}

@@ -64,28 +64,25 @@ def test_redundant_act_is_read_without_error():
     assert parsed(PATH, text.encode()) == finding_at_zone()
 
 
-@table(
-    ("old", "new", "field", "expected"),
-    [
-        ("slot: 0.5, ", "", "scenario.npcs[0][0]", "the key 'slot'"),
-        ("speed: 8.6}\n", "speed: 8.6, act: wave}\n", "scenario.npcs[0][0].act", "one of pass, hold, stop, late"),
-        ("speed: 8.6}\n", "speed: 8.6, acts: hold}\n", "scenario.npcs[0][0].acts", "one of zone, slot, speed, act"),
-        ("speed: 8.6}\n", "speed: 8.60000001}\n", "scenario.npcs[0][0].speed", "m/s in steps of 0.1"),
-        ("slot: 0.5", "slot: 0.50000001", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
-        ("slot: 0.5", "slot: 5.1", "scenario.npcs[0][0].slot", "seconds, at most 5 before or after the ego"),
-        ("slot: 0.5", "slot: soon", "scenario.npcs[0][0].slot", "a finite number"),
-        ("zone: o1>o3,", "zone: o1,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
-        ("zone: o1>o3,", "zone: o1>o3, cell: 2,", "scenario.npcs[0][0].zone", "one of cell, speed"),
-        ("    - - {cell: 6", "      - {cell: 6", "scenario.npcs[0][1].cell", "a CrossingInstruction like npcs[0][0]"),
-        ("    - - {zone: o3", "      - {zone: o3", "scenario.npcs[1][1]", "a PositionInstruction like npcs[1][0]"),
-        ("    - - {cell: 6", "      - {lane: keep, speed: 8}\n    - - {cell: 6", "scenario.npcs[0][1]", "a CrossingIn"),
-        ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
-        ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
-        ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a finite number"),
-        (", ego_enters: 2.0", "", "expect.situation", "the key 'ego_enters'"),
-        ("npc_enters: 1.8", "npc_enters: 1.8, lane: 0", "expect.situation.lane", "one of npc, time, npc_enters"),
-    ],
-)
+@table(("old", "new", "field", "expected"), [
+    ("slot: 0.5, ", "", "scenario.npcs[0][0]", "the key 'slot'"),
+    ("speed: 8.6}\n", "speed: 8.6, act: wave}\n", "scenario.npcs[0][0].act", "one of pass, hold, stop, late"),
+    ("speed: 8.6}\n", "speed: 8.6, acts: hold}\n", "scenario.npcs[0][0].acts", "one of zone, slot, speed, act"),
+    ("speed: 8.6}\n", "speed: 8.60000001}\n", "scenario.npcs[0][0].speed", "m/s in steps of 0.1"),
+    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
+    ("slot: 0.5", "slot: 5.1", "scenario.npcs[0][0].slot", "seconds, at most 5 before or after the ego"),
+    ("slot: 0.5", "slot: soon", "scenario.npcs[0][0].slot", "a finite number"),
+    ("zone: o1>o3,", "zone: o1,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
+    ("zone: o1>o3,", "zone: o1>o3, cell: 2,", "scenario.npcs[0][0].zone", "one of cell, speed"),
+    ("    - - {cell: 6", "      - {cell: 6", "scenario.npcs[0][1].cell", "a CrossingInstruction like npcs[0][0]"),
+    ("    - - {zone: o3", "      - {zone: o3", "scenario.npcs[1][1]", "a PositionInstruction like npcs[1][0]"),
+    ("    - - {cell: 6", "      - {lane: keep, speed: 8}\n    - - {cell: 6", "scenario.npcs[0][1]", "a CrossingIn"),
+    ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
+    ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
+    ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a finite number"),
+    (", ego_enters: 2.0", "", "expect.situation", "the key 'ego_enters'"),
+    ("npc_enters: 1.8", "npc_enters: 1.8, lane: 0", "expect.situation.lane", "one of npc, time, npc_enters"),
+])  # fmt: skip
 def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
     assert TEXT.count(old) == 1
     with pytest.raises(CorpusError) as caught:

@@ -27,15 +27,12 @@ def test_a_file_names_the_lane():
     )
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ("{lane: up, speed: 22.3}", r"scenario.npcs\[0\]\[0\].lane: expected one of keep, left, right, received 'up'"),
-        ("{cell: 2, lane: left, speed: 1.0}", r"scenario.npcs\[0\]\[0\].lane: expected one of cell, speed"),
-        ("{cell: 2, speed: 22.3}", r"npcs\[0\]\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
-        ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "message"), [
+    ("{lane: up, speed: 22.3}", r"scenario.npcs\[0\]\[0\].lane: expected one of keep, left, right, received 'up'"),
+    ("{cell: 2, lane: left, speed: 1.0}", r"scenario.npcs\[0\]\[0\].lane: expected one of cell, speed"),
+    ("{cell: 2, speed: 22.3}", r"npcs\[0\]\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
+    ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
+])  # fmt: skip
 def test_file_error_is_reported_at_its_place(tmp_path, wrong, message):
     text = text_of(plain_finding(scenario=BUSY)).replace("{lane: left, speed: 22.3}", wrong)
     with pytest.raises(CorpusError, match=message):

@@ -32,45 +32,39 @@ def test_corpus_folder_lies_next_to_its_test_file():
     assert folder == Path("tests/deep/pafot_corpus/test_safety/test_it@4-slow")
 
 
-@table(
-    ("text", "name"),
-    [
-        ("test_it", "test_it"),
-        ("test_it[4-slow]", "test_it@4-slow"),
-        ("test_it[0.5-a=b]", "test_it@0.5-a=b"),
-        ("TestBraking::test_it", "TestBraking.test_it~0131"),
-        ("test_REQ_001", "test_REQ_001~43"),
-        ("TEST_IT", "TEST_IT~06"),
-        ("test_" + "a" * 32 + "B", "test_" + "a" * 32 + "B~z011"),
-        ("CON", "_CON~"),
-        ("test_it[True]", "test_it@True~61"),
-        ("test_it[a/b]", "test_it@a-b~"),
-        ("nul.txt", "_nul.txt~"),
-        ("", "_~"),
-        (".hidden", "hidden~"),
-        ("test_it[]", "test_it~"),
-    ],
-)
+@table(("text", "name"), [
+    ("test_it", "test_it"),
+    ("test_it[4-slow]", "test_it@4-slow"),
+    ("test_it[0.5-a=b]", "test_it@0.5-a=b"),
+    ("TestBraking::test_it", "TestBraking.test_it~0131"),
+    ("test_REQ_001", "test_REQ_001~43"),
+    ("TEST_IT", "TEST_IT~06"),
+    ("test_" + "a" * 32 + "B", "test_" + "a" * 32 + "B~z011"),
+    ("CON", "_CON~"),
+    ("test_it[True]", "test_it@True~61"),
+    ("test_it[a/b]", "test_it@a-b~"),
+    ("nul.txt", "_nul.txt~"),
+    ("", "_~"),
+    (".hidden", "hidden~"),
+    ("test_it[]", "test_it~"),
+])  # fmt: skip
 def test_names_stay_readable(text, name):
     assert safe_name(text).startswith(name)
     assert len(safe_name(text)) == len(name) + (10 if name.endswith("~") else 0)
 
 
-@table(
-    ("one", "other"),
-    [
-        ("test_a", "Test_a"),
-        ("test_it[A]", "test_it[a]"),
-        ("test_it[a/b]", "test_it[a-b]"),
-        ("test_it[é]", "test_it[e\u0301]"),
-        ("test_it[x" + "1" * 300 + "a]", "test_it[x" + "1" * 300 + "b]"),
-        ("A.test_b", "A::test_b"),
-        ("K", "\u212a"),
-        ("A" * 40, "A" * 35 + "a" * 5),
-        ("test_it", "test_it "),
-        ("con", "_con"),
-    ],
-)
+@table(("one", "other"), [
+    ("test_a", "Test_a"),
+    ("test_it[A]", "test_it[a]"),
+    ("test_it[a/b]", "test_it[a-b]"),
+    ("test_it[é]", "test_it[e\u0301]"),
+    ("test_it[x" + "1" * 300 + "a]", "test_it[x" + "1" * 300 + "b]"),
+    ("A.test_b", "A::test_b"),
+    ("K", "\u212a"),
+    ("A" * 40, "A" * 35 + "a" * 5),
+    ("test_it", "test_it "),
+    ("con", "_con"),
+])  # fmt: skip
 def test_names_that_look_alike_stay_apart(one, other):
     assert safe_name(one).casefold() != safe_name(other).casefold()
 
@@ -139,14 +133,11 @@ ROOT = Path("/projects/project")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-@table(
-    ("corpus", "root"),
-    [
-        ("pafot_corpus", "/projects/project/tests/deep/pafot_corpus"),
-        ("found/here", "/projects/project/tests/deep/found/here"),
-        ("/all", "/all/tests/deep"),
-    ],
-)
+@table(("corpus", "root"), [
+    ("pafot_corpus", "/projects/project/tests/deep/pafot_corpus"),
+    ("found/here", "/projects/project/tests/deep/found/here"),
+    ("/all", "/all/tests/deep"),
+])  # fmt: skip
 def test_corpus_folder_maps_back_to_its_test_file(corpus, root):
     test_file = ROOT / "tests" / "deep" / "test_safety.py"
     assert corpus_root(test_file, corpus, ROOT) == Path(root)
@@ -161,30 +152,24 @@ def test_file_outside_rootdir_uses_top_of_shared_corpus():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-@table(
-    ("file", "corpus"),
-    [
-        ("/projects/project/a.pafot.yaml", "pafot_corpus"),
-        ("/a.pafot.yaml", "pafot_corpus"),
-        ("/projects/project/other/test_safety/test_it/a.pafot.yaml", "pafot_corpus"),
-        ("/other/test_safety/test_it/a.pafot.yaml", "/all"),
-    ],
-)
+@table(("file", "corpus"), [
+    ("/projects/project/a.pafot.yaml", "pafot_corpus"),
+    ("/a.pafot.yaml", "pafot_corpus"),
+    ("/projects/project/other/test_safety/test_it/a.pafot.yaml", "pafot_corpus"),
+    ("/other/test_safety/test_it/a.pafot.yaml", "/all"),
+])  # fmt: skip
 def test_file_outside_any_corpus_has_no_test_file(file, corpus):
     assert module_of_file(Path(file), corpus, ROOT) is None
 
 
 @pytest.mark.skipif(os.name == "nt", reason="absolute paths are written as on other systems")
-@table(
-    ("path", "corpus", "holds"),
-    [
-        ("/projects/tests/pafot_corpus", "pafot_corpus", True),
-        ("/projects/tests/found/here", "found/here", True),
-        ("/projects/tests/here", "found/here", False),
-        ("/projects/all", "/projects/all", True),
-        ("/elsewhere/projects/all", "/projects/all", False),
-    ],
-)
+@table(("path", "corpus", "holds"), [
+    ("/projects/tests/pafot_corpus", "pafot_corpus", True),
+    ("/projects/tests/found/here", "found/here", True),
+    ("/projects/tests/here", "found/here", False),
+    ("/projects/all", "/projects/all", True),
+    ("/elsewhere/projects/all", "/projects/all", False),
+])  # fmt: skip
 def test_folder_named_by_the_option_is_a_corpus(path, corpus, holds):
     assert is_corpus(Path(path), Path(corpus)) is holds
 

@@ -103,87 +103,81 @@ def test_error_gives_place_expected_value_and_remedy(path):
     )
 
 
-@table(
-    ("old", "new", "line", "field"),
-    [
-        ("pafot: 2 ", "pafot: 3 ", 1, "pafot"),
-        ("pafot: 2 ", "pafot: 2.0 ", 1, "pafot"),
-        ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test:", 2, "test"),
-        ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: ' '", 2, "test"),
-        (WORLD, "world: highway", 3, "world"),
-        (WORLD, "world:", 3, "world"),
-        ("lanes: 4, ", "", 3, "world"),
-        ("lanes: 4", "lanes: 4, colour: red", 3, "world.colour"),
-        ("jerk: 10.0, ", "", 5, "world.limits"),
-        ("jerk: 10.0", "yerk: 10.0", 5, "world.limits.yerk"),
-        ("{cell: 1,", "{cell: 0,", 11, "scenario.npcs[0][0].cell"),
-        ("{cell: 1,", "{cell: front,", 11, "scenario.npcs[0][0].cell"),
-        ("{cell: 2, speed: 8.0}", "{cell: 4, speed: 8.0}", 12, "scenario.npcs[0][1].cell"),
-        ("speed: 8.0", "speed: .nan", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: 8.00000001", 12, "scenario.npcs[0][1].speed"),
-        ("speed: 8.0", "speed: 8.0, speedy: 1", 12, "scenario.npcs[0][1].speedy"),
-        ("cell: 2, speed: 8.0}", "cell: 2}", 12, "scenario.npcs[0][1]"),
-        ("cell: 2, speed: 8.0}", "speed: 8.0}", 12, "scenario.npcs[0][1]"),
-        ("      - {cell: 2, speed: 8.0}     # front", "    - []", 12, "scenario.npcs[1]"),
-        ("      - {cell: 2, speed: 8.0}     # front", "    - - {cell: 1, speed: 8.0}", 12, "scenario.npcs[1][0].cell"),
-        ("      - {cell: 2, speed: 8.0}     # front", "    - {cell: 2, speed: 8.0}", 12, "scenario.npcs[1]"),
-        ("seed: 7", "seed: -7", 8, "scenario.seed"),
-        ("seed: 7", "sead: 7", 8, "scenario.sead"),
-        ("seed: 7", "gene_seconds: 0\n  seed: 7", 8, "scenario.gene_seconds"),
-        ("seed: 7", "gene_seconds: long\n  seed: 7", 8, "scenario.gene_seconds"),
-        ("seed: 7", "seed: 7\n  traffic: fast", 9, "scenario.traffic"),
-        ("seed: 7", "seed: 7\n  traffic: {style: paper}", 9, "scenario.traffic"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 9, "scenario.ego.lane"),
-        ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 9, "scenario.ego"),
-        ("outcome: collision", "outcome: crash", 13, "expect.outcome"),
-        ("failure: AssertionError, ", "", 13, "expect"),
-        ("time: 12.4", "time: soon", 13, "expect.time"),
-        ("npc: 0, ", "", 13, "expect"),
-        ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
-        ("side: front", "side: top", 14, "expect.side"),
-        ("responsibility: ego", "responsibility: all", 14, "expect.responsibility"),
-        (DRIVERS, "reference_drivers: [careful-human]", 14, "expect.reference_drivers"),
-        (DRIVERS, "reference_drivers: {careful-human: survives}", 14, "expect.reference_drivers.careful-human"),
-        ("generation: 17", "generation: -1", 15, "found.generation"),
-        ("numpy: 2.4.6", "numpy: 2.4", 16, "found.versions.numpy"),
-        ("algorithm: pafot", "algoritm: pafot", 15, "found.algoritm"),
-        ("# xfail: {reason, until}", "xfail:", 17, "xfail"),
-        ("# xfail: {reason, until}", "xfail: ''", 17, "xfail"),
-        ("# xfail: {reason, until}", "xfails: 'planner issue 12'", 17, "xfails"),
-        ("# xfail: {reason, until}", "xfail: {until: 2027-01-31}", 17, "xfail"),
-        ("# xfail: {reason, until}", "xfail: {reason: '', until: 2027-01-31}", 17, "xfail.reason"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-02-30}", 17, "xfail.until"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, til: 2027-01-31}", 17, "xfail.til"),
-        ("# xfail: {reason, until}", "xfail: {reason: 2027-01-31}", 17, ""),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, until: [2027-01-31]}", 17, ""),
-        ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-01-31, flaky: true}", 17, "xfail.flaky"),
-        ("# xfail: {reason, until}", "xfail: {reason: slow}", 17, "xfail"),
-        ("# xfail: {reason, until}", "xfail: slow", 17, "xfail"),
-        ("side: front", "side: front, closing_speed: -1.0", 14, "expect.closing_speed"),
-        ("# xfail: {reason, until}", "xfail: 2027-01-31", 17, ""),
-    ],
-)
+@table(("old", "new", "line", "field"), [
+    ("pafot: 2 ", "pafot: 3 ", 1, "pafot"),
+    ("pafot: 2 ", "pafot: 2.0 ", 1, "pafot"),
+    ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test:", 2, "test"),
+    ("test: tests/test_safety.py::test_never_at_fault_in_a_collision", "test: ' '", 2, "test"),
+    (WORLD, "world: highway", 3, "world"),
+    (WORLD, "world:", 3, "world"),
+    ("lanes: 4, ", "", 3, "world"),
+    ("lanes: 4", "lanes: 4, colour: red", 3, "world.colour"),
+    ("jerk: 10.0, ", "", 5, "world.limits"),
+    ("jerk: 10.0", "yerk: 10.0", 5, "world.limits.yerk"),
+    ("{cell: 1,", "{cell: 0,", 11, "scenario.npcs[0][0].cell"),
+    ("{cell: 1,", "{cell: front,", 11, "scenario.npcs[0][0].cell"),
+    ("{cell: 2, speed: 8.0}", "{cell: 4, speed: 8.0}", 12, "scenario.npcs[0][1].cell"),
+    ("speed: 8.0", "speed: .nan", 12, "scenario.npcs[0][1].speed"),
+    ("speed: 8.0", "speed: 8.00000001", 12, "scenario.npcs[0][1].speed"),
+    ("speed: 8.0", "speed: 8.0, speedy: 1", 12, "scenario.npcs[0][1].speedy"),
+    ("cell: 2, speed: 8.0}", "cell: 2}", 12, "scenario.npcs[0][1]"),
+    ("cell: 2, speed: 8.0}", "speed: 8.0}", 12, "scenario.npcs[0][1]"),
+    ("      - {cell: 2, speed: 8.0}     # front", "    - []", 12, "scenario.npcs[1]"),
+    ("      - {cell: 2, speed: 8.0}     # front", "    - - {cell: 1, speed: 8.0}", 12, "scenario.npcs[1][0].cell"),
+    ("      - {cell: 2, speed: 8.0}     # front", "    - {cell: 2, speed: 8.0}", 12, "scenario.npcs[1]"),
+    ("seed: 7", "seed: -7", 8, "scenario.seed"),
+    ("seed: 7", "sead: 7", 8, "scenario.sead"),
+    ("seed: 7", "gene_seconds: 0\n  seed: 7", 8, "scenario.gene_seconds"),
+    ("seed: 7", "gene_seconds: long\n  seed: 7", 8, "scenario.gene_seconds"),
+    ("seed: 7", "seed: 7\n  traffic: fast", 9, "scenario.traffic"),
+    ("seed: 7", "seed: 7\n  traffic: {style: paper}", 9, "scenario.traffic"),
+    ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 2000, speed: 22.0}", 9, "scenario.ego.lane"),
+    ("ego: {lane: 1, speed: 22.0}", "ego: {lane: 1}", 9, "scenario.ego"),
+    ("outcome: collision", "outcome: crash", 13, "expect.outcome"),
+    ("failure: AssertionError, ", "", 13, "expect"),
+    ("time: 12.4", "time: soon", 13, "expect.time"),
+    ("npc: 0, ", "", 13, "expect"),
+    ("npc: 0, ", "npc: 1, ", 13, "expect.npc"),
+    ("side: front", "side: top", 14, "expect.side"),
+    ("responsibility: ego", "responsibility: all", 14, "expect.responsibility"),
+    (DRIVERS, "reference_drivers: [careful-human]", 14, "expect.reference_drivers"),
+    (DRIVERS, "reference_drivers: {careful-human: survives}", 14, "expect.reference_drivers.careful-human"),
+    ("generation: 17", "generation: -1", 15, "found.generation"),
+    ("numpy: 2.4.6", "numpy: 2.4", 16, "found.versions.numpy"),
+    ("algorithm: pafot", "algoritm: pafot", 15, "found.algoritm"),
+    ("# xfail: {reason, until}", "xfail:", 17, "xfail"),
+    ("# xfail: {reason, until}", "xfail: ''", 17, "xfail"),
+    ("# xfail: {reason, until}", "xfails: 'planner issue 12'", 17, "xfails"),
+    ("# xfail: {reason, until}", "xfail: {until: 2027-01-31}", 17, "xfail"),
+    ("# xfail: {reason, until}", "xfail: {reason: '', until: 2027-01-31}", 17, "xfail.reason"),
+    ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-02-30}", 17, "xfail.until"),
+    ("# xfail: {reason, until}", "xfail: {reason: slow, til: 2027-01-31}", 17, "xfail.til"),
+    ("# xfail: {reason, until}", "xfail: {reason: 2027-01-31}", 17, ""),
+    ("# xfail: {reason, until}", "xfail: {reason: slow, until: [2027-01-31]}", 17, ""),
+    ("# xfail: {reason, until}", "xfail: {reason: slow, until: 2027-01-31, flaky: true}", 17, "xfail.flaky"),
+    ("# xfail: {reason, until}", "xfail: {reason: slow}", 17, "xfail"),
+    ("# xfail: {reason, until}", "xfail: slow", 17, "xfail"),
+    ("side: front", "side: front, closing_speed: -1.0", 14, "expect.closing_speed"),
+    ("# xfail: {reason, until}", "xfail: 2027-01-31", 17, ""),
+])  # fmt: skip
 def test_each_broken_rule_is_reported_at_its_place(path, old, new, line, field):
     error = fault(path, swapped(old, new))
     assert (error.line, error.field) == (line, field)
 
 
-@table(
-    ("more", "field"),
-    [
-        ("fault: entered-lane, mistake: moved", "mistake"),
-        ("fault: braked-for-nothing, mistake: moved-in-front", "mistake"),
-        ("avoided_by: 6.0", "avoided_by"),
-        ("avoided_by: {braking: 6.0}", "avoided_by"),
-        ("avoided_by: {time: -1.0, braking: 6.0}", "avoided_by.time"),
-        ("avoided_by: {time: 9.8, braking: x}", "avoided_by.braking"),
-        ("situation: none", "situation"),
-        ("situation: {npc: 0, time: 6.6, ahead: 15.0, lane: 0, ego_speed: 6.7}", "situation"),
-        ("situation: {npc: 1, time: 6.6, ahead: 15.0, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", "situation.npc"),
-        ("situation: {npc: 0, time: 6.6, ahead: .nan, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", "situation.ahead"),
-        ("situation: {npc: 0, time: 6.6, ahead: 15.0, lane: left, ego_speed: 6.7, npc_speed: 0.8}", "situation.lane"),
-    ],
-)
+@table(("more", "field"), [
+    ("fault: entered-lane, mistake: moved", "mistake"),
+    ("fault: braked-for-nothing, mistake: moved-in-front", "mistake"),
+    ("avoided_by: 6.0", "avoided_by"),
+    ("avoided_by: {braking: 6.0}", "avoided_by"),
+    ("avoided_by: {time: -1.0, braking: 6.0}", "avoided_by.time"),
+    ("avoided_by: {time: 9.8, braking: x}", "avoided_by.braking"),
+    ("situation: none", "situation"),
+    ("situation: {npc: 0, time: 6.6, ahead: 15.0, lane: 0, ego_speed: 6.7}", "situation"),
+    ("situation: {npc: 1, time: 6.6, ahead: 15.0, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", "situation.npc"),
+    ("situation: {npc: 0, time: 6.6, ahead: .nan, lane: 0, ego_speed: 6.7, npc_speed: 0.8}", "situation.ahead"),
+    ("situation: {npc: 0, time: 6.6, ahead: 15.0, lane: left, ego_speed: 6.7, npc_speed: 0.8}", "situation.lane"),
+])  # fmt: skip
 def test_each_further_part_of_an_expectation_is_read_strictly(path, more, field):
     error = fault(path, swapped(DRIVERS, f"{DRIVERS}, {more}"))
     assert (error.line, error.field) == (14, f"expect.{field}")
@@ -240,28 +234,25 @@ def test_newer_format_version_is_refused_first(path):
     assert "install the pytest-pafot that wrote it" in error.fix
 
 
-@table(
-    ("content", "line", "expected"),
-    [
-        (b"", None, "a saved scenario"),
-        (b" \r\n\n", None, "a saved scenario"),
-        (b"# only a comment\n", None, "exactly one document"),
-        (b"pafot: 1\ntest: caf\xe9\n", 2, "text in UTF-8"),
-        ("pafot: 1".encode("utf-16"), 1, "text in UTF-8"),
-        (b"pafot: 1\ntest: a\x00b\n", 2, "printable text"),
-        (b"pafot: 1\ntest: {a\n", None, "valid YAML"),
-        (b"pafot: 1\n<<<<<<< HEAD\ntest: a\n=======\n", None, "valid YAML"),
-        (b"pafot: 1\n---\npafot: 1\n", 2, "exactly one document"),
-        (b"just text", 1, "a mapping (key: value)"),
-        (b"- a\n- b\n", 1, "a mapping (key: value)"),
-        (b"test: a\n", 1, "the key 'pafot' with the version 2"),
-        (b"pafot: 1\npafot: 1\n", 2, "each key once"),
-        (b"pafot: 1\n1: 2\n", 2, "keys of text"),
-        (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, text, true, false or null"),
-        (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, text, true, false or null"),
-        (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2, "a number"),
-    ],
-)
+@table(("content", "line", "expected"), [
+    (b"", None, "a saved scenario"),
+    (b" \r\n\n", None, "a saved scenario"),
+    (b"# only a comment\n", None, "exactly one document"),
+    (b"pafot: 1\ntest: caf\xe9\n", 2, "text in UTF-8"),
+    ("pafot: 1".encode("utf-16"), 1, "text in UTF-8"),
+    (b"pafot: 1\ntest: a\x00b\n", 2, "printable text"),
+    (b"pafot: 1\ntest: {a\n", None, "valid YAML"),
+    (b"pafot: 1\n<<<<<<< HEAD\ntest: a\n=======\n", None, "valid YAML"),
+    (b"pafot: 1\n---\npafot: 1\n", 2, "exactly one document"),
+    (b"just text", 1, "a mapping (key: value)"),
+    (b"- a\n- b\n", 1, "a mapping (key: value)"),
+    (b"test: a\n", 1, "the key 'pafot' with the version 2"),
+    (b"pafot: 1\npafot: 1\n", 2, "each key once"),
+    (b"pafot: 1\n1: 2\n", 2, "keys of text"),
+    (b"pafot: 1\ntest: 2026-11-20\n", 2, "a number, text, true, false or null"),
+    (b"pafot: 1\n<<: {a: 1}\n", 2, "a number, text, true, false or null"),
+    (b"pafot: 1\ntest: " + b"9" * 5000 + b"\n", 2, "a number"),
+])  # fmt: skip
 def test_what_is_no_plain_document_is_refused(path, content, line, expected):
     error = fault(path, content)
     assert error.expected == expected
@@ -269,14 +260,11 @@ def test_what_is_no_plain_document_is_refused(path, content, line, expected):
         assert error.line == line
 
 
-@table(
-    ("value", "expected"),
-    [
-        ("&a 1", "plain values"),
-        ("!!str 1", "values without tags"),
-        ("!!python/object/apply:os.system ['true']", "values without tags"),
-    ],
-)
+@table(("value", "expected"), [
+    ("&a 1", "plain values"),
+    ("!!str 1", "values without tags"),
+    ("!!python/object/apply:os.system ['true']", "values without tags"),
+])  # fmt: skip
 def test_aliases_anchors_and_tags_are_refused(path, value, expected):
     error = fault(path, f"pafot: 1\ntest: {value}\n")
     assert (error.line, error.expected) == (2, expected)
@@ -501,17 +489,14 @@ def test_file_contains_original_perception_shrinking_and_flakiness(path):
     assert load(path) == SHRUNK
 
 
-@pytest.mark.parametrize(
-    ("given", "field", "expected"),
-    [
-        ("[lorry]", "vehicles[0]", "one of car, van, truck, motorcycle"),
-        ("truck", "vehicles", "a list"),
-        ("[car, truck]", "vehicles", "at most 1, one per NPC"),
-        ("[{name: bus, length: 12.0}]", "vehicles[0]", "the key 'width'"),
-        ("[{name: bus, length: 30.0, width: 2.5}]", "vehicles[0].length", "a number from 1 to 20"),
-        ("[{name: bus, length: 9.0, width: 2.5, height: 3.0}]", "vehicles[0].height", "one of name, length, width"),
-    ],
-)
+@pytest.mark.parametrize(("given", "field", "expected"), [
+    ("[lorry]", "vehicles[0]", "one of car, van, truck, motorcycle"),
+    ("truck", "vehicles", "a list"),
+    ("[car, truck]", "vehicles", "at most 1, one per NPC"),
+    ("[{name: bus, length: 12.0}]", "vehicles[0]", "the key 'width'"),
+    ("[{name: bus, length: 30.0, width: 2.5}]", "vehicles[0].length", "a number from 1 to 20"),
+    ("[{name: bus, length: 9.0, width: 2.5, height: 3.0}]", "vehicles[0].height", "one of name, length, width"),
+])  # fmt: skip
 def test_vehicles_are_read_strictly(path, given, field, expected):
     error = fault(path, swapped("\n  npcs:", f"\n  vehicles: {given}\n  npcs:"))
     assert error.field == f"scenario.{field}"
@@ -529,31 +514,25 @@ def test_the_egos_own_vehicle_is_read_strictly(path):
         load(path)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "field"),
-    [
-        ("seed: 9", "seed: -9", "original.seed"),
-        ("rollouts: 41", "rollouts: many", "shrunk.rollouts"),
-        ("is_minimal: false", "is_minimal: 0", "shrunk.is_minimal"),
-        ('flaky: "running it again gave a different run"', 'flaky: " "', "flaky"),
-        ("failing: 14, runs", "failing: 21, runs", "rate.failing"),
-        ("runs: 20", "runs: 0", "rate.runs"),
-        ("latency: 0.3", "latency: -0.3", "perception.latency"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "field"), [
+    ("seed: 9", "seed: -9", "original.seed"),
+    ("rollouts: 41", "rollouts: many", "shrunk.rollouts"),
+    ("is_minimal: false", "is_minimal: 0", "shrunk.is_minimal"),
+    ('flaky: "running it again gave a different run"', 'flaky: " "', "flaky"),
+    ("failing: 14, runs", "failing: 21, runs", "rate.failing"),
+    ("runs: 20", "runs: 0", "rate.runs"),
+    ("latency: 0.3", "latency: -0.3", "perception.latency"),
+])  # fmt: skip
 def test_error_in_a_later_section_names_its_field(path, old, new, field):
     assert text_of(SHRUNK).count(old) == 1
     assert fault(path, text_of(SHRUNK).replace(old, new)).field == field
 
 
-@pytest.mark.parametrize(
-    ("left_out", "key", "field"),
-    [
-        ("responsibility: ego, ", "responsibility", "expect"),
-        (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "versions", "found"),
-        (", is_minimal: false", "is_minimal", "shrunk"),
-    ],
-)
+@pytest.mark.parametrize(("left_out", "key", "field"), [
+    ("responsibility: ego, ", "responsibility", "expect"),
+    (",\n        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}", "versions", "found"),
+    (", is_minimal: false", "is_minimal", "shrunk"),
+])  # fmt: skip
 def test_key_with_a_default_only_in_code_is_required(path, left_out, key, field):
     assert text_of(SHRUNK).count(left_out) == 1
     error = fault(path, text_of(SHRUNK).replace(left_out, ""))
@@ -567,19 +546,16 @@ def test_invalid_traffic_error_shows_the_styles(path, received):
     assert error.received == {"null": "None"}.get(received, received)
 
 
-@table(
-    ("part", "error", "line", "field", "told"),
-    [
-        ("scenario", ScenarioError(field="ego_speed", expected="less", received="22"), 9, "scenario.ego.speed",
-         "expected less, received 22; correct it, or delete the file"),
-        ("scenario", ScenarioError(field="npcs[0][1].speed", expected="less", received="8", fix="write 7.9"), 12,
-         "scenario.npcs[0][1].speed", "expected less, received 8; write 7.9"),
-        ("world", WorldError(field="lanes", expected="more", received="4"), 3, "world.lanes", "received 4; correct it"),
-        ("world", WorldError(field="limits.jerk", expected="more", received="1"), 5, "world.limits.jerk", "more"),
-        ("world", WorldError(field="merge-v0", expected="a road", received="none"), 3, "world", "expected a road"),
-        ("world", TypeError("no road, received none"), 3, "world", "expected a world that can run, received no road"),
-    ],
-)  # fmt: skip
+@table(("part", "error", "line", "field", "told"), [
+    ("scenario", ScenarioError(field="ego_speed", expected="less", received="22"), 9, "scenario.ego.speed",
+     "expected less, received 22; correct it, or delete the file"),
+    ("scenario", ScenarioError(field="npcs[0][1].speed", expected="less", received="8", fix="write 7.9"), 12,
+     "scenario.npcs[0][1].speed", "expected less, received 8; write 7.9"),
+    ("world", WorldError(field="lanes", expected="more", received="4"), 3, "world.lanes", "received 4; correct it"),
+    ("world", WorldError(field="limits.jerk", expected="more", received="1"), 5, "world.limits.jerk", "more"),
+    ("world", WorldError(field="merge-v0", expected="a road", received="none"), 3, "world", "expected a road"),
+    ("world", TypeError("no road, received none"), 3, "world", "expected a world that can run, received no road"),
+])  # fmt: skip
 def test_errors_of_a_world_are_given_a_line(path, part, error, line, field, told):
     path.write_text(TEXT)
     fault = located(path, part, error)

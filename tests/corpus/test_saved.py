@@ -38,14 +38,11 @@ def test_files_of_a_test_include_broken_ones_sorted(tmp_path):
     assert saved_in(tmp_path / "none") == []
 
 
-@pytest.mark.parametrize(
-    ("changes", "is_crash", "needs_own_process"),
-    [
-        ({}, False, False),
-        ({"failure": PROCESS_CRASH, "outcome": Outcome.ADS_ERROR}, True, True),
-        ({"outcome": Outcome.HANG}, False, True),
-    ],
-)
+@pytest.mark.parametrize(("changes", "is_crash", "needs_own_process"), [
+    ({}, False, False),
+    ({"failure": PROCESS_CRASH, "outcome": Outcome.ADS_ERROR}, True, True),
+    ({"outcome": Outcome.HANG}, False, True),
+])  # fmt: skip
 def test_crashes_and_hangs_need_their_own_process(tmp_path, changes, is_crash, needs_own_process):
     finding = plain_finding(expect=replace(plain_finding().expect, **changes))
     saved = Saved(path=tmp_path / NAME, finding=finding)

@@ -73,26 +73,20 @@ def of(*, expect=(), scenario=(), **changes):
 SITUATION = Situation(npc=0, time=6.6, ahead=-15.0, lane=-1, ego_speed=6.7, npc_speed=0.8)
 
 
-@table(
-    ("finding", "line"),
-    [
-        (
-            of(xfail='"issue" 12', xfail_until=date(2027, 1, 31)),
-            'xfail: {reason: "\\"issue\\" 12", until: 2027-01-31}\n',
-        ),
-        (of(test="tests/t.py::TestX::test_y[4-slow]"), "\ntest: tests/t.py::TestX::test_y[4-slow]\n"),
-        (of(expect={"closing_speed": 7.533}), "side: front, closing_speed: 7.533, responsibility"),
-        (of(scenario={"gene_seconds": 2.5}), "  ego: {lane: 1, speed: 22.0}\n  gene_seconds: 2.5\n"),
-        (of(scenario={"traffic": "hostile"}), "  ego: {lane: 1, speed: 22.0}\n  traffic: hostile\n  npcs:\n"),
-        (of(scenario={"traffic": "everyday"}), "  ego: {lane: 1, speed: 22.0}\n  traffic: everyday\n  npcs:\n"),
-        (
-            of(expect={"situation": SITUATION}),
-            "situation: {npc: 0, time: 6.6, ahead: -15.0, lane: -1, ego_speed: 6.7, npc_speed: 0.8}}\n",
-        ),
-        (of(expect={"avoided_by": Avoidance(time=9.8, braking=6.0)}), "avoided_by: {time: 9.8, braking: 6.0}}\n"),
-        (of(expect={"avoided_by": Avoidance(time=9.8)}), "avoided_by: {time: 9.8}}\n"),
-    ],
-)
+@table(("finding", "line"), [
+    (of(xfail='"issue" 12', xfail_until=date(2027, 1, 31)), 'xfail: {reason: "\\"issue\\" 12", until: 2027-01-31}\n'),
+    (of(test="tests/t.py::TestX::test_y[4-slow]"), "\ntest: tests/t.py::TestX::test_y[4-slow]\n"),
+    (of(expect={"closing_speed": 7.533}), "side: front, closing_speed: 7.533, responsibility"),
+    (of(scenario={"gene_seconds": 2.5}), "  ego: {lane: 1, speed: 22.0}\n  gene_seconds: 2.5\n"),
+    (of(scenario={"traffic": "hostile"}), "  ego: {lane: 1, speed: 22.0}\n  traffic: hostile\n  npcs:\n"),
+    (of(scenario={"traffic": "everyday"}), "  ego: {lane: 1, speed: 22.0}\n  traffic: everyday\n  npcs:\n"),
+    (
+        of(expect={"situation": SITUATION}),
+        "situation: {npc: 0, time: 6.6, ahead: -15.0, lane: -1, ego_speed: 6.7, npc_speed: 0.8}}\n",
+    ),
+    (of(expect={"avoided_by": Avoidance(time=9.8, braking=6.0)}), "avoided_by: {time: 9.8, braking: 6.0}}\n"),
+    (of(expect={"avoided_by": Avoidance(time=9.8)}), "avoided_by: {time: 9.8}}\n"),
+])  # fmt: skip
 def test_what_is_not_the_default_is_written_and_read_back(finding, line):
     text = text_of(finding)
     assert line in text.replace("\n         side", " side").replace("\n         responsibility", " responsibility")

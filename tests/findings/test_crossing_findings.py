@@ -106,20 +106,17 @@ def test_situation_past_the_beginning_of_zone_says_so():
     assert str(then).startswith("1.0 s past the beginning of its zone at 9 m/s, with the ego ")
 
 
-@table(
-    ("run", "comes_up"),
-    [
-        (crash(), True),
-        (passes(), True),
-        (passes(changes=((2.0, 1.0, 4.0),)), True),
-        (passes(changes=((5.5, 6.0, 0.0),)), True),
-        (passes(enters=8.3, speed=9.5), True),
-        (passes(enters=12.0), False),  # it comes long after the ego
-        (passes(enters=4.0), False),
-        (passes(speed=4.0), False),  # the original NPC would have come at that speed
-        (passes(changes=((0.0, 6.0, 0.0),)), False),  # the ego never comes near the zone
-    ],
-)
+@table(("run", "comes_up"), [
+    (crash(), True),
+    (passes(), True),
+    (passes(changes=((2.0, 1.0, 4.0),)), True),
+    (passes(changes=((5.5, 6.0, 0.0),)), True),
+    (passes(enters=8.3, speed=9.5), True),
+    (passes(enters=12.0), False),  # it comes long after the ego
+    (passes(enters=4.0), False),
+    (passes(speed=4.0), False),  # the original NPC would have come at that speed
+    (passes(changes=((0.0, 6.0, 0.0),)), False),  # the ego never comes near the zone
+])  # fmt: skip
 def test_situation_comes_up_if_both_reach_zone_alike(run, comes_up):
     situation = Expect.of(crash(), FAILS).situation
     assert (not missed(situation, run)) == comes_up

@@ -44,38 +44,32 @@ def asked(factory, trace, npc=None, question=None, world=WORLD, check=SI):
     return aside
 
 
-@pytest.mark.parametrize(
-    ("action", "other", "expected"),
-    [
-        (KEEPS, (0.19, 0.019), False),
-        (KEEPS, BRAKES, True),
-        (3, 1, True),
-        (KEEPS, None, True),
-        (np.array([0.5]), np.array([0.54]), False),
-        (np.array([0.5]), np.array([0.6]), True),
-        (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=1, speed=2.19), False),
-        (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=0, speed=2.0), True),
-    ],
-)
+@pytest.mark.parametrize(("action", "other", "expected"), [
+    (KEEPS, (0.19, 0.019), False),
+    (KEEPS, BRAKES, True),
+    (3, 1, True),
+    (KEEPS, None, True),
+    (np.array([0.5]), np.array([0.54]), False),
+    (np.array([0.5]), np.array([0.6]), True),
+    (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=1, speed=2.19), False),
+    (pafot.Drive(lane=1, speed=2.0), pafot.Drive(lane=0, speed=2.0), True),
+])  # fmt: skip
 def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     assert differ(action, other) is differ(other, action) is expected
 
 
-@pytest.mark.parametrize(
-    ("action", "other", "text"),
-    [
-        ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
-        ((26.68, 0.9), None, "acceleration 26.7 m/s^2, limited to 6.0, steering 0.90 rad, limited to 0.79"),
-        (pafot.Drive(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
-        (3, 1, "3"),
-        (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
-        (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
-        (pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
-        (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), "lateral jerk 3.0 m/s^3"),
-        (np.array([0.5]), np.array([0.1]), "[0.5]"),
-        (None, KEEPS, "no decision"),
-    ],
-)
+@pytest.mark.parametrize(("action", "other", "text"), [
+    ((0.0, 0.0), None, "acceleration 0.0 m/s^2"),
+    ((26.68, 0.9), None, "acceleration 26.7 m/s^2, limited to 6.0, steering 0.90 rad, limited to 0.79"),
+    (pafot.Drive(lane=0, acceleration=-12.0), None, "lane 0, acceleration -12.0 m/s^2, limited to -9.8"),
+    (3, 1, "3"),
+    (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=1, acceleration=-4.0), "lane 0, speed 5.0 m/s"),
+    (pafot.Drive(lane=0, speed=5.0), None, "lane 0, speed 5.0 m/s"),
+    (pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), None, "lane 0, speed 5.0 m/s, lateral jerk 2.0 m/s^3"),
+    (pafot.Drive(lane=0, speed=5.0), pafot.Drive(lane=0, speed=5.0, lateral_jerk=2.0), "lateral jerk 3.0 m/s^3"),
+    (np.array([0.5]), np.array([0.1]), "[0.5]"),
+    (None, KEEPS, "no decision"),
+])  # fmt: skip
 def test_each_kind_of_action_has_its_words(action, other, text):
     assert text_of(action, other) == text
 
@@ -83,15 +77,12 @@ def test_each_kind_of_action_has_its_words(action, other, text):
 CAR = (0.0, 5.0, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("offset", "heading", "place"),
-    [
-        ((5.2, 0.0), 0.0, "0.2 m ahead, as fast"),
-        ((-9.4, 4.0), 0.0, "4.4 m behind, 4.0 m to the right, as fast"),
-        ((3.0, -4.0), 0.0, "next to the ego, 4.0 m to the left, as fast"),
-        ((10.0, 0.3), np.pi / 2, "6.5 m ahead, 0.3 m to the right, as fast"),
-    ],
-)
+@pytest.mark.parametrize(("offset", "heading", "place"), [
+    ((5.2, 0.0), 0.0, "0.2 m ahead, as fast"),
+    ((-9.4, 4.0), 0.0, "4.4 m behind, 4.0 m to the right, as fast"),
+    ((3.0, -4.0), 0.0, "next to the ego, 4.0 m to the left, as fast"),
+    ((10.0, 0.3), np.pi / 2, "6.5 m ahead, 0.3 m to the right, as fast"),
+])  # fmt: skip
 def test_a_place_is_told_with_the_gap_between_the_boxes_along_the_road(offset, heading, place):
     assert placed(*offset, 0.0, CAR, (heading, 5.0, 2.0)) == place
 
@@ -398,17 +389,14 @@ def lane_at(time, plan):
     return [lane for since, lane in plan if time > since - 1e-6][-1]
 
 
-@pytest.mark.parametrize(
-    ("planner", "plan", "moment"),
-    [
-        (to_lanes, [(0.0, 1), (2.0, 0)], 2.0),
-        (to_lanes, [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
-        (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
-        (DRIFTS, [(0.0, 1), (2.0, 0)], 2.0),
-        (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
-        (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
-    ],
-)
+@pytest.mark.parametrize(("planner", "plan", "moment"), [
+    (to_lanes, [(0.0, 1), (2.0, 0)], 2.0),
+    (to_lanes, [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+    (to_lanes, [(0.0, 1), (2.0, 2), (10.0, 0)], 10.0),
+    (DRIFTS, [(0.0, 1), (2.0, 0)], 2.0),
+    (steering(0.03), [(0.0, 1), (2.0, 2), (3.0, 0)], 3.0),
+    (steering(0.03), [(0.0, 1), (2.0, 2), (15.0, 0)], 15.0),
+])  # fmt: skip
 def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(planner, plan, moment):
     """An opposite motion before, turned back or completed, is not part of it."""
     scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_speed=9)
@@ -439,14 +427,11 @@ def test_what_the_ego_did_is_not_said_where_keeping_the_lane_avoids_the_collisio
     assert expect.sentences_on(run) == (crossed, asked, careful, responsible)
 
 
-@pytest.mark.parametrize(
-    ("planner", "plan", "moment"),
-    [
-        (to_lanes, [(0.0, 1), (6.0, 0)], 6.0),
-        (steering(0.03), [(0.0, 1), (6.0, 0)], 6.0),
-        (steering(0.06), [(0.0, 2), (8.6, 0)], 8.8),  # its first steering only ends the motion to the other side
-    ],
-)
+@pytest.mark.parametrize(("planner", "plan", "moment"), [
+    (to_lanes, [(0.0, 1), (6.0, 0)], 6.0),
+    (steering(0.03), [(0.0, 1), (6.0, 0)], 6.0),
+    (steering(0.06), [(0.0, 2), (8.6, 0)], 8.8),  # its first steering only ends the motion to the other side
+])  # fmt: skip
 def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last_before_the_line(planner, plan, moment):
     world = pafot.World("racetrack-oval-v1", duration=30.0, planner_hz=5)
     scenario = pafot.Scenario(npcs=[[pafot.PositionInstruction(8, 9.0)]], gene_seconds=30.0, ego_lane=1, ego_speed=9)
@@ -458,18 +443,15 @@ def test_on_a_bend_too_it_is_the_decision_that_began_the_motion_and_not_the_last
     assert advice_on(run) == f"do not change lanes: begun at {moment:.1f} s, {crossed}"
 
 
-@pytest.mark.parametrize(
-    ("facts", "words"),
-    [
-        ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.SHOULD_HAVE_BRAKED, 0, 1.0, due_s=4.0)], "brake by 4.0 s"),
-        ([Fact(What.ENTERED, 0, 3.0), Fact(What.SHOULD_HAVE_WAITED, 0, 2.0, later_s=2.5)], "do not set off at 2.5 s"),
-        ([Fact(What.ENTERED, 0, 3.0), Fact(What.DROVE, 0, 2.0)], "do not drive in at 3.0 s"),
-        ([Fact(What.CROSSED_LINE, 1, 1.0), Fact(What.LET_BRAKES_GO, 0, 2.0)], "keep braking at 2.0 s"),
-        ([Fact(What.BRAKED_FOR_NOTHING, 0, 6.0)], "do not brake at 6.0 s"),
-        ([Fact(What.CROSSED_LINE, 1, 1.0), Fact(What.SHOULD_HAVE_BRAKED, 2, 2.0, due_s=4.0)], ""),
-        ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.DROVE, 0, 1.0)], ""),
-    ],
-)
+@pytest.mark.parametrize(("facts", "words"), [
+    ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.SHOULD_HAVE_BRAKED, 0, 1.0, due_s=4.0)], "brake by 4.0 s"),
+    ([Fact(What.ENTERED, 0, 3.0), Fact(What.SHOULD_HAVE_WAITED, 0, 2.0, later_s=2.5)], "do not set off at 2.5 s"),
+    ([Fact(What.ENTERED, 0, 3.0), Fact(What.DROVE, 0, 2.0)], "do not drive in at 3.0 s"),
+    ([Fact(What.CROSSED_LINE, 1, 1.0), Fact(What.LET_BRAKES_GO, 0, 2.0)], "keep braking at 2.0 s"),
+    ([Fact(What.BRAKED_FOR_NOTHING, 0, 6.0)], "do not brake at 6.0 s"),
+    ([Fact(What.CROSSED_LINE, 1, 1.0), Fact(What.SHOULD_HAVE_BRAKED, 2, 2.0, due_s=4.0)], ""),
+    ([Fact(What.CAME_TOO_CLOSE, 0, 1.0), Fact(What.DROVE, 0, 1.0)], ""),
+])  # fmt: skip
 def test_advice_is_what_the_last_fact_on_the_ego_says(facts, words):
     assert advice(tuple(facts)) == words
 

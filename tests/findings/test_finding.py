@@ -74,23 +74,20 @@ def test_message_is_saved_if_no_assertion_says_it():
     assert (expect.message, expect.assertion) == ("too close: 0.3 m", "too close: N m")
 
 
-@table(
-    ("text", "kept"),
-    [
-        ("<Car object at 0x7f12ab34cd56>", "<Car object at ADDRESS>"),
-        ("error 0x80004005, mask 0x1F", "error 0x80004005, mask 0x1F"),
-        ("process id 77 (pid 1234, PID=12)", "process id N (pid N, PID=N)"),
-        ("<Thread(Worker-3, started daemon 140211)>", "<Thread(Worker-3, started daemon N)>"),
-        ("restarted 3 times by planner 7", "restarted 3 times by planner 7"),
-        ("no file '/tmp/tmpab12cd34/model.bin'", "no file 'TMP/model.bin'"),
-        ("/tmp/pytest-of-me/pytest-12/test_x0/a.csv: gone", "TMP/a.csv: gone"),
-        ("/scratch/me/tmpab12cd34/a.csv", "/scratch/me/tmp/a.csv"),
-        (r"C:\Users\me\AppData\Local\Temp\tmpab12cd34\a.csv", "TMP/a.csv"),
-        ("https://example.org/tmp/abc, a/tmp/b, 3/4", "https://example.org/tmp/abc, a/tmp/b, 3/4"),
-        ('File "/home/me/planner/ads/plan.py", line 3', 'File "ads/plan.py", line 3'),
-        ('File "/opt/venv/lib/python3.11/site-packages/numpy/x.py"', 'File "site-packages/numpy/x.py"'),
-    ],
-)
+@table(("text", "kept"), [
+    ("<Car object at 0x7f12ab34cd56>", "<Car object at ADDRESS>"),
+    ("error 0x80004005, mask 0x1F", "error 0x80004005, mask 0x1F"),
+    ("process id 77 (pid 1234, PID=12)", "process id N (pid N, PID=N)"),
+    ("<Thread(Worker-3, started daemon 140211)>", "<Thread(Worker-3, started daemon N)>"),
+    ("restarted 3 times by planner 7", "restarted 3 times by planner 7"),
+    ("no file '/tmp/tmpab12cd34/model.bin'", "no file 'TMP/model.bin'"),
+    ("/tmp/pytest-of-me/pytest-12/test_x0/a.csv: gone", "TMP/a.csv: gone"),
+    ("/scratch/me/tmpab12cd34/a.csv", "/scratch/me/tmp/a.csv"),
+    (r"C:\Users\me\AppData\Local\Temp\tmpab12cd34\a.csv", "TMP/a.csv"),
+    ("https://example.org/tmp/abc, a/tmp/b, 3/4", "https://example.org/tmp/abc, a/tmp/b, 3/4"),
+    ('File "/home/me/planner/ads/plan.py", line 3', 'File "ads/plan.py", line 3'),
+    ('File "/opt/venv/lib/python3.11/site-packages/numpy/x.py"', 'File "site-packages/numpy/x.py"'),
+])  # fmt: skip
 @pytest.mark.skipif(os.name == "nt", reason="the folder of the project is written as on other systems")
 def test_texts_contain_nothing_that_changes_between_runs(text, kept):
     assert portable(text, "/home/me/planner") == kept
@@ -139,17 +136,14 @@ def test_failure_is_accepted_until_its_last_day():
         plain_finding(xfail_until=day)
 
 
-@table(
-    ("value", "place"),
-    [
-        (float("nan"), "world.a"),
-        (np.int64(3), "world.a"),
-        ((1, 2), "world.a"),
-        ([1, {"b": object()}], r"world.a\[1\].b"),
-        ({1: 2}, "world.a"),
-        ({"k" * 65: 2}, "world.a"),
-    ],
-)
+@table(("value", "place"), [
+    (float("nan"), "world.a"),
+    (np.int64(3), "world.a"),
+    ((1, 2), "world.a"),
+    ([1, {"b": object()}], r"world.a\[1\].b"),
+    ({1: 2}, "world.a"),
+    ({"k" * 65: 2}, "world.a"),
+])  # fmt: skip
 def test_a_world_must_be_plain_data(value, place):
     with pytest.raises(ValueError, match=f"^{place}: expected"):
         plain_finding(world={"a": value})
@@ -204,15 +198,12 @@ def behind_other_code(run):
 # fmt: on
 
 
-@table(
-    ("function", "source"),
-    [
-        (over_several_lines, "run.min_ttc > N"),
-        (behind_other_code, "run.min_ttc > N"),
-        (of_a_library, "np.testing.assert_allclose([N], [N])"),
-        (of_python, "int('x')"),
-    ],
-)
+@table(("function", "source"), [
+    (over_several_lines, "run.min_ttc > N"),
+    (behind_other_code, "run.min_ttc > N"),
+    (of_a_library, "np.testing.assert_allclose([N], [N])"),
+    (of_python, "int('x')"),
+])  # fmt: skip
 def test_failure_is_identified_by_the_source_of_its_line(function, source):
     assert normalised(caught(function, Stub).assertion) == source
 

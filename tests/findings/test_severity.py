@@ -53,16 +53,13 @@ def test_collision_is_measured_one_tick_after_contact(steering):
     assert severity_of(Run(trace), CRASHED).value == pytest.approx(by_cosines, rel=0.01)
 
 
-@table(
-    ("value", "bounds", "by", "margin"),
-    [
-        (35.1, {"at_most": 20.0}, 15.1, -0.755),
-        (0.3, {"at_least": 0.5}, 0.2, -0.4),
-        (-1.0, {"at_least": 0.0, "at_most": 9.0}, 1.0, -1.0),
-        (12.0, {"at_least": 0.0, "at_most": 9.0}, 3.0, -1 / 3),
-        (12.0, {"at_most": 9.0, "scale": 6.0}, 3.0, -0.5),
-    ],
-)
+@table(("value", "bounds", "by", "margin"), [
+    (35.1, {"at_most": 20.0}, 15.1, -0.755),
+    (0.3, {"at_least": 0.5}, 0.2, -0.4),
+    (-1.0, {"at_least": 0.0, "at_most": 9.0}, 1.0, -1.0),
+    (12.0, {"at_least": 0.0, "at_most": 9.0}, 3.0, -1 / 3),
+    (12.0, {"at_most": 9.0, "scale": 6.0}, 3.0, -0.5),
+])  # fmt: skip
 def test_failed_check_is_measured_by_its_broken_bound(value, bounds, by, margin):
     severity = severity_of(crash(), failed(value, **bounds))
     assert (severity.kind, severity.name, severity.unit) == ("check", "jerk", "m/s^3")
@@ -77,14 +74,11 @@ def test_check_without_finite_value_ranks_just_below_collision(value):
     assert replace(JERK, margin=-1e9, value=1e9) < worst < replace(HIT, value=0.0)
 
 
-@table(
-    ("failure", "run"),
-    [
-        (CRASHED, Run(trace_of(vehicle(0.0, ticks=3), vehicle(30.0, ticks=3)))),
-        (Failure(kind="AssertionError", assertion="assert run.duration < 1"), crash()),
-        (Failure(kind="KeyError", message="'x'"), Run(trace_of(vehicle(0.0, ticks=3), outcome=Outcome.OFF_ROAD))),
-    ],
-)
+@table(("failure", "run"), [
+    (CRASHED, Run(trace_of(vehicle(0.0, ticks=3), vehicle(30.0, ticks=3)))),
+    (Failure(kind="AssertionError", assertion="assert run.duration < 1"), crash()),
+    (Failure(kind="KeyError", message="'x'"), Run(trace_of(vehicle(0.0, ticks=3), outcome=Outcome.OFF_ROAD))),
+])  # fmt: skip
 def test_other_failures_have_no_severity(failure, run):
     assert severity_of(run, failure) is None
 
@@ -116,20 +110,17 @@ def test_findings_are_ranked_by_responsibility_then_severity(order):
     assert sorted((ranked[index] for index in order), key=lambda each: Severity.worst_first(*each)) == ranked
 
 
-@table(
-    ("now", "before", "told"),
-    [
-        (replace(HIT, value=12.1), replace(HIT, value=8.0), "hits at 12.1 m/s, 8.0 before"),
-        (HIT, None, "hits at 9.8 m/s, no collision before"),
-        (HIT, JERK, "hits at 9.8 m/s, no collision before"),
-        (JERK, replace(JERK, value=3.2, margin=-0.16), "breaks jerk by 15.1 m/s^3, 3.2 before"),
-        (HIT, HIT, ""),
-        (replace(HIT, value=8.0), HIT, ""),
-        (JERK, HIT, ""),
-        (JERK, None, ""),
-        (None, HIT, ""),
-    ],
-)
+@table(("now", "before", "told"), [
+    (replace(HIT, value=12.1), replace(HIT, value=8.0), "hits at 12.1 m/s, 8.0 before"),
+    (HIT, None, "hits at 9.8 m/s, no collision before"),
+    (HIT, JERK, "hits at 9.8 m/s, no collision before"),
+    (JERK, replace(JERK, value=3.2, margin=-0.16), "breaks jerk by 15.1 m/s^3, 3.2 before"),
+    (HIT, HIT, ""),
+    (replace(HIT, value=8.0), HIT, ""),
+    (JERK, HIT, ""),
+    (JERK, None, ""),
+    (None, HIT, ""),
+])  # fmt: skip
 def test_worsening_needs_comparable_and_visibly_different_severities(now, before, told):
     assert worsening(now, before) == told
 

@@ -235,15 +235,12 @@ def test_small_scenario_may_begin_as_run_was_found():
     assert (written(simplest), simplest.ego_lane, simplest.ego_speed) == (("6@25",), 2, 17.0)
 
 
-@table(
-    ("fails", "start"),
-    [
-        (lambda each: True, (1, 22.0)),
-        (lambda each: each.ego_lane == 3, (3, 22.0)),
-        (lambda each: each.ego_speed < 14, (1, 10.0)),
-        (lambda each: 11 < each.ego_speed < 14, (1, 13.0)),
-    ],
-)
+@table(("fails", "start"), [
+    (lambda each: True, (1, 22.0)),
+    (lambda each: each.ego_lane == 3, (3, 22.0)),
+    (lambda each: each.ego_speed < 14, (1, 10.0)),
+    (lambda each: 11 < each.ego_speed < 14, (1, 13.0)),
+])  # fmt: skip
 def test_ego_starts_as_plainly_as_failure_allows(fails, start):
     given = scenario("4@20 3@20 2@5", ego_lane=3, ego_speed=13.7)
     simplest, _ = shrunk(given, fails, plain=(1, 22.0))
@@ -285,14 +282,11 @@ def start_cells(each):
     return [next(free) if isinstance(target, str) else int(target) for target in taken]
 
 
-@table(
-    ("given", "cell", "answer"),
-    [
-        (scenario("keep@5", "keep@10", "keep@15", "keep@20"), 8, "8@20"),
-        (scenario("keep@5 left@2", "keep@10 right@3", "keep@20 keep@20"), 3, "3@20"),
-        (scenario("2@5 1@5", "keep@5 left@5", "keep@20 keep@20"), 3, "3@20"),
-    ],
-)
+@table(("given", "cell", "answer"), [
+    (scenario("keep@5", "keep@10", "keep@15", "keep@20"), 8, "8@20"),
+    (scenario("keep@5 left@2", "keep@10 right@3", "keep@20 keep@20"), 3, "3@20"),
+    (scenario("2@5 1@5", "keep@5 left@5", "keep@20 keep@20"), 3, "3@20"),
+])  # fmt: skip
 def test_npc_on_grid_needs_no_others_to_start_in_its_place(given, cell, answer):
     """In lanes, the third NPC starts in cell 3 only if two others are there."""
 
@@ -348,28 +342,25 @@ def test_sizes_read_as_words():
     assert size_of(scenario("2@0 2@0", gene_seconds=40), longest_run=60) == "1 NPC, 1 instruction, 60 s"
 
 
-@table(
-    ("simpler", "other"),
-    [
-        (scenario("4@22 3@20 2@10"), scenario("2@0", "4@0")),
-        (scenario("4@20 4@20 4@20"), scenario("4@20 4@0")),
-        (scenario("4@20 4@0"), scenario("4@0 3@0")),
-        (scenario("4@20"), scenario("4@20 4@20")),
-        (scenario("4@3.7"), scenario("4@0", ego_lane=2)),
-        (scenario("4@3.7", ego_lane=2), scenario("4@0", ego_lane=2, ego_speed=20.0)),
-        (scenario("4@3.7", ego_speed=15.0), scenario("4@0", ego_speed=12.0)),
-        (scenario("4@3.7"), scenario("4@0", gene_seconds=5.0)),
-        (scenario("4@20"), scenario("4@19")),
-        (scenario("4@19"), scenario("4@18.5")),
-        (scenario("4@15"), scenario("4@20")),
-        (scenario("4@15"), scenario("4@15", seed=1)),
-        (scenario("left@5 keep@5 keep@5"), scenario("left@5 keep@0")),
-        (scenario("left@5 keep@5 keep@5"), scenario("left@5 left@5")),
-        (scenario("keep@5 keep@5 keep@5"), scenario("left@5")),
-        (scenario("2@20 2@20"), scenario("keep@20")),
-        (scenario("left@20"), scenario("1@20 2@20")),
-    ],
-)
+@table(("simpler", "other"), [
+    (scenario("4@22 3@20 2@10"), scenario("2@0", "4@0")),
+    (scenario("4@20 4@20 4@20"), scenario("4@20 4@0")),
+    (scenario("4@20 4@0"), scenario("4@0 3@0")),
+    (scenario("4@20"), scenario("4@20 4@20")),
+    (scenario("4@3.7"), scenario("4@0", ego_lane=2)),
+    (scenario("4@3.7", ego_lane=2), scenario("4@0", ego_lane=2, ego_speed=20.0)),
+    (scenario("4@3.7", ego_speed=15.0), scenario("4@0", ego_speed=12.0)),
+    (scenario("4@3.7"), scenario("4@0", gene_seconds=5.0)),
+    (scenario("4@20"), scenario("4@19")),
+    (scenario("4@19"), scenario("4@18.5")),
+    (scenario("4@15"), scenario("4@20")),
+    (scenario("4@15"), scenario("4@15", seed=1)),
+    (scenario("left@5 keep@5 keep@5"), scenario("left@5 keep@0")),
+    (scenario("left@5 keep@5 keep@5"), scenario("left@5 left@5")),
+    (scenario("keep@5 keep@5 keep@5"), scenario("left@5")),
+    (scenario("2@20 2@20"), scenario("keep@20")),
+    (scenario("left@20"), scenario("1@20 2@20")),
+])  # fmt: skip
 def test_the_order_of_simpler(simpler, other):
     assert sort_key(simpler) < sort_key(other)
 

@@ -49,21 +49,18 @@ def some(test):
     return lambda each: any(map(test, told(each)))
 
 
-@table(
-    ("test", "slot", "speeds", "act"),
-    [
-        (lambda each: True, 0.0, (5.0, 10.0), "pass"),
-        (lambda each: each.zone == "o1>o3", 0.0, (5.0, 10.0), "pass"),
-        (lambda each: each.slot > 0.3, 1.0, (5.0, 10.0), "pass"),
-        (lambda each: 0 < each.slot < 1, 0.5, (5.0, 10.0), "pass"),
-        (lambda each: 0.6 < each.slot < 1, 0.7, (5.0, 10.0), "pass"),
-        (lambda each: each.slot < -1.1, -2.0, (5.0, 10.0), "pass"),
-        (lambda each: each.act == "stop", 0.0, (5.0, 10.0), "stop"),
-        (lambda each: 7 < each.speed < 9, 0.0, (8.0,), "pass"),
-        (lambda each: 7.8 < each.speed < 7.95, 0.0, (7.9,), "pass"),
-        (lambda each: 8.3 < each.speed < 8.9 and each.slot > 0.5, 1.0, (8.6,), "pass"),
-    ],
-)
+@table(("test", "slot", "speeds", "act"), [
+    (lambda each: True, 0.0, (5.0, 10.0), "pass"),
+    (lambda each: each.zone == "o1>o3", 0.0, (5.0, 10.0), "pass"),
+    (lambda each: each.slot > 0.3, 1.0, (5.0, 10.0), "pass"),
+    (lambda each: 0 < each.slot < 1, 0.5, (5.0, 10.0), "pass"),
+    (lambda each: 0.6 < each.slot < 1, 0.7, (5.0, 10.0), "pass"),
+    (lambda each: each.slot < -1.1, -2.0, (5.0, 10.0), "pass"),
+    (lambda each: each.act == "stop", 0.0, (5.0, 10.0), "stop"),
+    (lambda each: 7 < each.speed < 9, 0.0, (8.0,), "pass"),
+    (lambda each: 7.8 < each.speed < 7.95, 0.0, (7.9,), "pass"),
+    (lambda each: 8.3 < each.speed < 8.9 and each.slot > 0.5, 1.0, (8.6,), "pass"),
+])  # fmt: skip
 def test_one_passing_npc_remains_with_round_values(test, slot, speeds, act):
     simplest, how = shrunk(BUSY, some(test))
     assert how.is_minimal
@@ -121,17 +118,14 @@ def test_shrinking_always_ends_with_valid_failing_scenario(npcs, slot, speed):
     assert Scenario(npcs=simplest.npcs) == replace(simplest, seed=0, ego_lane=1, ego_speed=22.0, gene_seconds=10.0)
 
 
-@pytest.mark.parametrize(
-    ("simple", "rough"),
-    [
-        ({"slot": 0.0}, {"slot": 0.5}),
-        ({"slot": 0.5}, {"slot": 0.6}),
-        ({"slot": 1.0}, {"slot": 0.5}),
-        ({"slot": -1.0}, {"slot": 2.0}),
-        ({"speed": 10.0}, {"speed": 8.0}),
-        ({"speed": 8.0}, {"speed": 7.9}),
-        ({"act": "pass", "slot": 4.2}, {"act": "hold", "slot": 0.0}),
-    ],
-)
+@pytest.mark.parametrize(("simple", "rough"), [
+    ({"slot": 0.0}, {"slot": 0.5}),
+    ({"slot": 0.5}, {"slot": 0.6}),
+    ({"slot": 1.0}, {"slot": 0.5}),
+    ({"slot": -1.0}, {"slot": 2.0}),
+    ({"speed": 10.0}, {"speed": 8.0}),
+    ({"speed": 8.0}, {"speed": 7.9}),
+    ({"act": "pass", "slot": 4.2}, {"act": "hold", "slot": 0.0}),
+])  # fmt: skip
 def test_simpler_means_passing_then_round_then_near(simple, rough):
     assert sort_key(scenario(crosses(**simple))) < sort_key(scenario(crosses(**rough)))

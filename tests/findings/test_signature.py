@@ -86,17 +86,14 @@ def test_failed_check_is_identified_by_its_name():
     assert (signature.assertion, signature.slug) == ("jerk", "jerk")
 
 
-@table(
-    "source",
-    [
-        "is_fine(run)",
-        "helpers.is_fine(run)",
-        "run.outcome == 'safe'",
-        "run.trace.collision is None",
-        "run.explain() == ''",
-        "not run.collision or run.min_ttc > 1.0",
-    ],
-)
+@table("source", [
+    "is_fine(run)",
+    "helpers.is_fine(run)",
+    "run.outcome == 'safe'",
+    "run.trace.collision is None",
+    "run.explain() == ''",
+    "not run.collision or run.min_ttc > 1.0",
+])  # fmt: skip
 def test_assertion_about_the_collision_is_identified_by_outcome(source):
     failure = Failure(kind="AssertionError", assertion=f"assert {source}")
     assert of_failure(crash(), failure).fault == "leader-unanswered"
@@ -131,17 +128,14 @@ def test_every_field_matters(name):
     assert replace(signature, **{name: "other"}) != signature
 
 
-@table(
-    "source",
-    [
-        "assert run.min_ttc > 1.0",
-        "assert run.min_ttc > 2",
-        "assert run.min_ttc > -1e-3",
-        "assert (run.min_ttc>1.5), f'too close: {run.min_ttc}'",
-        "    assert (\n        run.min_ttc  # of the boxes\n        > 1.0\n    )",
-        "run.min_ttc > 1.0",
-    ],
-)
+@table("source", [
+    "assert run.min_ttc > 1.0",
+    "assert run.min_ttc > 2",
+    "assert run.min_ttc > -1e-3",
+    "assert (run.min_ttc>1.5), f'too close: {run.min_ttc}'",
+    "    assert (\n        run.min_ttc  # of the boxes\n        > 1.0\n    )",
+    "run.min_ttc > 1.0",
+])  # fmt: skip
 def test_assertion_does_not_depend_on_layout_or_numbers(source):
     assert normalised(source) == "run.min_ttc > N"
 
@@ -151,18 +145,15 @@ def test_an_assertion_keeps_what_tells_it_from_another():
     assert len({normalised(source) for source in sources}) == len(sources)
 
 
-@table(
-    ("one", "other"),
-    [
-        ("gap 0.31 m at <Run 0x7f01>", "gap 12 m at <Run 0xAB99>"),
-        ("no file /tmp/a1/b.csv", "no file /home/me/x/c.csv"),
-        ("no file C:\\a\\b.csv", "no file D:\\other\\c.csv"),
-        ("test_a.py:12 failed", "tests_b.py:9 failed"),
-        ("speed nan", "speed -inf"),
-        ("slow\nfirst detail", "slow\nother detail"),
-        ("  slow", "\n\nslow"),
-    ],
-)
+@table(("one", "other"), [
+    ("gap 0.31 m at <Run 0x7f01>", "gap 12 m at <Run 0xAB99>"),
+    ("no file /tmp/a1/b.csv", "no file /home/me/x/c.csv"),
+    ("no file C:\\a\\b.csv", "no file D:\\other\\c.csv"),
+    ("test_a.py:12 failed", "tests_b.py:9 failed"),
+    ("speed nan", "speed -inf"),
+    ("slow\nfirst detail", "slow\nother detail"),
+    ("  slow", "\n\nslow"),
+])  # fmt: skip
 def test_message_does_not_depend_on_numbers_or_files(one, other):
     assert normalised("", one) == normalised("", other) != ""
 

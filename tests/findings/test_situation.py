@@ -104,43 +104,34 @@ def test_ego_answering_its_leader_differently_has_met_it(ego):
     assert comes_up(rear_end(), ego, driven(35.0, **BRAKES))
 
 
-@pytest.mark.parametrize(
-    ("ego", "npc"),
-    [
-        (driven(0.0), driven(35.0)),  # the leader does not slow down
-        (driven(0.0, speed=9.0), driven(35.0, **BRAKES)),  # the ego is no faster than the leader becomes
-        (driven(0.0), driven(35.0, LEFT, **BRAKES)),  # the other is in the next lane
-        (driven(0.0, speed=10.0), driven(80.0, **BRAKES)),  # the ego never comes close
-        (driven(0.0), driven(-35.0, speed=8.0)),  # the other is behind
-    ],
-)
+@pytest.mark.parametrize(("ego", "npc"), [
+    (driven(0.0), driven(35.0)),  # the leader does not slow down
+    (driven(0.0, speed=9.0), driven(35.0, **BRAKES)),  # the ego is no faster than the leader becomes
+    (driven(0.0), driven(35.0, LEFT, **BRAKES)),  # the other is in the next lane
+    (driven(0.0, speed=10.0), driven(80.0, **BRAKES)),  # the ego never comes close
+    (driven(0.0), driven(-35.0, speed=8.0)),  # the other is behind
+])  # fmt: skip
 def test_leader_that_is_never_met_is_no_fix(ego, npc):
     assert not comes_up(rear_end(), ego, npc)
 
 
-@pytest.mark.parametrize(
-    ("ego", "npc"),
-    [
-        (driven(0.0), driven(-2.0, RIGHT)),  # no lane change
-        (driven(0.0, OWN, shifts=[(9.0, RIGHT, 3.0)]), driven(-2.0, RIGHT, brakes=[(6.0, 3.0, 14.0)])),  # later
-        (driven(0.0, shifts=[(4.0, LEFT, 3.0)]), driven(-2.0, RIGHT)),  # to the other side
-        (driven(0.0, speed=12.0), driven(-2.0, RIGHT, speed=12.0)),  # all drive slower
-        (driven(0.0, RIGHT), driven(-4.0, FAR)),  # one lane further to the right
-    ],
-)
+@pytest.mark.parametrize(("ego", "npc"), [
+    (driven(0.0), driven(-2.0, RIGHT)),  # no lane change
+    (driven(0.0, OWN, shifts=[(9.0, RIGHT, 3.0)]), driven(-2.0, RIGHT, brakes=[(6.0, 3.0, 14.0)])),  # later
+    (driven(0.0, shifts=[(4.0, LEFT, 3.0)]), driven(-2.0, RIGHT)),  # to the other side
+    (driven(0.0, speed=12.0), driven(-2.0, RIGHT, speed=12.0)),  # all drive slower
+    (driven(0.0, RIGHT), driven(-4.0, FAR)),  # one lane further to the right
+])  # fmt: skip
 def test_any_reaction_to_vehicle_alongside_has_met_it(ego, npc):
     assert comes_up(into_the_side(), ego, npc)
 
 
-@pytest.mark.parametrize(
-    ("ego", "npc"),
-    [
-        (driven(0.0), driven(-2.0, LEFT)),  # on the other side
-        (driven(0.0), driven(-2.0, FAR)),  # two lanes away
-        (driven(0.0), driven(-12.0, RIGHT)),  # never comes up to the ego
-        (driven(0.0, speed=10.0), driven(-20.0, RIGHT, speed=25.0)),  # passes at once
-    ],
-)
+@pytest.mark.parametrize(("ego", "npc"), [
+    (driven(0.0), driven(-2.0, LEFT)),  # on the other side
+    (driven(0.0), driven(-2.0, FAR)),  # two lanes away
+    (driven(0.0), driven(-12.0, RIGHT)),  # never comes up to the ego
+    (driven(0.0, speed=10.0), driven(-20.0, RIGHT, speed=25.0)),  # passes at once
+])  # fmt: skip
 def test_lane_without_vehicle_alongside_ego_is_no_fix(ego, npc):
     assert not comes_up(into_the_side(), ego, npc)
 

@@ -41,14 +41,11 @@ def replayed(project, body="return 0.0, 0.0", *args):
     return result, finding
 
 
-@pytest.mark.parametrize(
-    ("later", "received"),
-    [
-        ("(1 / 0, 0.0)", "ZeroDivisionError instead of AssertionError"),
-        ("None", "BadAction instead of AssertionError"),
-        ("(float('nan'), 0.0)", "BadAction instead of AssertionError"),
-    ],
-)
+@pytest.mark.parametrize(("later", "received"), [
+    ("(1 / 0, 0.0)", "ZeroDivisionError instead of AssertionError"),
+    ("None", "BadAction instead of AssertionError"),
+    ("(float('nan'), 0.0)", "BadAction instead of AssertionError"),
+])  # fmt: skip
 def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, later, received):
     result, finding = replayed(accepted, f"return (0.0, 0.0) if observation.time < 2 else {later}")
     assert (result.ret, finding["result"]) == (1, "failed")
@@ -57,15 +54,12 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
     assert f"received {received}" in told
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "received"),
-    [
-        (r"npc: ([01]), cell", lambda found: f"npc: {1 - int(found[1])}, cell", "a collision with NPC"),
-        (r"closing_speed: [\d.]+", "closing_speed: 0.5", "a closing speed of"),
-        (r"assertion: not run.collision", "assertion: not run.off_road", "fails instead of"),
-        (r"outcome: collision", "outcome: off_road", "the run ends with collision instead of off_road"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "received"), [
+    (r"npc: ([01]), cell", lambda found: f"npc: {1 - int(found[1])}, cell", "a collision with NPC"),
+    (r"closing_speed: [\d.]+", "closing_speed: 0.5", "a closing speed of"),
+    (r"assertion: not run.collision", "assertion: not run.off_road", "fails instead of"),
+    (r"outcome: collision", "outcome: off_road", "the run ends with collision instead of off_road"),
+])  # fmt: skip
 def test_another_collision_or_assertion_is_not_accepted(accepted, old, new, received):
     edited(accepted, old, new)
     result, finding = replayed(accepted)
@@ -73,14 +67,11 @@ def test_another_collision_or_assertion_is_not_accepted(accepted, old, new, rece
     assert received in " ".join(result.stdout.str().split())
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (r"npc: ", "npc: "),
-        (r"responsibility: \w+", "responsibility: both"),
-        (r"\btime: [\d.]+, npc", "time: 1.0, npc"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new"), [
+    (r"npc: ", "npc: "),
+    (r"responsibility: \w+", "responsibility: both"),
+    (r"\btime: [\d.]+, npc", "time: 1.0, npc"),
+])  # fmt: skip
 def test_the_failure_is_accepted_also_at_another_time_or_with_other_blame(accepted, old, new):
     edited(accepted, old, new)
     result, finding = replayed(accepted)

@@ -58,14 +58,10 @@ def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
     assert apart["moment"] == moment
 
 
-@pytest.mark.parametrize(
-    "ads",
-    [
-        "def make(env):\n    return lambda seen: 1",
-        "import random\n\ndef make():\n    return lambda seen: 1 if random.random() < 0.5 else 1",
-    ],
-    ids=["has the environment", "draws"],
-)
+@pytest.mark.parametrize("ads", [
+    "def make(env):\n    return lambda seen: 1",
+    "import random\n\ndef make():\n    return lambda seen: 1 if random.random() < 0.5 else 1",
+], ids=["has the environment", "draws"])  # fmt: skip
 def test_nothing_is_said_of_a_policy_that_sees_more(project, ads):
     project.write(HIDES.replace("ADS", ads))
     moment = run(project, "--pafot-shrink-rollouts=0")[1]["moment"]

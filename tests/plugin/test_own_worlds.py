@@ -239,18 +239,15 @@ def test_styles_are_only_said_of_worlds_that_have_them(project, has_styles):
     assert ("traffic: hostile" in project.only_file.read_text()) is has_styles
 
 
-@pytest.mark.parametrize(
-    ("argument", "ability", "words", "begin"),
-    [
-        ("traffic='everyday'", "has_traffic_styles", "whose NPCs have styles", "whose NPCs have styles, received "),
-        (
-            "instructions='both'",
-            "has_lane_instructions",
-            "whose NPCs can have Lane-Instructions",
-            "whose NPCs can have Lane-Ins",  # the message is cut after this
-        ),
-    ],
-)
+@pytest.mark.parametrize(("argument", "ability", "words", "begin"), [
+    ("traffic='everyday'", "has_traffic_styles", "whose NPCs have styles", "whose NPCs have styles, received "),
+    (
+        "instructions='both'",
+        "has_lane_instructions",
+        "whose NPCs can have Lane-Instructions",
+        "whose NPCs can have Lane-Ins",  # the message is cut after this
+    ),
+])  # fmt: skip
 def test_argument_is_refused_for_a_world_without_its_ability(project, argument, ability, words, begin):
     own(project)
     path = project.path / "test_it.py"

@@ -42,15 +42,11 @@ def is_whole(result):
     return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
 
 
-@pytest.mark.parametrize(
-    ("function", "expected"),
-    [
-        ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
-        ("report.page.render_page", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
-        ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
-    ],
-    ids=["records", "report", "summary"],
-)
+@pytest.mark.parametrize(("function", "expected"), [
+    ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
+    ("report.page.render_page", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
+    ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
+], ids=["records", "report", "summary"])  # fmt: skip
 def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, expected):
     def fail(*arguments, **named):
         raise ValueError("a fault")
@@ -269,18 +265,14 @@ def test_it(run):
 """
 
 
-@pytest.mark.parametrize(
-    ("changes", "code"),
-    [
-        ({"ends": "os._exit(0)"}, 2),
-        ({"ends": "os.execv('/bin/true', ['true'])"}, 2),
-        ({"ends": "os.abort()"}, -signal.SIGABRT),
-        ({"imported": "os._exit(0)"}, 2),
-        ({"late": "time.sleep(0.2); os._exit(0)", "runs": 1000}, 2),
-        ({"late": "threading.main_thread().join(); os._exit(0)", "daemon": False, "holds": "0"}, 1),
-    ],
-    ids=["_exit", "exec", "abort", "import", "thread", "late_thread"],
-)
+@pytest.mark.parametrize(("changes", "code"), [
+    ({"ends": "os._exit(0)"}, 2),
+    ({"ends": "os.execv('/bin/true', ['true'])"}, 2),
+    ({"ends": "os.abort()"}, -signal.SIGABRT),
+    ({"imported": "os._exit(0)"}, 2),
+    ({"late": "time.sleep(0.2); os._exit(0)", "runs": 1000}, 2),
+    ({"late": "threading.main_thread().join(); os._exit(0)", "daemon": False, "holds": "0"}, 1),
+], ids=["_exit", "exec", "abort", "import", "thread", "late_thread"])  # fmt: skip
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")
 def test_no_session_passes_that_a_policy_ends(project, changes, code):
     plain = {"imported": "", "daemon": True, "ends": "0.0, 0.0", "late": "pass", "runs": 1, "holds": "run"}

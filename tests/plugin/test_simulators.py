@@ -73,16 +73,13 @@ def session(project, *options, made=99, close="pass"):
 ENDS, INTERRUPTED = pytest.ExitCode.OK, pytest.ExitCode.INTERRUPTED
 
 
-@pytest.mark.parametrize(
-    ("options", "processes", "code"),
-    [
-        *[((), 1, each) for each in (ENDS, INTERRUPTED)],
-        *[((WORKERS,), 3, each) for each in (ENDS, INTERRUPTED)],
-        (("--pafot-isolate", WORKERS), 3, ENDS),
-        (("--pafot-isolate",), 2, INTERRUPTED),
-        (("-n1",), 1, ENDS),
-    ],
-)
+@pytest.mark.parametrize(("options", "processes", "code"), [
+    *[((), 1, each) for each in (ENDS, INTERRUPTED)],
+    *[((WORKERS,), 3, each) for each in (ENDS, INTERRUPTED)],
+    (("--pafot-isolate", WORKERS), 3, ENDS),
+    (("--pafot-isolate",), 2, INTERRUPTED),
+    (("-n1",), 1, ENDS),
+])  # fmt: skip
 def test_each_simulator_is_closed_once_at_the_end_or_after_an_interrupt(project, options, processes, code):
     result, made, closed = session(project, *options, made=processes if code == INTERRUPTED else 99)
     assert result.ret == code

@@ -133,18 +133,10 @@ def test_an_ads_that_raises_is_the_same_finding(dear):
     assert any("ads-error-" in name for name in contents)
 
 
-@pytest.mark.parametrize(
-    ("drive", "test", "message"),
-    [
-        ("keep if not in_worker() else 1 / 0", MANY, None),
-        (
-            "keep",
-            MANY.replace("npcs=2", "fitness=lambda trace: 'high'"),
-            "*fitness: expected*a number, received 'high'*",
-        ),
-    ],
-    ids=["factory", "fitness"],
-)
+@pytest.mark.parametrize(("drive", "test", "message"), [
+    ("keep if not in_worker() else 1 / 0", MANY, None),
+    ("keep", MANY.replace("npcs=2", "fitness=lambda trace: 'high'"), "*fitness: expected*a number, received 'high'*"),
+], ids=["factory", "fitness"])  # fmt: skip
 def test_errors_outside_the_ads_are_as_without_workers(dear, drive, test, message):
     project = dear(drive, test=test)
     alone, contents = session(project, 1, runs=8)

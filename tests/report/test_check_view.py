@@ -62,16 +62,13 @@ def test_view_has_intervals_in_which_bound_is_broken():
     assert view.check.broken == ((2.0, 2.133), (4.0, 4.0), (20.0, 20.0))
 
 
-@table(
-    ("values", "bounds", "axis", "is_cut"),
-    [
-        (peaks(t9=35), {"at_most": 20}, (0, 40), (False, False)),
-        (peaks(t9=0.2, t10=np.inf), {"at_least": 0.5}, (0.2, 1), (False, True)),
-        (peaks(t9=35, t10=-500), {"at_most": 20}, (-40, 40), (True, False)),
-        (peaks(t9=35, t10=-500), {"at_most": 20, "at_least": -30}, (-500, 100), (False, False)),
-        (peaks(t9=np.nan), {"at_most": 20}, (1, 20), (False, False)),
-    ],
-)
+@table(("values", "bounds", "axis", "is_cut"), [
+    (peaks(t9=35), {"at_most": 20}, (0, 40), (False, False)),
+    (peaks(t9=0.2, t10=np.inf), {"at_least": 0.5}, (0.2, 1), (False, True)),
+    (peaks(t9=35, t10=-500), {"at_most": 20}, (-40, 40), (True, False)),
+    (peaks(t9=35, t10=-500), {"at_most": 20, "at_least": -30}, (-500, 100), (False, False)),
+    (peaks(t9=np.nan), {"at_most": 20}, (1, 20), (False, False)),
+])  # fmt: skip
 def test_check_curve_axis_covers_values_that_break_bound(values, bounds, axis, is_cut):
     check = shown(values, **bounds).check
     assert (check.low, check.high) == pytest.approx(axis)
@@ -158,15 +155,12 @@ def test_a_least_value_whose_time_the_user_gives_keeps_that_time_and_has_no_othe
     assert (view.check.time == at, view.check.values == ()) == ((True, True) if at else (False, False))
 
 
-@table(
-    ("values", "sentence"),
-    [
-        (peaks(t30=21), ()),
-        (peaks(t30=21, t45=35, t46=1), ("It is worst at 3.0 s, and the bound is broken 2 times, until 3.0 s.",)),
-        (np.linspace(0.0, 30.0, TICKS + 1), ("It is worst at 20.0 s.",)),
-        (np.linspace(30.0, 0.0, TICKS + 1), ("The bound is broken until 6.6 s.",)),
-    ],
-)
+@table(("values", "sentence"), [
+    (peaks(t30=21), ()),
+    (peaks(t30=21, t45=35, t46=1), ("It is worst at 3.0 s, and the bound is broken 2 times, until 3.0 s.",)),
+    (np.linspace(0.0, 30.0, TICKS + 1), ("It is worst at 20.0 s.",)),
+    (np.linspace(30.0, 0.0, TICKS + 1), ("The bound is broken until 6.6 s.",)),
+])  # fmt: skip
 def test_sentences_on_a_check_say_when_it_is_worst_and_until_when_it_is_broken(values, sentence):
     assert shown(values, at_most=20).sentences == sentence
 

@@ -196,31 +196,25 @@ def test_prose_says_how_it_shrank():
 DISCRETE = {"kind": "gym", "config": {"action": {"type": "DiscreteMetaAction"}}}
 
 
-@table(
-    ("world", "actions", "shown"),
-    [
-        (DISCRETE, (1, np.int64(1), 4, 1), [(0.0, 0.4, "IDLE"), (0.4, 0.6, "SLOWER"), (0.6, 9.9, "IDLE")]),
-        (DISCRETE | {"planner_hz": 5}, (1, 0), [(0.0, 0.2, "1"), (0.2, 9.9, "0")]),
-        ({"config": {"action": {"type": "DiscreteMetaAction", "lateral": False}}}, (2,), [(0.0, 9.9, "FASTER")]),
-        ({"config": {"action": {"type": "ContinuousAction"}}}, (0.5,), [(0.0, 9.9, "0.5")]),
-        ({}, ((-3.0, 0.0),) * 2 + ((1.04, -0.021),), [(0.0, 0.4, "-3.0 m/s^2"), (0.4, 9.9, "1.0 m/s^2, -0.02 rad")]),
-        ({}, (), []),
-    ],
-)  # fmt: skip
+@table(("world", "actions", "shown"), [
+    (DISCRETE, (1, np.int64(1), 4, 1), [(0.0, 0.4, "IDLE"), (0.4, 0.6, "SLOWER"), (0.6, 9.9, "IDLE")]),
+    (DISCRETE | {"planner_hz": 5}, (1, 0), [(0.0, 0.2, "1"), (0.2, 9.9, "0")]),
+    ({"config": {"action": {"type": "DiscreteMetaAction", "lateral": False}}}, (2,), [(0.0, 9.9, "FASTER")]),
+    ({"config": {"action": {"type": "ContinuousAction"}}}, (0.5,), [(0.0, 9.9, "0.5")]),
+    ({}, ((-3.0, 0.0),) * 2 + ((1.04, -0.021),), [(0.0, 0.4, "-3.0 m/s^2"), (0.4, 9.9, "1.0 m/s^2, -0.02 rad")]),
+    ({}, (), []),
+])  # fmt: skip
 def test_equal_decisions_in_succession_are_one_stretch_with_the_name_of_the_action(world, actions, shown):
     trace = replace(braking_ahead(), actions=actions)
     view = view_of(trace, finding_of(trace, world=world))
     assert list(view.decisions) == [(start, min(end, view.times[-1]), words) for start, end, words in shown]
 
 
-@pytest.mark.parametrize(
-    ("failure", "shown"),
-    [
-        (Failure(kind="AssertionError", assertion="not run.collision"), "assert not run.collision"),
-        (Failure(kind="ValueError", message="no plan"), "ValueError: no plan"),
-        (Failure(kind="ValueError", message="no plan", assertion="plan_of(run)"), "ValueError: no plan"),
-    ],
-)
+@pytest.mark.parametrize(("failure", "shown"), [
+    (Failure(kind="AssertionError", assertion="not run.collision"), "assert not run.collision"),
+    (Failure(kind="ValueError", message="no plan"), "ValueError: no plan"),
+    (Failure(kind="ValueError", message="no plan", assertion="plan_of(run)"), "ValueError: no plan"),
+])  # fmt: skip
 def test_a_view_says_what_failed(failure, shown):
     finding = finding_of(cut_in_trace())
     expect = replace(finding.expect, failure=failure.kind, assertion=failure.assertion, message=failure.message)

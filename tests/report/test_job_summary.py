@@ -181,22 +181,19 @@ def test_job_summary_reports_search_failures_and_problems():
     ]
 
 
-@table(
-    ("text", "expected"),
-    [
-        ("a *b* _c_ `d`", r"a \*b\* \_c\_ \`d\`"),
-        ("[x](javascript:y) ![z](q)", r"\[x\](javascript:y) \!\[z\](q)"),
-        ("<img src=x onerror=y>&amp;", "&lt;img src=x onerror=y&gt;&amp;amp;"),
-        ("a | b\n# c\x1b[31m", r"a \| b\\n\# c\\x1b\[31m"),
-        ("- a", r"\- a"),
-        ("+", r"\+"),
-        ("---", r"\---"),
-        ("12. a", r"12\. a"),
-        ("$x$ @me :tada:", r"<span>$</span>x<span>$</span> @&#8203;me :&#8203;tada:"),
-        ("#12 gh-12", r"\#&#8203;12 gh-&#8203;12"),
-        ("https://a.b www.c.d", r"https\://a.b www\.c.d"),
-    ],
-)
+@table(("text", "expected"), [
+    ("a *b* _c_ `d`", r"a \*b\* \_c\_ \`d\`"),
+    ("[x](javascript:y) ![z](q)", r"\[x\](javascript:y) \!\[z\](q)"),
+    ("<img src=x onerror=y>&amp;", "&lt;img src=x onerror=y&gt;&amp;amp;"),
+    ("a | b\n# c\x1b[31m", r"a \| b\\n\# c\\x1b\[31m"),
+    ("- a", r"\- a"),
+    ("+", r"\+"),
+    ("---", r"\---"),
+    ("12. a", r"12\. a"),
+    ("$x$ @me :tada:", r"<span>$</span>x<span>$</span> @&#8203;me :&#8203;tada:"),
+    ("#12 gh-12", r"\#&#8203;12 gh-&#8203;12"),
+    ("https://a.b www.c.d", r"https\://a.b www\.c.d"),
+])  # fmt: skip
 def test_texts_of_others_are_no_markup(text, expected):
     assert plain(text) == expected
 

@@ -218,17 +218,14 @@ def test_vehicles_are_drawn_between_the_places_of_two_frames(opened, name):
     assert shapes == len(finding.road.shapes)
 
 
-@pytest.mark.parametrize(
-    ("name", "time", "cells", "targets"),
-    [
-        ("straight", 0.0, "12345678", "1"),
-        ("edge", 1.0, "23456", "1"),
-        ("lanes", 1.0, "12345678", "1"),
-        ("lanes", 3.0, "12345678", ""),
-        ("lanes", 13.0, "12345678", "1"),
-        ("bend", 1.0, "", ""),
-    ],
-)
+@pytest.mark.parametrize(("name", "time", "cells", "targets"), [
+    ("straight", 0.0, "12345678", "1"),
+    ("edge", 1.0, "23456", "1"),
+    ("lanes", 1.0, "12345678", "1"),
+    ("lanes", 3.0, "12345678", ""),
+    ("lanes", 13.0, "12345678", "1"),
+    ("bend", 1.0, "", ""),
+])  # fmt: skip
 def test_cells_of_lanes_that_exist_are_drawn_and_targets_until_they_are_reached(opened, name, time, cells, targets):
     finding = VIEWS[name]()
     page = opened(page_of(finding))

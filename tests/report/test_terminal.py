@@ -62,22 +62,14 @@ SEARCH = Search(
 CUT_IN, AHEAD = PositionInstruction(Cell.FRONT_LEFT, 20.0), PositionInstruction(Cell.FRONT, 0.0)
 
 
-@table(
-    ("found", "simplest", "is_minimal", "line"),
-    [
-        (
-            [[CUT_IN, AHEAD], [AHEAD]],
-            [[AHEAD]],
-            True,
-            "from 2 NPCs, 3 instructions, 20 s to 1 NPC, 1 instruction, 10 s",
-        ),
-        ([[CUT_IN, AHEAD]], [[AHEAD]], True, "from 2 instructions, 20 s to 1 instruction, 10 s"),
-        ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s, and could be simpler"),
-        ([[CUT_IN]], [[AHEAD]], True, "to a simpler scenario of the same size"),
-        (None, [[AHEAD]], False, "to nothing simpler so far, and could be simpler"),
-        (None, [[AHEAD]], True, None),
-    ],
-)
+@table(("found", "simplest", "is_minimal", "line"), [
+    ([[CUT_IN, AHEAD], [AHEAD]], [[AHEAD]], True, "from 2 NPCs, 3 instructions, 20 s to 1 NPC, 1 instruction, 10 s"),
+    ([[CUT_IN, AHEAD]], [[AHEAD]], True, "from 2 instructions, 20 s to 1 instruction, 10 s"),
+    ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s, and could be simpler"),
+    ([[CUT_IN]], [[AHEAD]], True, "to a simpler scenario of the same size"),
+    (None, [[AHEAD]], False, "to nothing simpler so far, and could be simpler"),
+    (None, [[AHEAD]], True, None),
+])  # fmt: skip
 def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, line):
     original = None if found is None else Scenario.repaired(found)
     shrunk = Shrunk(rollouts=5, is_minimal=is_minimal)
@@ -161,16 +153,13 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
     assert terminal.annotation_lines([]) == []
 
 
-@table(
-    ("failing", "otherwise", "checks", "end"),
-    [
-        (1, 15, 15, "; 15 more failed a check"),
-        (0, 15, 15, "; 15 failed a check"),
-        (1, 15, 12, "; 12 more failed a check, 3 failed in other ways"),
-        (1, 15, 0, "; 15 failed in other ways"),
-        (1, 0, 0, ""),
-    ],
-)
+@table(("failing", "otherwise", "checks", "end"), [
+    (1, 15, 15, "; 15 more failed a check"),
+    (0, 15, 15, "; 15 failed a check"),
+    (1, 15, 12, "; 12 more failed a check, 3 failed in other ways"),
+    (1, 15, 0, "; 15 failed in other ways"),
+    (1, 0, 0, ""),
+])  # fmt: skip
 def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks, end):
     random = Counter(at_fault=failing, otherwise=otherwise, checks=checks, runs=20)
     lines = terminal.search_lines(replace(SEARCH, random=random), width=200)
@@ -266,20 +255,17 @@ def test_the_section_of_a_find_reads_so(snapshot):
     assert content.splitlines() == [f"  {line}" for line in text_of(hang).splitlines()]
 
 
-@table(
-    ("responsibility", "outcomes", "text"),
-    [
-        ("ego", "avoids avoids", ""),
-        ("ego", "avoids hit", ""),
-        ("npc", "avoids hit", "preventable by A; not by B (hit, not at fault)"),
-        ("none", "avoids fails", "preventable by A; not by B (fails too)"),
-        ("ego", "hit avoids at-fault", "preventable by B; by A (hit, not at fault); not by C (at fault)"),
-        ("npc", "hit avoids hit", "preventable by B; not by A, C (hit, not at fault)"),
-        ("npc", "hit hit", "not preventable by A, B (hit, not at fault)"),
-        ("none", "fails hit", "not preventable by B (hit, not at fault); not by A (fails too)"),
-        ("none", "", ""),
-    ],
-)
+@table(("responsibility", "outcomes", "text"), [
+    ("ego", "avoids avoids", ""),
+    ("ego", "avoids hit", ""),
+    ("npc", "avoids hit", "preventable by A; not by B (hit, not at fault)"),
+    ("none", "avoids fails", "preventable by A; not by B (fails too)"),
+    ("ego", "hit avoids at-fault", "preventable by B; by A (hit, not at fault); not by C (at fault)"),
+    ("npc", "hit avoids hit", "preventable by B; not by A, C (hit, not at fault)"),
+    ("npc", "hit hit", "not preventable by A, B (hit, not at fault)"),
+    ("none", "fails hit", "not preventable by B (hit, not at fault); not by A (fails too)"),
+    ("none", "", ""),
+])  # fmt: skip
 def test_finding_names_drivers_if_one_does_not_prevent_it(responsibility, outcomes, text):
     expect = Expect(
         failure="AssertionError", outcome=Outcome.COLLISION, time=1.0, responsibility=responsibility,
@@ -301,17 +287,14 @@ def test_progress_is_one_line_with_the_name_cut():
     assert terminal.progress_line(replace(progress, phase=after), 100).endswith(after)
 
 
-@table(
-    ("runs", "seconds", "fields", "end"),
-    [
-        (4, 0.5, {"left": 50, "decision_seconds": 0.01}, "8/s"),
-        (4, 4.0, {"left": 396, "decision_seconds": 0.01}, "1/s, about 7 min left at 10 ms a decision"),
-        (4, 80.0, {"left": 7920, "decision_seconds": 0.2}, "h left at 200 ms a decision; --pafot-max-time=600 ends it"),
-        (4, 80.0, {"left": 7920, "is_limited": True}, "20 s a run, about 2.2 h left"),
-        (400, 8000.0, {"decision_seconds": 0.2}, "20 s a run"),
-        (0, 0.0, {}, "0 new, 0/s"),
-    ],
-)  # fmt: skip
+@table(("runs", "seconds", "fields", "end"), [
+    (4, 0.5, {"left": 50, "decision_seconds": 0.01}, "8/s"),
+    (4, 4.0, {"left": 396, "decision_seconds": 0.01}, "1/s, about 7 min left at 10 ms a decision"),
+    (4, 80.0, {"left": 7920, "decision_seconds": 0.2}, "h left at 200 ms a decision; --pafot-max-time=600 ends it"),
+    (4, 80.0, {"left": 7920, "is_limited": True}, "20 s a run, about 2.2 h left"),
+    (400, 8000.0, {"decision_seconds": 0.2}, "20 s a run"),
+    (0, 0.0, {}, "0 new, 0/s"),
+])  # fmt: skip
 def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, fields, end):
     progress = Progress(
         node_id="x", generation=1, generations=None, budget=400, runs=runs, seconds=seconds, failing=0, finds=0,
@@ -328,14 +311,11 @@ def test_decisions_are_counted_where_they_take_the_time():
     assert "decisions" not in "\n".join(terminal.search_lines(replace(search, seconds=12.0)))
 
 
-@table(
-    ("flags", "remark"),
-    [
-        ({}, ""),
-        ({"flaky": NOT_REPEATED}, "flaky: running it again gave a different run"),
-        ({"expect": replace(FIND.finding.expect, outcome=Outcome.HANG)}, "depends on wall-clock time"),
-    ],
-)
+@table(("flags", "remark"), [
+    ({}, ""),
+    ({"flaky": NOT_REPEATED}, "flaky: running it again gave a different run"),
+    ({"expect": replace(FIND.finding.expect, outcome=Outcome.HANG)}, "depends on wall-clock time"),
+])  # fmt: skip
 def test_finding_has_remark_when_reader_needs_it(flags, remark):
     assert sighting(headline="c", finding=flags).remark == remark
 

@@ -57,23 +57,20 @@ def of_another_python(package):
         path.rename(path.with_name(path.name.replace(SUFFIX, ".cpython-399.so")))
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda package: None, ""),
-        (rewrite("room/one.py", b"\n", b"\r\n"), ""),
-        (lambda package: (package / "room" / "one.py").touch(), ""),
-        (lambda package: (package / "room" / ".#one.pxd").symlink_to("nothing"), ""),
-        (rewrite("room/one.py", b"1", b"2"), "does not match room/one.py;"),
-        (rewrite("room/two.pxd", b"int", b"double"), "does not match room/two.pxd;"),
-        (add_two, "does not match new;"),
-        (remove("room/two.py", "room/two.pxd"), "does not match room/two.pxd;"),
-        (remove(f"room/two{SUFFIX}"), "does not match two;"),
-        (remove(RECORD), "does not match room/one.pxd;"),
-        (rewrite(RECORD, b"one.py\n", b"on"), "does not match "),
-        (of_another_python, compiled.ABSENT),
-    ],
-)
+@pytest.mark.parametrize(("change", "reason"), [
+    (lambda package: None, ""),
+    (rewrite("room/one.py", b"\n", b"\r\n"), ""),
+    (lambda package: (package / "room" / "one.py").touch(), ""),
+    (lambda package: (package / "room" / ".#one.pxd").symlink_to("nothing"), ""),
+    (rewrite("room/one.py", b"1", b"2"), "does not match room/one.py;"),
+    (rewrite("room/two.pxd", b"int", b"double"), "does not match room/two.pxd;"),
+    (add_two, "does not match new;"),
+    (remove("room/two.py", "room/two.pxd"), "does not match room/two.pxd;"),
+    (remove(f"room/two{SUFFIX}"), "does not match two;"),
+    (remove(RECORD), "does not match room/one.pxd;"),
+    (rewrite(RECORD, b"one.py\n", b"on"), "does not match "),
+    (of_another_python, compiled.ABSENT),
+])  # fmt: skip
 def test_it_says_what_differs_from_what_was_compiled(package, change, reason):
     change(package)
     told = compiled.why_interpreted()

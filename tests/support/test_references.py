@@ -29,39 +29,33 @@ def modules(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("reference", "given"),
-    [
-        ("named_here:Planner", ()),
-        ("named_here:made", (1,)),
-        ("named_here:Planner:old.zip", ("old.zip",)),
-        (r"named_here:Planner:C:\a b:c", (r"C:\a b:c",)),
-        ("named_here:made: ", (1, " ")),
-    ],
-)
+@pytest.mark.parametrize(("reference", "given"), [
+    ("named_here:Planner", ()),
+    ("named_here:made", (1,)),
+    ("named_here:Planner:old.zip", ("old.zip",)),
+    (r"named_here:Planner:C:\a b:c", (r"C:\a b:c",)),
+    ("named_here:made: ", (1, " ")),
+])  # fmt: skip
 def test_factory_gets_all_behind_the_second_colon(reference, given):
     assert factory_named(reference)().given == given
 
 
-@pytest.mark.parametrize(
-    ("reference", "message"),
-    [
-        ("named_here", "expected module:factory or module:factory:argument, received 'named_here'"),
-        ("named_here:", "expected module:factory or module:factory:argument"),
-        ("named_here:Planner:", "expected module:factory or module:factory:argument"),
-        ("named_here:number", "expected a factory, received 'named_here:number', which is of the type int; name"),
-        ("named_here:Planer:x", "expected a factory in the module named_here, .*; did you mean 'named_here:Planner'"),
-        ("named_here:zzz", "received 'named_here:zzz'; it has Planner"),
-        ("named_there:x", r"received 'named_there:x' \(ModuleNotFoundError: .*; run where it is, or put its folder on"),
-        ("named_here.py:Planner", r"ModuleNotFoundError.*; give named_here:Planner"),
-        ("folder/named_here.py:Planner", r"ModuleNotFoundError.*; give folder.named_here:Planner"),
-        ("/folder/named_here.py:Planner", r"ModuleNotFoundError.*; run where it is"),
-        (".named_here:Planner", r"received '.named_here:Planner' \(ModuleNotFoundError: .*; run where it is"),
-        ("json:zzz", r"it has .*; this module is .*json.__init__.py"),
-        ("lacks_another:x", r"which raises ModuleNotFoundError: No .*no_such_library.*another.py:1\); correct it"),
-        ("exits_here:x", r"which raises SystemExit: 3 \(.*exits_here.py:1\); correct it"),
-    ],
-)
+@pytest.mark.parametrize(("reference", "message"), [
+    ("named_here", "expected module:factory or module:factory:argument, received 'named_here'"),
+    ("named_here:", "expected module:factory or module:factory:argument"),
+    ("named_here:Planner:", "expected module:factory or module:factory:argument"),
+    ("named_here:number", "expected a factory, received 'named_here:number', which is of the type int; name"),
+    ("named_here:Planer:x", "expected a factory in the module named_here, .*; did you mean 'named_here:Planner'"),
+    ("named_here:zzz", "received 'named_here:zzz'; it has Planner"),
+    ("named_there:x", r"received 'named_there:x' \(ModuleNotFoundError: .*; run where it is, or put its folder on"),
+    ("named_here.py:Planner", r"ModuleNotFoundError.*; give named_here:Planner"),
+    ("folder/named_here.py:Planner", r"ModuleNotFoundError.*; give folder.named_here:Planner"),
+    ("/folder/named_here.py:Planner", r"ModuleNotFoundError.*; run where it is"),
+    (".named_here:Planner", r"received '.named_here:Planner' \(ModuleNotFoundError: .*; run where it is"),
+    ("json:zzz", r"it has .*; this module is .*json.__init__.py"),
+    ("lacks_another:x", r"which raises ModuleNotFoundError: No .*no_such_library.*another.py:1\); correct it"),
+    ("exits_here:x", r"which raises SystemExit: 3 \(.*exits_here.py:1\); correct it"),
+])  # fmt: skip
 def test_wrong_name_is_an_error_with_its_cause(reference, message):
     with pytest.raises(ValueError, match=message):
         factory_named(reference)

@@ -88,22 +88,19 @@ class Holder:
         return self.factory()
 
 
-@pytest.mark.parametrize(
-    "held",
-    [
-        lambda made: lambda: made() or None,
-        lambda made: lambda given=made: given(),
-        functools.partial,
-        lambda made: functools.partial(Holder, made),
-        Holder,
-        lambda made: Holder(made).method,
-        lambda made: Holder([made]),
-        wrapped,
-        lambda made: made(),
-        lambda made: made().__call__,
-        lambda made: type("Derived", (made,), {}),
-    ],
-)
+@pytest.mark.parametrize("held", [
+    lambda made: lambda: made() or None,
+    lambda made: lambda given=made: given(),
+    functools.partial,
+    lambda made: functools.partial(Holder, made),
+    Holder,
+    lambda made: Holder(made).method,
+    lambda made: Holder([made]),
+    wrapped,
+    lambda made: made(),
+    lambda made: made().__call__,
+    lambda made: type("Derived", (made,), {}),
+])  # fmt: skip
 def test_a_policy_behind_wrappers_is_found(policy, tmp_path, held):
     found = source_digests(held(policy.Policy), here=tmp_path)
     assert set(OF_POLICY) <= set(found)

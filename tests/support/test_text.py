@@ -41,15 +41,12 @@ from tests.report.builders import session_of
 WIDTHS = st.integers(20, 120)
 
 
-@table(
-    ("text", "shown"),
-    [
-        ("a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0", r"a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0"),
-        ("::error::a ::b test.py::c", r"\x3a:error::a \x3a:b test.py::c"),
-        ("##[group]a##vso[x] ## # a", r"\x23#[group]a\x23#vso[x] ## # a"),
-        ("na\u00efve \U0001f697 C:\\x", "na\u00efve \U0001f697 C:\\x"),
-    ],
-)
+@table(("text", "shown"), [
+    ("a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0", r"a\n\x1b[2J\x9b\u202e\u2028\ud800\xa0"),
+    ("::error::a ::b test.py::c", r"\x3a:error::a \x3a:b test.py::c"),
+    ("##[group]a##vso[x] ## # a", r"\x23#[group]a\x23#vso[x] ## # a"),
+    ("na\u00efve \U0001f697 C:\\x", "na\u00efve \U0001f697 C:\\x"),
+])  # fmt: skip
 def test_active_characters_are_escaped_and_others_unchanged(text, shown):
     assert visible(text) == shown
 

@@ -23,17 +23,14 @@ def machine(tmp_path, monkeypatch):
     return write
 
 
-@pytest.mark.parametrize(
-    ("quota", "count"),
-    [
-        ("max 100000\n", 8),
-        ("250000 100000\n", 3),  # a part of a core counts
-        ("20000 100000\n", 1),
-        ("1600000 100000\n", 8),
-        (f"{10**400} 1\n", 8),  # more than a float can be
-        ("300000\n", 3),  # of the usual period
-    ],
-)
+@pytest.mark.parametrize(("quota", "count"), [
+    ("max 100000\n", 8),
+    ("250000 100000\n", 3),  # a part of a core counts
+    ("20000 100000\n", 1),
+    ("1600000 100000\n", 8),
+    (f"{10**400} 1\n", 8),  # more than a float can be
+    ("300000\n", 3),  # of the usual period
+])  # fmt: skip
 def test_a_quota_limits_the_cores(machine, quota, count):
     assert cores(machine("/job", job=quota)) == count
 
