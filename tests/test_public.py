@@ -8,11 +8,6 @@ import pytest
 import pytest_pafot as pafot
 
 
-def test_every_public_name_of_the_core_can_be_reached():
-    for name in pafot.__all__:
-        assert getattr(pafot, name) is not None
-
-
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'serach'"):
         pafot.serach  # noqa: B018

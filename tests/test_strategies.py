@@ -112,11 +112,6 @@ def test_instructions_respect_the_minimum_speed_of_traffic(scenario):
     assert all(0.75 * 26.8 <= gene.speed <= 26.8 for chain in scenario.npcs for gene in chain)
 
 
-@given(st.from_type(Scenario))
-def test_type_alone_gives_the_strategy(scenario):
-    assert isinstance(scenario, Scenario)
-
-
 def test_simplest_scenario_is_one_stationary_npc():
     simplest = find(strategies.scenarios(), lambda _: True, settings=SIMPLEST)
     assert simplest == Scenario(npcs=((PositionInstruction(1, 0.0),),), ego_lane=1, traffic="hostile")

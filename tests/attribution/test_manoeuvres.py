@@ -4,7 +4,7 @@ import numpy as np
 
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.attribution.mistakes import manoeuvre_before
-from pytest_pafot.findings.finding import Expect, of_failure
+from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.oracle.run import Run
 from tests.helpers.tables import table
@@ -49,8 +49,3 @@ def test_cut_in_and_braking_leader_are_distinguished():
     assert (leader.npc_manoeuvre, cut_in.npc_manoeuvre) == ("lane-keeping", "lane-change")
     assert leader.ego_manoeuvre == cut_in.ego_manoeuvre == "lane-keeping"
     assert (leader.side, leader.cell) == (cut_in.side, cut_in.cell)
-
-
-def test_saved_expectation_includes_manoeuvres_for_its_signature():
-    run = collision((2, 5.0))
-    assert Expect.of(run, COLLIDES).signature == of_failure(run, COLLIDES)

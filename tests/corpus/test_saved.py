@@ -14,27 +14,16 @@ from tests.findings.builders import plain_finding
 NAME = "front-2-1f3a9c.pafot.yaml"
 
 
-def test_a_file_comes_with_its_finding(tmp_path):
-    finding = plain_finding(xfail="planner issue 12", xfail_until=date(2027, 1, 31))
-    write(tmp_path / NAME, finding)
-    saved = Saved.read(tmp_path / NAME)
-    assert (saved.id, saved.finding, saved.error) == ("front-2-1f3a9c", finding, "")
-    assert saved.xfail == "planner issue 12"
-
-
-def test_unreadable_file_is_returned_with_the_reason(tmp_path):
-    (tmp_path / NAME).write_text("pafot: 3")
-    saved = Saved.read(tmp_path / NAME)
-    assert saved.finding is None
-    assert saved.error.startswith(f"{tmp_path / NAME}:1: pafot: expected the format version")
-    assert (saved.xfail, saved.is_crash, saved.needs_own_process) == (None, False, False)
-
-
 def test_files_of_a_test_include_broken_ones_sorted(tmp_path):
-    write(tmp_path / "b-2.pafot.yaml", plain_finding(id="b-2"))
-    (tmp_path / "a-1.pafot.yaml").write_text("broken")
+    finding = plain_finding(id="b-2", xfail="planner issue 12", xfail_until=date(2027, 1, 31))
+    write(tmp_path / "b-2.pafot.yaml", finding)
+    (tmp_path / "a-1.pafot.yaml").write_text("pafot: 3")
     (tmp_path / "notes.txt").write_text("mine")
-    assert [(saved.id, saved.finding is None) for saved in saved_in(tmp_path)] == [("a-1", True), ("b-2", False)]
+    broken, whole = saved_in(tmp_path)
+    assert (whole.id, whole.finding, whole.error, whole.xfail) == ("b-2", finding, "", "planner issue 12")
+    assert (broken.id, broken.finding, broken.xfail) == ("a-1", None, None)
+    assert (broken.is_crash, broken.needs_own_process) == (False, False)
+    assert broken.error.startswith(f"{tmp_path / 'a-1.pafot.yaml'}:1: pafot: expected the format version")
     assert saved_in(tmp_path / "none") == []
 
 

@@ -8,8 +8,7 @@ from datetime import date
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, text_of, write
-from pytest_pafot.findings.finding import Bounded
+from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import VehicleType
@@ -26,16 +25,11 @@ def other_scenario():
     return Scenario(npcs=[[PositionInstruction(6, 25.0)]])
 
 
-def test_new_file_comes_with_folders_and_no_leftovers(path):
+def test_new_file_comes_with_folders_and_who_comes_second_changes_nothing(path):
     assert write(path, plain_finding())
+    assert not write(path, plain_finding(scenario=other_scenario()))
     assert load(path) == plain_finding()
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_check_is_read_back_with_its_bounds(path):
-    expect = replace(plain_finding().expect, check=Bounded(value=4.0, at_most=3.0, at_least=1.0, unit="m"))
-    write(path, plain_finding(expect=expect))
-    assert load(path).expect == expect
 
 
 def test_vehicles_are_one_readable_line_and_read_back(path):
@@ -45,13 +39,6 @@ def test_vehicles_are_one_readable_line_and_read_back(path):
     line = "  vehicles: [car, {name: bus, length: 12.0, width: 2.5, acceleration: 1.2}, truck]"
     assert line in path.read_text().splitlines()
     assert load(path).scenario == scenario
-
-
-def test_who_comes_second_changes_nothing(path):
-    write(path, plain_finding())
-    assert not write(path, plain_finding(scenario=other_scenario()))
-    assert load(path) == plain_finding()
-    assert list(path.parent.iterdir()) == [path]
 
 
 def test_file_is_never_visible_half_written(path):
@@ -73,21 +60,12 @@ def test_file_is_never_visible_half_written(path):
     assert seen <= {5000, len(plain_finding().test)}
 
 
-def test_rewrite_preserves_file_name_and_xfail_reason(path):
-    write(path, plain_finding())
-    path.write_text(
-        text_of(plain_finding()).replace(
-            "# xfail: {reason, until}", "xfail: {reason: planner issue 12, until: 2027-01-31}"
-        )
-    )
+def test_rewrite_preserves_file_name_and_xfail_reason_unless_it_has_its_own(path):
+    accepted = {"xfail": "planner issue 12", "xfail_until": date(2027, 1, 31)}
+    write(path, plain_finding(**accepted))
     smaller = plain_finding(scenario=other_scenario())
-    assert rewrite(path, smaller) == replace(smaller, xfail="planner issue 12", xfail_until=date(2027, 1, 31))
-    assert load(path) == replace(smaller, xfail="planner issue 12", xfail_until=date(2027, 1, 31))
+    assert rewrite(path, smaller) == load(path) == replace(smaller, **accepted)
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_rewrite_takes_a_reason_of_its_own(path):
-    write(path, plain_finding(xfail="old", xfail_until=date(2027, 1, 31)))
     rewrite(path, plain_finding(xfail="new", xfail_until=date(2027, 2, 28)))
     assert load(path).xfail == "new"
 
@@ -97,11 +75,12 @@ def test_rewrite_of_a_vanished_file_creates_it_again(path):
     assert load(path) == plain_finding()
 
 
-def test_unreadable_file_is_never_overwritten(path):
+def test_unreadable_file_is_never_overwritten_and_its_name_not_reused(path):
     path.parent.mkdir(parents=True)
     path.write_text("the user is editing this")
     with pytest.raises(CorpusWriteError, match="correct or delete it"):
         rewrite(path, plain_finding())
+    assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
     assert path.read_text() == "the user is editing this"
 
 
@@ -113,11 +92,8 @@ def test_an_unchanged_finding_gives_an_unchanged_file(path):
     assert b"\r" not in before
 
 
-def test_finding_gets_its_own_id_if_free(path):
+def test_finding_gets_its_own_id_if_free_and_retains_it_when_saved(path):
     assert free_path(path.parent, plain_finding()) == (path, plain_finding())
-
-
-def test_finding_already_saved_retains_its_path(path):
     write(path, plain_finding())
     assert free_path(path.parent, plain_finding())[0] == path
 
@@ -135,12 +111,6 @@ def test_name_taken_by_another_finding_gets_a_number(path):
     assert (second.name, finding.id) == ("front-2-1f3a9c-2.pafot.yaml", "front-2-1f3a9c-2")
     write(second, replace(finding, scenario=replace(other_scenario(), seed=3)))
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
-
-
-def test_name_of_a_broken_file_is_not_reused(path):
-    path.parent.mkdir(parents=True)
-    path.write_text("broken")
-    assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-2"
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user who is bound by permissions")

@@ -111,10 +111,6 @@ def test_ads_traceback_is_saved_without_a_long_beginning():
     assert len(expect.traceback) < 8100
 
 
-def test_ads_without_fault_has_no_failure():
-    assert ads_failure(run_of(outcome=Outcome.COLLISION)) is None
-
-
 @table("name", ["", "a/b", "a b", "..", "a.", "-a", "a\n", "é", "a" * 121, "a[1]"])
 def test_id_must_fit_into_file_names(name):
     with pytest.raises(ValueError, match="id: expected"):
@@ -218,11 +214,6 @@ def test_assertion_in_helper_is_identified_by_its_source():
 
 def test_an_exception_without_a_traceback_has_its_message():
     assert raised_failure(ValueError("no path"), __file__) == Failure(kind="ValueError", message="no path")
-
-
-def test_findings_are_equal_by_their_fields():
-    assert plain_finding() == plain_finding()
-    assert plain_finding() != replace(plain_finding(), xfail="known", xfail_until=date(2027, 1, 31))
 
 
 def test_finding_repr_contains_no_ci_commands():

@@ -125,10 +125,6 @@ def test_worsening_needs_comparable_and_visibly_different_severities(now, before
     assert worsening(now, before) == told
 
 
-def test_severity_in_words():
-    assert (str(HIT), str(JERK)) == ("hits at 9.8 m/s", "breaks jerk by 15.1 m/s^3")
-
-
 def test_check_of_many_values_uses_its_named_value():
     made = Check(name="gap", value=0.4, margin=-0.2, at_least=0.5, unit="m", time=3.0)
     severity = severity_of(crash(), Failure(kind=CHECK_FAILED, assertion="gap", check=made))

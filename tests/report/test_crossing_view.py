@@ -34,21 +34,16 @@ def real():
     return world.rollout(scenario, lambda: lambda seen: 1)
 
 
-def test_npc_off_the_ego_way_has_no_cell():
+def test_npc_off_the_ego_way_has_no_cell_but_a_zone_and_times_of_both():
     ego, crosses, merges, ahead = mixed().vehicles
     assert ego.cells == ()
     assert set(crosses.cells) == {None}
     frame = next(frame for frame, time in enumerate(mixed().times) if time > 4.1)
     assert set(merges.cells[:frame]) == {None}
     assert set(merges.cells[frame:]) == set(ahead.cells) == {2}
-
-
-def test_zone_has_words_way_and_times_of_both():
-    _, crosses, merges, ahead = mixed().vehicles
-    assert (crosses.zone.name, merges.zone.name) == (CROSSES, MERGES)
-    assert ahead.zone is None
-    assert ahead.advantage == ()
+    assert (crosses.zone.name, merges.zone.name, ahead.zone) == (CROSSES, MERGES, None)
     assert crosses.advantage[-1] == pytest.approx(0.13, abs=0.01)
+    assert ahead.advantage == ()
 
 
 def test_zone_area_is_where_bodies_are_inside_it():

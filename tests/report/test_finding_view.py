@@ -103,20 +103,15 @@ def test_genes_that_the_run_never_reached_are_marked():
     assert [row.started for row in view_of(trace).instructions] == [True, False, True, False]
 
 
-def test_the_event_is_the_collision():
-    event = view_of(cut_in_trace()).event
-    hit = cut_in_trace().collision
-    assert (event.kind, event.npc, event.side) == ("collision", hit.npc, hit.side)
-    assert event.time == pytest.approx(hit.time, abs=0.001)
-
-
 def words_of(view):
     """Return the prose of a view, a line for each paragraph, with its title."""
     return [f"{title}: {sentences}" if title else sentences for title, sentences, _ in view.happened]
 
 
 def test_headline_and_prose_are_from_run_by_default():
-    view = view_of(rear_trace())
+    view, hit = view_of(rear_trace()), rear_trace().collision
+    assert (view.event.kind, view.event.npc, view.event.side) == ("collision", hit.npc, hit.side)
+    assert view.event.time == pytest.approx(hit.time, abs=0.001)
     assert view.headline.startswith("collision after ")
     assert "At the impact: ego" in words_of(view)[0]
     assert view_of(rear_trace(), headline="H").headline == "H"

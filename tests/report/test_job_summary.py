@@ -81,12 +81,9 @@ def test_worst_finding_comes_first_in_each_group():
         finding("e", severity=hits(9.8), responsible="ego"),
         finding("f", "still failing", severity=hits(12.1), before=hits(8.0), reference_passes=False),
     ]
-    text = told(*findings[:4], *findings[5:])
-    listed = re.findall(r"corpus/(\w)\.pafot", text)
-    assert "".join(listed) == "bdacf"
-    text = told(*findings[1:])
-    listed = re.findall(r"corpus/(\w)\.pafot", text)
-    assert "".join(listed) == "ebdcf"
+    for some, order in (([*findings[:4], *findings[5:]], "bdacf"), (findings[1:], "ebdcf")):
+        text = told(*some)
+        assert "".join(re.findall(r"corpus/(\w)\.pafot", text)) == order
     assert "collision after 5.4 s; the reference fails, too; worse: hits at 12.1 m/s, 8.0 before\n" in text
 
 

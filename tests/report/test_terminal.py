@@ -367,21 +367,19 @@ def test_lines_are_wrapped_to_the_terminal_width(width):
     )
 
 
-def test_lists_are_wrapped_between_their_phrases():
-    line = "  20 runs in 0.5 s, 0 failing, 3 npc at fault; a phrase that is longer than half a line stays a text"
-    assert wrapped_to(line, 36, phrases=True) == [
-        "  20 runs in 0.5 s, 0 failing,",
-        "    3 npc at fault; a phrase that is",
-        "    longer than half a line stays a",
+LISTED = "  20 runs in 0.5 s, 0 failing, 3 npc at fault; a phrase that is longer than half a line stays a text"
+
+
+@table(("line", "width", "options", "lines"), [
+    (LISTED, 36, {"phrases": True}, [
+        "  20 runs in 0.5 s, 0 failing,", "    3 npc at fault; a phrase that is", "    longer than half a line stays a",
         "    text",
-    ]
-    assert wrapped_to(line, 36)[0] == "  20 runs in 0.5 s, 0 failing, 3 npc"
-
-
-def test_wrapped_line_retains_its_mark_and_indentation():
-    assert wrapped_to("E       one two three", 15, "E   ") == ["E       one two", "E         three"]
-
-
-@table("kept", ["37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,"])
-def test_no_line_ends_between_number_and_unit(kept):
-    assert wrapped_to(f"  one two {kept} andsoon", 13) == ["  one two", f"    {kept}", "    andsoon"]
+    ]),
+    (LISTED[:45], 36, {}, ["  20 runs in 0.5 s, 0 failing, 3 npc", "    at fault"]),
+    ("E       one two three", 15, {"prefix": "E   "}, ["E       one two", "E         three"]),
+    # No line ends between a number and its unit.
+    *((f"  one two {kept} andsoon", 13, {}, ["  one two", f"    {kept}", "    andsoon"])
+      for kept in ("37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,")),
+])  # fmt: skip
+def test_lines_are_wrapped_between_phrases_and_keep_their_mark_and_indentation(line, width, options, lines):
+    assert wrapped_to(line, width, **options) == lines

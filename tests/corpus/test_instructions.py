@@ -1,4 +1,4 @@
-"""Scenarios with crossing NPCs are saved and read like others, and as strictly."""
+"""Scenarios with NPCs that cross, and NPCs in lanes, are saved and read like others, and as strictly."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.situation import ZoneSituation
-from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
+from pytest_pafot.model.instructions import CrossingInstruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import CorpusError
@@ -89,3 +89,19 @@ def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
         parsed(PATH, TEXT.replace(old, new).encode())
     assert caught.value.field == field
     assert caught.value.expected.startswith(expected)
+
+
+LANES = Scenario(npcs=[[LaneInstruction("left", 22.3), LaneInstruction("keep", 24.1)]])
+IN_LANES = text_of(plain_finding(scenario=LANES))
+
+
+@table(("wrong", "message"), [
+    ("{lane: up, speed: 22.3}", r"scenario.npcs\[0\]\[0\].lane: expected one of keep, left, right, received 'up'"),
+    ("{cell: 2, lane: left, speed: 1.0}", r"scenario.npcs\[0\]\[0\].lane: expected one of cell, speed"),
+    ("{cell: 2, speed: 22.3}", r"npcs\[0\]\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
+    ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
+])  # fmt: skip
+def test_broken_rule_of_lanes_is_reported_at_its_place(wrong, message):
+    assert "    - - {lane: left, speed: 22.3}\n      - {lane: keep, speed: 24.1}\n" in IN_LANES
+    with pytest.raises(CorpusError, match=message):
+        parsed(PATH, IN_LANES.replace("{lane: left, speed: 22.3}", wrong).encode())
