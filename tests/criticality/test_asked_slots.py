@@ -24,8 +24,6 @@ from tests.world.kernel.test_road_directors import (
 
 
 class Hurrying(Steady):
-    """A vehicle that speeds up as hard as it can."""
-
     def act(self, action=None):
         super().act()
         self.action["acceleration"] = 5.0

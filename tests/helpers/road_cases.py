@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import ClassVar
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
 from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
@@ -16,6 +18,22 @@ from tests.helpers.world_cases import STANDING, beyond, own_limits
 
 class OwnEnvironment(AbstractEnv):
     """A user's environment without rewards that ends after its duration; its road is made in ``_reset``."""
+
+    options: ClassVar = {}
+    """What its configuration has more, or otherwise."""
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), **cls.options}
+
+    def open(self, lanes, place, heading=0.0, speed=10.0, road=Road):
+        """Make a road of lanes with the nodes before and after each of them, and put the ego on it."""
+        network = RoadNetwork()
+        for before, after, lane in lanes:
+            network.add_lane(before, after, lane)
+        self.road = road(network, np_random=self.np_random)
+        self.vehicle = self.action_type.vehicle_class(self.road, place, heading, speed)
+        self.road.vehicles.append(self.vehicle)
 
     def _reward(self, action):
         return 0.0

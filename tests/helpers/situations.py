@@ -112,121 +112,99 @@ def oncoming(x, y):
     return states
 
 
-SITUATIONS = {
-    "One follows the other": (
-        Situation(
-            "slow-leader-ignored",
+TOLD = {
+    "One follows the other": {
+        "slow-leader-ignored": (
             "The ego runs into a vehicle that drives 10 m/s, and does not brake.",
             lambda: hit(driven(0.0), driven(100.0, speed=10.0)),
             "ego", "leader-unanswered", "4b", "(safe: 47.1 m)",
         ),
-        Situation(
-            "hit-from-behind",
+        "hit-from-behind": (
             "An NPC with 26 m/s runs into the ego from behind.",
             lambda: hit(driven(0.0), driven(-60.0, speed=26.0)),
             "npc", None, "4b", "(safe: ",
         ),
-        Situation(
-            "standing-vehicle-ignored",
+        "standing-vehicle-ignored": (
             "A vehicle has stood in the ego's lane all the time, 150 m ahead. The ego does not brake.",
             lambda: hit(driven(0.0), driven(155.0, speed=0.0)),
             "ego", "leader-unanswered", "4b", "behind NPC 0 at 4.9 s",
         ),
-        Situation(
-            "hard-brake-ahead-ignored",
+        "hard-brake-ahead-ignored": (
             "A vehicle 2 s ahead brakes with 8 m/s^2 to a standstill. The ego does not brake.",
             lambda: hit(driven(0.0), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
-        Situation(
-            "braked-too-gently",
+        "braked-too-gently": (
             "A vehicle 2 s ahead brakes with 8 m/s^2 to a standstill. The ego brakes 1 s later, with only 3 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 3.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "braked harder by 4.3 s.",
         ),
-        Situation(
-            "braked-too-late",
+        "braked-too-late": (
             "A vehicle 2 s ahead brakes with 8 m/s^2 to a standstill. The ego brakes as hard, but 3 s later.",
             lambda: hit(driven(0.0, brakes=[(5.0, 8.0, 0.0)]), driven(45.0, brakes=[(2.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "from 5.0 s it braked at up to 8.0 m/s^2",
         ),
-        Situation(
-            "leader-stops-dead",
+        "leader-stops-dead": (
             "A vehicle 1.5 s ahead of the ego stops within 8 m. The ego brakes a second later, with 6 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(3.0, 6.0, 0.0)]), driven(35.0, brakes=[(2.0, 30.0, 0.0)])),
             "npc", None, "4b", "too little time to respond",
         ),
-        Situation(
-            "leader-stops-dead-and-the-ego-lets-go",
+        "leader-stops-dead-and-the-ego-lets-go": (
             "The ego already brakes with 2 m/s^2 when the vehicle ahead stops within 8 m. The ego releases the brakes "
             "0.5 s later.",
-            lambda: hit(
-                driven(0.0, brakes=[(1.0, 2.0, 17.0)]), driven(36.0, brakes=[(2.0, 30.0, 0.0)])
-            ),
+            lambda: hit(driven(0.0, brakes=[(1.0, 2.0, 17.0)]), driven(36.0, brakes=[(2.0, 30.0, 0.0)])),
             "ego", "leader-unanswered", "4c", "braked less from",
         ),
-        Situation(
-            "steers-behind-one-on-the-line",
+        "steers-behind-one-on-the-line": (
             "A vehicle with 3 m/s drives on the line next to the ego's lane. The ego steers into its track and does "
             "not brake.",
-            lambda: hit(
-                driven(0.0, 5.4, speed=12.0, shifts=[(5.0, 3.6, 1.0)]), driven(64.0, 1.8, speed=3.0)
-            ),
+            lambda: hit(driven(0.0, 5.4, speed=12.0, shifts=[(5.0, 3.6, 1.0)]), driven(64.0, 1.8, speed=3.0)),
             "ego", "leader-unanswered", "4b", "The ego should have braked hard by",
         ),
-        Situation(
-            "began-too-close",
+        "began-too-close": (
             "The run begins with the ego 7 m behind a vehicle that brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0), driven(12.0, brakes=[(0.0, 8.0, 0.0)])),
             "npc", None, "4b", "too little time to respond",
         ),
-        Situation(
-            "ego-tailgates",
+        "ego-tailgates": (
             "The ego comes up to 2 m behind a vehicle and stays there. 5 s later that vehicle brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, speed=25.0, brakes=[(7.0, 5.0, 20.0)]), driven(44.5, brakes=[(13.0, 4.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "(safe: 52.1 m)",
         ),
-        Situation(
-            "npc-tailgates",
+        "npc-tailgates": (
             "An NPC comes up to 2 m behind the ego and stays there. 5 s later the ego brakes with 4 m/s^2.",
             lambda: hit(driven(0.0, brakes=[(13.0, 4.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
             "npc", None, "4b", "(safe: ",
         ),
-        Situation(
-            "ego-speeds-up-behind-a-close-leader",
+        "ego-speeds-up-behind-a-close-leader": (
             "The run begins with the ego 8 m behind a vehicle of equal speed. After 3 s the ego speeds up.",
             lambda: hit(driven(0.0, brakes=[(3.0, -2.0, 26.0)]), driven(13.0)),
             "ego", "leader-unanswered", "4b", "; from 3.0 s it sped up to 25.7 m/s.",
         ),
-    ),
-    "Braking hard": (
-        Situation(
-            "braked-for-nothing",
+    },
+    "Braking hard": {
+        "braked-for-nothing": (
             "On a free road the ego brakes with 9 m/s^2. An NPC 2 s behind it does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 0.0)]), driven(-45.0)),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 4.0 s on",
         ),
-        Situation(
-            "braked-for-nothing-unavoidable",
-            "On a free road the ego brakes with 9.8 m/s^2. The NPC behind has little more than RSS requires "
-            "for 8 m/s^2.",
+        "braked-for-nothing-unavoidable": (
+            "On a free road the ego brakes with 9.8 m/s^2. The NPC behind has little more than RSS requires for 8 "
+            "m/s^2.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.8, 0.0)]), driven(-34.0, brakes=[(5.0, 6.0, 0.0)])),
             "ego", "braked-for-nothing", "7", "NPC 0 had too little time to respond",
         ),
-        Situation(
-            "braked-for-nothing-tailgated",
+        "braked-for-nothing-tailgated": (
             "On a free road the ego brakes with 9 m/s^2 ahead of an NPC that has come up to 2 m behind it.",
             lambda: hit(driven(0.0, brakes=[(13.0, 9.0, 0.0)]), driven(-44.5, speed=25.0, brakes=[(7.0, 5.0, 20.0)])),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 13.0 s on",
         ),
-        Situation(
-            "braked-beside-a-neighbour",
+        "braked-beside-a-neighbour": (
             "The ego brakes with 9 m/s^2 for a slower vehicle that keeps the adjacent lane.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 5.0)]), driven(-45.0), driven(60.0, LEFT, speed=10.0)),
             "both", "braked-for-nothing", "7", "with nothing in its way",
         ),
-        Situation(
-            "braked-after-the-leader-had-left",
+        "braked-after-the-leader-had-left": (
             "A slower vehicle ahead leaves the lane. 3 s later the ego brakes with 9 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(8.0, 9.0, 5.0)]),
@@ -235,29 +213,23 @@ SITUATIONS = {
             ),
             "both", "braked-for-nothing", "7", "from 8.0 s on",
         ),
-        Situation(
-            "brake-check-after-a-lane-change",
+        "brake-check-after-a-lane-change": (
             "The ego changes lanes 45 m ahead of an NPC, and 6 s later brakes with 9 m/s^2 on a free road.",
             lambda: lane_change(45.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
             "both", "braked-for-nothing", "7", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
-        Situation(
-            "braked-for-a-leader-that-brakes",
+        "braked-for-a-leader-that-brakes": (
             "A vehicle 60 m ahead brakes with 8 m/s^2, and 0.5 s later the ego, too. The NPC 2 s behind does not "
             "brake.",
-            lambda: hit(
-                driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])
-            ),
+            lambda: hit(driven(0.0, brakes=[(4.5, 8.0, 2.0)]), driven(-45.0), driven(65.0, brakes=[(4.0, 8.0, 2.0)])),
             "npc", None, "7", "(safe: ",
         ),
-        Situation(
-            "braked-for-an-obstacle",
+        "braked-for-an-obstacle": (
             "The ego brakes with 8 m/s^2 for a vehicle that stands 50 m ahead. The NPC 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 8.0, 0.0)]), driven(-45.0), driven(135.0, speed=0.0)),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "braked-for-an-entering-vehicle",
+        "braked-for-an-entering-vehicle": (
             "The ego brakes with 8 m/s^2 for a vehicle that comes into its lane 20 m ahead.",
             lambda: hit(
                 driven(0.0, brakes=[(4.0, 8.0, 8.0)]),
@@ -266,69 +238,59 @@ SITUATIONS = {
             ),
             "npc", None, "7", "(safe: ",
         ),
-        Situation(
-            "braked-for-the-end-of-the-lane",
+        "braked-for-the-end-of-the-lane": (
             "The ego brakes with 7 m/s^2, 40 m before its lane ends.",
             lambda: at_lane_end(driven(0.0, brakes=[(4.0, 7.0, 0.0)]), driven(-45.0), end=120.0),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "braked-moderately",
+        "braked-moderately": (
             "On a free road the ego brakes with 3.9 m/s^2 to 5 m/s. The NPC 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 3.9, 5.0)]), driven(-45.0)),
             "npc", None, "7", "(safe: ",
         ),
-        Situation(
-            "braked-moderately-to-a-crawl",
+        "braked-moderately-to-a-crawl": (
             "On a free road the ego brakes with 4.5 m/s^2 to 2 m/s. The NPC 2 s behind does not brake.",
             lambda: hit(driven(0.0, brakes=[(4.0, 4.5, 2.0)]), driven(-45.0)),
             "both", "stopped-for-nothing", "7", "The ego braked at up to 4.5 m/s^2 from 4.0 s on",
         ),
-        Situation(
-            "braked-for-a-moment",
+        "braked-for-a-moment": (
             "On a free road the ego brakes with 9 m/s^2 for a quarter of a second. The NPC 1.4 s behind never brakes.",
             lambda: hit(driven(0.0, brakes=[(4.0, 9.0, 17.6)]), driven(-34.0)),
             "npc", None, "7", "(safe: ",
         ),
-        Situation(
-            "leader-brakes-for-nothing-half-a-second-ahead",
+        "leader-brakes-for-nothing-half-a-second-ahead": (
             "A vehicle 0.5 s ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes 1 s later, with 6 "
             "m/s^2.",
             lambda: hit(driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)])),
             "both", "leader-unanswered", "5", "NPC 0 braked at up to 8.0 m/s^2",
         ),
-        Situation(
-            "leader-brakes-for-nothing-1.8-s-ahead",
+        "leader-brakes-for-nothing-1.8-s-ahead": (
             "A vehicle 1.8 s ahead of the ego brakes with 8 m/s^2 on a free road. The ego brakes 2 s later, with 4 "
             "m/s^2.",
             lambda: hit(driven(0.0, brakes=[(7.0, 4.0, 0.0)]), driven(41.0, brakes=[(5.0, 8.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "from 7.0 s it braked at up to 4.0 m/s^2",
         ),
-        Situation(
-            "leader-brakes-for-a-standing-vehicle",
-            "A vehicle 0.5 s ahead of the ego brakes with 8 m/s^2 for one that stands. The ego brakes 1 s later, with"
-            " 6 m/s^2.",
+        "leader-brakes-for-a-standing-vehicle": (
+            "A vehicle 0.5 s ahead of the ego brakes with 8 m/s^2 for one that stands. The ego brakes 1 s later, with "
+            "6 m/s^2.",
             lambda: hit(
                 driven(0.0, brakes=[(6.0, 6.0, 0.0)]), driven(15.0, brakes=[(5.0, 8.0, 0.0)]), driven(148.0, speed=0.0)
             ),
             "ego", "leader-unanswered", "4b", "from 6.0 s it braked",
         ),
-    ),
-    "Standing": (
-        Situation(
-            "npc-stands-askew",
+    },
+    "Standing": {
+        "npc-stands-askew": (
             "A vehicle has stood askew all the time, half in the ego's lane. The ego does not brake.",
             lambda: hit(driven(0.0), turned(driven(150.0, 1.8, speed=0.0), 0.4)),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
-        Situation(
-            "stopped-for-nothing",
+        "stopped-for-nothing": (
             "On a free road the ego brakes gently to a standstill. 5 s later an NPC runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0)),
             "both", "stopped-for-nothing", "7", "The ego began to stop at",
         ),
-        Situation(
-            "brakes-on-when-the-one-ahead-has-left",
+        "brakes-on-when-the-one-ahead-has-left": (
             "The ego brakes with 6 m/s^2 for a slower vehicle, which leaves the lane, and on to a standstill. An NPC "
             "behind does not brake.",
             lambda: hit(
@@ -338,10 +300,8 @@ SITUATIONS = {
             ),
             "both", "braked-for-nothing", "7", "The ego kept braking at up to 6.0 m/s^2 from",
         ),
-        Situation(
-            "brakes-while-the-one-ahead-stays",
-            "The ego brakes with 6 m/s^2 to a standstill for one ahead that brakes, too. An NPC behind does not "
-            "brake.",
+        "brakes-while-the-one-ahead-stays": (
+            "The ego brakes with 6 m/s^2 to a standstill for one ahead that brakes, too. An NPC behind does not brake.",
             lambda: hit(
                 driven(0.0, brakes=[(1.0, 6.0, 0.0)]),
                 driven(-60.0),
@@ -349,8 +309,7 @@ SITUATIONS = {
             ),
             "npc", None, "4b", "The ego was standing",
         ),
-        Situation(
-            "stopped-in-a-queue",
+        "stopped-in-a-queue": (
             "The ego brakes gently to a standstill behind a vehicle that stands. 5 s later an NPC runs into the ego.",
             lambda: hit(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0),
@@ -359,22 +318,19 @@ SITUATIONS = {
             ),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "stopped-at-the-end-of-the-lane",
+        "stopped-at-the-end-of-the-lane": (
             "The ego brakes gently to a standstill at the end of its lane. 5 s later an NPC runs into it.",
             lambda: at_lane_end(
                 driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-172.0, seconds=25.0), end=112.0
             ),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "stopped-for-a-moment",
+        "stopped-for-a-moment": (
             "On a free road the ego brakes gently to a standstill. 2 s later an NPC runs into it.",
             lambda: hit(driven(0.0, brakes=[(2.0, 3.0, 0.0)], seconds=25.0), driven(-111.0, seconds=25.0)),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "stopped-askew-for-nothing",
+        "stopped-askew-for-nothing": (
             "On a free road the ego stops askew, half in the next lane. An NPC in that lane hits it 5 s later.",
             lambda: hit(
                 turned(driven(0.0, speed=10.0, brakes=[(2.0, 2.5, 0.0)], shifts=[(2.0, 2.2, 3.0)]), -0.4),
@@ -382,8 +338,7 @@ SITUATIONS = {
             ),
             "both", "stopped-for-nothing", "7", "stood for",
         ),
-        Situation(
-            "stopped-askew-behind-another",
+        "stopped-askew-behind-another": (
             "The ego stops askew behind a standing vehicle, half in the next lane. An NPC in that lane hits it 5 s "
             "later.",
             lambda: hit(
@@ -393,8 +348,7 @@ SITUATIONS = {
             ),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "stopped-in-a-lane-change",
+        "stopped-in-a-lane-change": (
             "The ego moves in 6 m ahead of an NPC and brakes with 8 m/s^2. It stands when the NPC hits it.",
             lambda: hit(
                 driven(0.0, LEFT, speed=10.0, brakes=[(2.5, 8.0, 0.0)], shifts=[(2.0, OWN, 1.5)]),
@@ -402,173 +356,146 @@ SITUATIONS = {
             ),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of",
         ),
-    ),
-    "An NPC comes into the ego's lane": (
-        Situation(
-            "cut-in-3-m-and-brakes",
+    },
+    "An NPC comes into the ego's lane": {
+        "cut-in-3-m-and-brakes": (
             "An NPC of equal speed moves in 3 m ahead of the ego. 0.6 s later it brakes with 8 m/s^2.",
             lambda: cut_in(3.0, slower=0.0, brakes=[(3.0, 8.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "cut-in-4-m-slower",
+        "cut-in-4-m-slower": (
             "An NPC that is 4 m/s slower moves in 4 m ahead of the ego.",
             lambda: cut_in(4.0, slower=4.0),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "cut-in-10-m-slower",
+        "cut-in-10-m-slower": (
             "An NPC that is 10 m/s slower moves in 10 m ahead of the ego. By the rules, no driver can avoid it.",
             lambda: cut_in(10.0, slower=10.0),
             "npc", None, "5", "10.0 m/s faster",
         ),
-        Situation(
-            "cut-in-20-m-slower",
+        "cut-in-20-m-slower": (
             "An NPC that is 10 m/s slower moves in 20 m ahead of the ego. Nobody has to master that, but the ego does "
             "not even brake.",
             lambda: cut_in(20.0, slower=10.0),
             "both", "cut-in-unanswered", "5", "The ego did not brake. By the rules, 6 m/s^2 from 3.3 s on avoids it.",
         ),
-        Situation(
-            "cut-in-20-m-slower-answered",
+        "cut-in-20-m-slower-answered": (
             "The same, but the ego brakes with 4 m/s^2 from 1.0 s after the moment on.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(3.3, 4.0, 8.0)]),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "cut-in-15-m-slower",
+        "cut-in-15-m-slower": (
             "An NPC that is 4 m/s slower moves in 15 m ahead. The ego does not brake.",
             lambda: cut_in(15.0, slower=4.0),
             "ego", "cut-in-unanswered", "5", "s but did not",
         ),
-        Situation(
-            "cut-in-30-m-slower",
+        "cut-in-30-m-slower": (
             "An NPC that is 10 m/s slower moves in 30 m ahead. The ego does not brake.",
             lambda: cut_in(30.0, slower=10.0),
             "ego", "cut-in-unanswered", "5", "should have braked hard by 4.4 s",
         ),
-        Situation(
-            "cut-in-answered-too-gently",
+        "cut-in-answered-too-gently": (
             "An NPC that is 10 m/s slower moves in 30 m ahead. The ego brakes soon, but with only 1.5 m/s^2.",
             lambda: cut_in(30.0, slower=10.0, ego_brakes=[(2.7, 1.5, 0.0)]),
             "ego", "cut-in-unanswered", "5", "up to 1.5 m/s^2, to",
         ),
-        Situation(
-            "cut-in-answered-in-vain",
+        "cut-in-answered-in-vain": (
             "An NPC that is 10 m/s slower moves in 30 m ahead and brakes with 8 m/s^2. The ego brakes 1 s later, with "
             "6 m/s^2.",
             lambda: cut_in(30.0, slower=10.0, brakes=[(2.6, 8.0, 0.0)], ego_brakes=[(3.6, 6.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "braked-before-its-answer-was-due",
+        "braked-before-its-answer-was-due": (
             "An NPC that is 4 m/s slower moves in 12 m ahead and brakes with 8 m/s^2. The ego already brakes 0.5 s "
             "later, with 9 m/s^2.",
             lambda: cut_in(12.0, slower=4.0, brakes=[(2.4, 8.0, 0.0)], ego_brakes=[(2.9, 9.0, 0.0)]),
             "npc", None, "1", "too little time to respond",
         ),
-        Situation(
-            "ego-speeds-up-after-a-cut-in",
+        "ego-speeds-up-after-a-cut-in": (
             "An NPC of equal speed moves in 4 m ahead. 2 s later the ego speeds up.",
             lambda: cut_in(4.0, slower=0.0, ego_brakes=[(4.4, -2.0, 26.0)]),
             "ego", "cut-in-unanswered", "5", "; from 4.4 s it sped up to",
         ),
-        Situation(
-            "cut-in-far-ahead-and-slow",
+        "cut-in-far-ahead-and-slow": (
             "An NPC that drives 5 m/s moves in 80 m ahead. The ego does not brake.",
             lambda: cut_in(80.0, slower=15.0),
             "ego", "leader-unanswered", "4b", "(safe: 51.8 m)",
         ),
-        Situation(
-            "cut-in-45-m-and-slow",
+        "cut-in-45-m-and-slow": (
             "An NPC that drives 8 m/s moves in 45 m ahead. The ego does not brake.",
             lambda: cut_in(45.0, slower=12.0),
             "ego", "cut-in-unanswered", "5", "12.0 m/s faster",
         ),
-        Situation(
-            "leader-since-a-close-cut-in",
+        "leader-since-a-close-cut-in": (
             "An NPC that is 4 m/s slower moves in 5 m ahead, draws away to 13 m and then slows down with 3 m/s^2. The "
             "ego does not brake.",
             lambda: cut_in(5.0, slower=4.0, brakes=[(2.4, -4.0, 22.0), (9.0, 3.0, 8.0)]),
             "ego", "leader-unanswered", "4a", "s but did not",
         ),
-        Situation(
-            "npc-brake-checks",
+        "npc-brake-checks": (
             "A faster NPC overtakes the ego and moves in 3 m ahead. 1.5 s later, 10 m ahead, it brakes with 8 m/s^2. "
             "The ego does not brake.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)]),
             "both", "cut-in-unanswered", "5", "The ego did not brake",
         ),
-        Situation(
-            "npc-brake-checks-an-ego-that-brakes-gently",
+        "npc-brake-checks-an-ego-that-brakes-gently": (
             "The same, but the ego brakes with 2 m/s^2 from 1.8 s after the moment on.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)], ego_brakes=[(4.3, 2.0, 8.0)]),
             "both", "cut-in-unanswered", "5", "braked with a mean of 1.6 m/s^2",
         ),
-        Situation(
-            "npc-brake-checks-an-ego-that-brakes-hard-but-late",
+        "npc-brake-checks-an-ego-that-brakes-hard-but-late": (
             "The same, but the ego brakes with 8 m/s^2 from 2.7 s after the moment on.",
             lambda: cut_in(2.0, slower=-5.0, brakes=[(3.9, 8.0, 0.0)], ego_brakes=[(5.2, 8.0, 8.0)]),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "npc-enters-across-two-lanes",
+        "npc-enters-across-two-lanes": (
             "An NPC that is 6 m/s slower comes across two lanes in one motion, 8 m ahead.",
             lambda: hit(driven(0.0), driven(13.0 + 6 * 5.6, FAR, speed=14.0, shifts=[(2.0, OWN, 6.0)])),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "npc-enters-behind",
+        "npc-enters-behind": (
             "An NPC that is 6 m/s faster moves in 15 m behind the ego and runs into it.",
             lambda: hit(driven(0.0), driven(-32.0, RIGHT, speed=26.0, shifts=[(1.6, OWN, 2.0)])),
             "npc", None, "4b", "m behind ",
         ),
-        Situation(
-            "npc-swipes-the-ego",
+        "npc-swipes-the-ego": (
             "An NPC next to the ego moves sideways into it.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 3.0)])),
             "npc", None, "3", "next to ",
         ),
-        Situation(
-            "npc-drifts",
+        "npc-drifts": (
             "An NPC next to the ego drifts into it with 0.2 m/s.",
             lambda: hit(driven(0.0), driven(1.0, LEFT, shifts=[(2.0, OWN, 20.0)])),
             "npc", None, "8", "NPC 0 moved sideways at",
         ),
-        Situation(
-            "npc-swerves-into-the-side",
+        "npc-swerves-into-the-side": (
             "An NPC next to the ego swerves into it with 4 m/s. The ego brakes with 8 m/s^2 at once.",
             lambda: hit(driven(0.0, brakes=[(2.2, 8.0, 0.0)]), driven(2.0, LEFT, shifts=[(2.0, OWN, 1.0)])),
             "npc", None, "3", "next to ",
         ),
-        Situation(
-            "sped-up-after-it-had-survived-a-cut-in",
+        "sped-up-after-it-had-survived-a-cut-in": (
             "An NPC that is 4 m/s slower moves in close ahead. The ego brakes until it is slower. A second later it "
             "speeds up into the NPC.",
             lambda: cut_in(4.0, slower=4.0, lasts=4.0, ego_brakes=[(2.6, 8.0, 15.0), (4.4, -3.0, 24.0)]),
             "both", "leader-unanswered", "4c", "The ego should have braked hard by 5.9 s.",
         ),
-        Situation(
-            "cut-in-answered-with-nothing-to-spare",
+        "cut-in-answered-with-nothing-to-spare": (
             "An NPC that is 8 m/s slower moves in 16 m ahead. The ego brakes 1.4 s later, with 6 m/s^2.",
             lambda: cut_in(16.0, slower=8.0, ego_brakes=[(3.7, 6.0, 0.0)]),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "speeds-up-behind-a-cut-in-that-nobody-can-answer",
+        "speeds-up-behind-a-cut-in-that-nobody-can-answer": (
             "An NPC that is 2 m/s slower moves in 2.5 m ahead and speeds up. The ego speeds up into it.",
             lambda: cut_in(2.5, slower=2.0, brakes=[(2.3, -3.0, 19.6)], ego_brakes=[(3.9, -3.0, 26.0)]),
             "both", "leader-unanswered", "4c", "The ego sped up to",
         ),
-        Situation(
-            "sped-up-behind-a-cut-in-that-brakes",
+        "sped-up-behind-a-cut-in-that-brakes": (
             "An NPC that is 4 m/s slower moves in 12 m ahead. The ego speeds up by 3 m/s. Then the NPC brakes with 8 "
             "m/s^2.",
             lambda: cut_in(12.0, slower=4.0, brakes=[(4.3, 8.0, 0.0)], ego_brakes=[(2.8, -2.0, 23.0)]),
             "both", "leader-unanswered", "4c", "The ego sped up to",
         ),
-        Situation(
-            "recovered-its-speed-behind-a-cut-in",
+        "recovered-its-speed-behind-a-cut-in": (
             "An NPC that is 4 m/s slower moves in 21 m ahead. The ego brakes, then follows it a second behind. 3 s "
             "later the NPC stops within 3 m.",
             lambda: cut_in(
@@ -579,22 +506,19 @@ SITUATIONS = {
             ),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "let-the-brakes-go-behind-a-cut-in",
+        "let-the-brakes-go-behind-a-cut-in": (
             "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes, but releases the brakes when it is "
             "still 4 m/s faster.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 14.0)]),
             "both", "leader-unanswered", "4c", "released the brakes at",
         ),
-        Situation(
-            "creeps-into-one-that-had-cut-in",
+        "creeps-into-one-that-had-cut-in": (
             "An NPC that is 10 m/s slower moves in 20 m ahead. The ego brakes until it is 0.5 m/s faster, and creeps "
             "into the NPC 15 s later.",
             lambda: cut_in(20.0, slower=10.0, ego_brakes=[(2.9, 8.0, 10.5)]),
             "ego", "leader-unanswered", "4a", "NPC 0 kept its lane",
         ),
-        Situation(
-            "creeps-into-one-that-stands-half-in-its-lane",
+        "creeps-into-one-that-stands-half-in-its-lane": (
             "An NPC comes half into the ego's lane, 20 m ahead, and stops. The ego brakes to 1.5 m/s, releases the "
             "brakes 7 m behind it and creeps into it.",
             lambda: hit(
@@ -603,8 +527,7 @@ SITUATIONS = {
             ),
             "ego", "leader-unanswered", "4b", "(safe: 1.69 m)",
         ),
-        Situation(
-            "speeds-up-behind-one-half-in-its-lane",
+        "speeds-up-behind-one-half-in-its-lane": (
             "An NPC comes half into the ego's lane, 20 m ahead. The ego brakes to its speed, follows for 4 s and "
             "speeds up into it.",
             lambda: hit(
@@ -613,113 +536,96 @@ SITUATIONS = {
             ),
             "ego", "leader-unanswered", "4c", "The ego should have braked hard by 10.3 s.",
         ),
-    ),
-    "The ego changes lanes": (
-        Situation(
-            "lane-change-1-m-ahead",
+    },
+    "The ego changes lanes": {
+        "lane-change-1-m-ahead": (
             "The ego changes lanes 1 m ahead of an NPC that is 4 m/s faster.",
             lambda: lane_change(1.0, faster=4.0),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of 24.3 m",
         ),
-        Situation(
-            "lane-change-2-m-ahead",
+        "lane-change-2-m-ahead": (
             "The ego changes lanes 2 m ahead of an NPC that is 4 m/s faster.",
             lambda: lane_change(2.0, faster=4.0),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of 24.3 m",
         ),
-        Situation(
-            "lane-change-10-m-ahead",
+        "lane-change-10-m-ahead": (
             "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster.",
             lambda: lane_change(10.0, faster=8.0),
             "ego", "entered-lane", "3", "should have left NPC 0 a gap of 33.9 m",
         ),
-        Situation(
-            "follower-lets-the-brakes-go",
-            "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster. The NPC brakes, but releases the brakes"
-            " when it is still 2 m/s faster.",
+        "follower-lets-the-brakes-go": (
+            "The ego changes lanes 10 m ahead of an NPC that is 8 m/s faster. The NPC brakes, but releases the brakes "
+            "when it is still 2 m/s faster.",
             lambda: lane_change(10.0, faster=8.0, npc_brakes=[(2.9, 8.0, 22.0)]),
             "both", "entered-lane", "4c", "NPC 0 should have kept braking",
         ),
-        Situation(
-            "follower-twitches",
+        "follower-twitches": (
             "The ego changes lanes 12 m ahead of an NPC that is 5 m/s faster. The speed of the NPC twitches once, by "
             "0.1 m/s.",
             lambda: lane_change(12.0, faster=5.0, npc_brakes=[(3.4, 1.5, 24.9)]),
             "ego", "entered-lane", "4c", "should have left NPC 0 a gap of",
         ),
-        Situation(
-            "lane-change-28-m-ahead",
-            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. Once the ego has kept its new lane, "
-            "only a second is left.",
+        "lane-change-28-m-ahead": (
+            "The ego changes lanes 28 m ahead of an NPC that is 8 m/s faster. Once the ego has kept its new lane, only "
+            "a second is left.",
             lambda: lane_change(28.0, faster=8.0),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 33.9 m",
         ),
-        Situation(
-            "lane-change-40-m-ahead",
+        "lane-change-40-m-ahead": (
             "The ego changes lanes 40 m ahead of an NPC that is 8 m/s faster. The NPC never brakes.",
             lambda: lane_change(40.0, faster=8.0),
             "npc", None, "3", "more than the required 33.9 m",
         ),
-        Situation(
-            "lane-change-80-m-ahead",
+        "lane-change-80-m-ahead": (
             "The ego changes lanes 80 m ahead of an NPC that is 8 m/s faster. The NPC never brakes.",
             lambda: lane_change(80.0, faster=8.0),
             "npc", None, "4b", "(safe: 68.3 m)",
         ),
-        Situation(
-            "lane-change-15-m-ahead-settled",
+        "lane-change-15-m-ahead-settled": (
             "The ego changes lanes 15 m ahead of an NPC that is 2 m/s faster. The NPC does not brake in the next 7 s.",
             lambda: lane_change(15.0, faster=2.0),
             "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
-        Situation(
-            "follower-speeds-up-after-room",
+        "follower-speeds-up-after-room": (
             "The ego changes lanes 25 m ahead of an NPC of equal speed, which then speeds up to 30 m/s.",
             lambda: lane_change(25.0, faster=0.0, npc_brakes=[(4.0, -3.0, 30.0)]),
             "npc", None, "3", "more than the required 20.0 m",
         ),
-        Situation(
-            "follower-speeds-up-after-settling",
+        "follower-speeds-up-after-settling": (
             "The ego changes lanes 10 m ahead of an NPC of equal speed. 3 s later the NPC speeds up.",
             lambda: lane_change(10.0, faster=0.0, npc_brakes=[(5.4, -3.0, 30.0)]),
             "npc", None, "4a", "kept its lane from 3.9 s on",
         ),
-        Situation(
-            "follower-speeds-up-behind-an-ego-that-weaves",
+        "follower-speeds-up-behind-an-ego-that-weaves": (
             "The ego changes lanes 15 m ahead of an NPC of equal speed and weaves by 0.6 m. 10 s later the NPC speeds "
             "up.",
             lambda: hit(weaving(), driven(-20.0, brakes=[(14.0, -3.0, 30.0)], seconds=30.0)),
             "npc", None, "4a", "",
         ),
-        Situation(
-            "brake-check-after-cutting-in",
+        "brake-check-after-cutting-in": (
             "The ego changes lanes 5 m ahead of an NPC of equal speed and brakes with 9 m/s^2 as soon as it is in the "
             "new lane.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(4.0, 9.0, 0.0)]),
             "ego", "entered-lane", "4a", "should have left NPC 0 a gap of 20.0 m",
         ),
-        Situation(
-            "brake-check-long-after-cutting-in",
+        "brake-check-long-after-cutting-in": (
             "The ego changes lanes 5 m ahead of an NPC of equal speed, keeps the new lane for 4 s and brakes with 9 "
             "m/s^2.",
             lambda: lane_change(5.0, faster=0.0, brakes=[(8.0, 9.0, 0.0)]),
             "ego", "braked-for-nothing", "3", "The ego braked at up to 9.0 m/s^2 from 8.0 s on",
         ),
-        Situation(
-            "follower-floors-it",
+        "follower-floors-it": (
             "The ego changes lanes 6 m ahead of an NPC that drives only 4.5 m/s. The NPC at once speeds up with 5 "
             "m/s^2.",
             lambda: lane_change(6.9, faster=-1.5, speed=6.0, npc_brakes=[(2.1, -5.0, 20.0)]),
             "npc", None, "3", "NPC 0 sped up to",
         ),
-        Situation(
-            "follower-floors-it-behind-a-close-lane-change",
+        "follower-floors-it-behind-a-close-lane-change": (
             "The ego changes lanes 6 m ahead of an NPC of equal speed. The NPC at once speeds up with 4 m/s^2.",
             lambda: lane_change(6.0, faster=0.0, npc_brakes=[(2.6, -4.0, 30.0)]),
             "both", "entered-lane", "3", "NPC 0 sped up to",
         ),
-        Situation(
-            "npc-moves-in-behind-an-ego-over-the-line",
+        "npc-moves-in-behind-an-ego-over-the-line": (
             "The ego reaches 0.3 m over its lane line and goes back. An NPC that is 6 m/s faster comes into its lane "
             "behind it.",
             lambda: hit(
@@ -728,66 +634,56 @@ SITUATIONS = {
             ),
             "npc", None, "2", "NPC 0 crossed into lane 0",
         ),
-        Situation(
-            "follower-entered-later",
+        "follower-entered-later": (
             "The ego changes lanes. 4 s later a faster NPC moves into the same lane, 18 m behind, and runs into it.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-49.0, RIGHT, speed=24.0, shifts=[(6.0, OWN, 2.0)])
             ),
             "npc", None, "3", "NPC 0 crossed into lane 1",
         ),
-        Situation(
-            "ego-swipes",
+        "ego-swipes": (
             "The ego moves sideways into an NPC next to it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 3.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "3", "next to ",
         ),
-        Situation(
-            "ego-drifts",
+        "ego-drifts": (
             "The ego drifts with 0.2 m/s into an NPC next to it.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 20.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "8", "The ego moved sideways at",
         ),
-        Situation(
-            "ego-enters-behind-a-slower-one",
+        "ego-enters-behind-a-slower-one": (
             "The ego changes lanes 10 m behind an NPC that is 8 m/s slower and runs into it.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(15.0 + 8 * 2.4, speed=12.0)),
             "ego", "entered-lane", "3", "m behind ",
         ),
-        Situation(
-            "ego-enters-across-two-lanes",
+        "ego-enters-across-two-lanes": (
             "The ego comes across two lanes in one motion into an NPC that has kept its lane.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, RIGHT, 5.0)]), driven(2.0, RIGHT)),
             "ego", "entered-lane", "2", "The ego crossed into lane 2 at 5.1 s",
         ),
-        Situation(
-            "ego-overtakes-into-oncoming-traffic",
+        "ego-overtakes-into-oncoming-traffic": (
             "The ego moves into the lane of an oncoming NPC, which is 80 m away.",
             lambda: hit(driven(0.0, shifts=[(2.0, LEFT, 2.0)]), oncoming(180.0, LEFT)),
             "ego", "entered-lane", "3", "40.0 m/s slower",
         ),
-        Situation(
-            "npc-on-the-wrong-side",
+        "npc-on-the-wrong-side": (
             "An NPC comes towards the ego in the ego's lane. The ego brakes with 5 m/s^2 when the NPC is 200 m away.",
             lambda: hit(driven(0.0, brakes=[(3.0, 5.0, 0.0)]), oncoming(325.0, OWN)),
             "npc", None, "4b", "",
         ),
-        Situation(
-            "both-enter-side-by-side",
+        "both-enter-side-by-side": (
             "The ego and an NPC move into the lane between them, side by side.",
             lambda: hit(driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.2, OWN, 2.0)])),
             "both", "entered-lane", "3", "towards each other",
         ),
-        Situation(
-            "both-enter-ego-10-m-ahead",
+        "both-enter-ego-10-m-ahead": (
             "The ego and an NPC that is 6 m/s faster move into the lane between them, the ego 10 m ahead.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)]), driven(-30.0, RIGHT, speed=26.0, shifts=[(2.2, OWN, 2.0)])
             ),
             "both", "entered-lane", "3", "towards each other",
         ),
-        Situation(
-            "both-enter-ego-with-room",
+        "both-enter-ego-with-room": (
             "The ego and an NPC that is 6 m/s faster move into the lane between them, the ego 45 m ahead. The NPC "
             "never brakes.",
             lambda: hit(
@@ -795,8 +691,7 @@ SITUATIONS = {
             ),
             "npc", None, "3", "more than the required 28.4 m",
         ),
-        Situation(
-            "both-enter-and-follow-for-long",
+        "both-enter-and-follow-for-long": (
             "The ego and an NPC move into the lane between them, the ego 12 m ahead. 13 s later the NPC speeds up.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(2.0, OWN, 2.0)], seconds=30.0),
@@ -804,8 +699,7 @@ SITUATIONS = {
             ),
             "npc", None, "3", "",
         ),
-        Situation(
-            "both-enter-and-the-one-behind-floors-it",
+        "both-enter-and-the-one-behind-floors-it": (
             "The ego, with 8 m/s, and an NPC move into the lane between them, the ego 6 m ahead. The NPC at once "
             "speeds up.",
             lambda: hit(
@@ -814,8 +708,7 @@ SITUATIONS = {
             ),
             "npc", None, "3", "NPC 0 sped up to",
         ),
-        Situation(
-            "both-enter-behind-a-slower-one",
+        "both-enter-behind-a-slower-one": (
             "The ego and an NPC that is 5 m/s slower move into the lane between them, the NPC 30 m ahead. The ego "
             "never brakes.",
             lambda: hit(
@@ -823,22 +716,19 @@ SITUATIONS = {
             ),
             "ego", "leader-unanswered", "4a", "",
         ),
-        Situation(
-            "ego-enters-where-one-has-just-entered",
+        "ego-enters-where-one-has-just-entered": (
             "An NPC moves into the lane between it and the ego. 2.5 s later the ego does, too, next to the NPC.",
             lambda: hit(driven(0.0, LEFT, shifts=[(4.5, OWN, 2.0)]), driven(1.0, RIGHT, shifts=[(2.0, OWN, 2.0)])),
             "ego", "entered-lane", "3", "The ego crossed",
         ),
-        Situation(
-            "ego-given-up-its-lane-change",
+        "ego-given-up-its-lane-change": (
             "The ego moves 0.8 m to the left and back. 3 s later an NPC next to it moves into the ego.",
             lambda: hit(
                 driven(0.0, shifts=[(1.0, 3.2, 1.0), (2.0, OWN, 1.0)]), driven(1.0, LEFT, shifts=[(6.0, OWN, 2.0)])
             ),
             "npc", None, "2", "NPC 0 crossed into lane 1 at 6.4 s",
         ),
-        Situation(
-            "ego-moved-two-lanes-away",
+        "ego-moved-two-lanes-away": (
             "The ego changes to a lane two lanes away from an NPC's. 5 s later the NPC moves into the ego's side.",
             lambda: hit(
                 driven(0.0, LEFT, shifts=[(1.0, OWN, 2.0)]),
@@ -846,67 +736,57 @@ SITUATIONS = {
             ),
             "npc", None, "2", "NPC 0 crossed into lane 1 at 8.4 s",
         ),
-    ),
-    "Bends and ramps": (
-        Situation(
-            "bend-brake-ahead-ignored",
+    },
+    "Bends and ramps": {
+        "bend-brake-ahead-ignored": (
             "In a bend the vehicle 2 s ahead of the ego brakes with 6 m/s^2. The ego does not brake.",
             lambda: in_bend(driven(0.0), driven(45.0, brakes=[(2.0, 6.0, 0.0)])),
             "ego", "leader-unanswered", "4b", "s but did not",
         ),
-        Situation(
-            "bend-cut-in",
+        "bend-cut-in": (
             "In a bend an NPC that is 6 m/s slower moves in 5 m ahead of the ego.",
             lambda: in_bend(driven(0.0), driven(10.0 + 6 * 2.4, LEFT, speed=14.0, shifts=[(2.0, OWN, 2.0)])),
             "npc", None, "5", "too little time to respond",
         ),
-        Situation(
-            "bend-npc-runs-wide",
+        "bend-npc-runs-wide": (
             "In a bend an NPC on the inside drifts outwards, into the ego next to it.",
             lambda: in_bend(driven(0.0), driven(1.0, RIGHT, shifts=[(2.0, OWN, 4.0)])),
             "npc", None, "3", "next to ",
         ),
-        Situation(
-            "bend-ego-runs-wide",
+        "bend-ego-runs-wide": (
             "In a bend the ego drifts outwards, into an NPC next to it.",
             lambda: in_bend(driven(0.0, shifts=[(2.0, LEFT, 4.0)]), driven(1.0, LEFT)),
             "ego", "entered-lane", "3", "next to ",
         ),
-        Situation(
-            "ramp-npc-merges-close",
+        "ramp-npc-merges-close": (
             "An NPC that is 6 m/s slower merges from a ramp 6 m ahead of the ego.",
             lambda: at_ramp(driven(-54.0), driven(0.0, speed=14.0), on_ramp=1),
             "npc", None, "5", "NPC 0 crossed a lane line at 7.2 s",
         ),
-        Situation(
-            "ramp-npc-merges-35-m-ahead",
+        "ramp-npc-merges-35-m-ahead": (
             "An NPC that is 6 m/s slower merges from a ramp 35 m ahead of the ego. The ego does not brake.",
             lambda: at_ramp(driven(-83.0), driven(0.0, speed=14.0), on_ramp=1),
             "ego", "cut-in-unanswered", "5", "NPC 0 crossed a lane line at 7.2 s",
         ),
-    ),
-    "Where ways cross": (
-        Situation(
-            "crossing-from-the-left-ignored",
+    },
+    "Where ways cross": {
+        "crossing-from-the-left-ignored": (
             "The ego drives with 8 m/s into a crossing, half a second before an NPC from the left that has priority.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 6.5, 8)),
             "ego", "did-not-give-way", "9", "0.5 s before NPC 0 from the left. NPC 0 had priority",
         ),
-        Situation(
-            "crossing-from-the-right-ignored",
+        "crossing-from-the-right-ignored": (
             "The ego drives with 8 m/s into a crossing, 0.3 s after an NPC from the right that has priority.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0 from the right. NPC 0 had priority",
         ),
-        Situation(
-            "crossing-braked-too-little",
+        "crossing-braked-too-little": (
             "An NPC from the left has priority. The ego brakes two seconds before it would enter, but with only 2 "
             "m/s^2.",
             lambda: junctions.hit(plan("west straight", 6, 8, (4.0, -2.0, 3.0)), plan("north straight", 7, 8)),
             "ego", "did-not-give-way", "9", "from 4.0 s it braked at up to 2.0 m/s^2",
         ),
-        Situation(
-            "crossing-sets-off-in-front",
+        "crossing-sets-off-in-front": (
             "The ego stops before a crossing. It sets off 2.5 s before an NPC from the left arrives, which has "
             "priority.",
             lambda: junctions.hit(
@@ -914,23 +794,20 @@ SITUATIONS = {
             ),
             "ego", "did-not-give-way", "9", "The ego should have waited but set off at 8.0 s.",
         ),
-        Situation(
-            "crossing-npc-has-no-priority",
+        "crossing-npc-has-no-priority": (
             "An NPC from the left that has no priority drives into the crossing half a second before the ego.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 5.5, 8), priority="ego"),
             "npc", None, "9", "NPC 0 entered the crossing from the left at 5.5 s, 0.5 s before the ego. The ego had",
         ),
-        Situation(
-            "crossing-npc-has-no-priority-and-is-slow",
+        "crossing-npc-has-no-priority-and-is-slow": (
             "An NPC from the left without priority drives in with 3 m/s, two seconds before the ego. The ego never "
             "brakes.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("north straight", 4, 3), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked hard by 5.3 s but did not.",
         ),
-        Situation(
-            "crossing-npc-has-no-priority-and-the-ego-lets-go",
-            "An NPC from the left without priority rolls into the crossing. The ego, which brakes for it, releases "
-            "the brakes half a second later.",
+        "crossing-npc-has-no-priority-and-the-ego-lets-go": (
+            "An NPC from the left without priority rolls into the crossing. The ego, which brakes for it, releases the "
+            "brakes half a second later.",
             lambda: junctions.hit(
                 plan("west straight", 3.05, 10.8, (1.5, -3.4, 5.0)),
                 plan("north straight", 2.46, 10, (1.5, -3.1, 0.0)),
@@ -938,22 +815,19 @@ SITUATIONS = {
             ),
             "both", "entered-taken-zone", "9", "The ego should have braked hard by 3.5 s.",
         ),
-        Situation(
-            "crossing-one-stands-in-it-ego-has-priority",
+        "crossing-one-stands-in-it-ego-has-priority": (
             "An NPC from the left without priority has stood in the crossing for 4.7 s. The ego never brakes.",
             lambda: junctions.hit(
                 plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0)), priority="ego"
             ),
             "ego", "entered-taken-zone", "9", "6.0 s after NPC 0 from the left. The ego had priority",
         ),
-        Situation(
-            "crossing-one-stands-in-it-npc-has-priority",
+        "crossing-one-stands-in-it-npc-has-priority": (
             "An NPC from the left that has priority has stood in the crossing for 4.7 s. The ego never brakes.",
             lambda: junctions.hit(plan("west straight", 9, 8), plan("north straight", 3, 5, (3.3, -5.0, 0.0))),
             "ego", "did-not-give-way", "9", "6.0 s after NPC 0 from the left. NPC 0 had priority",
         ),
-        Situation(
-            "crossing-stopped-in-it-far-ahead",
+        "crossing-stopped-in-it-far-ahead": (
             "The ego stops in a crossing behind a queue. An NPC from the left, with priority, drives in five seconds "
             "after the ego and never brakes.",
             lambda: junctions.hit(
@@ -963,8 +837,7 @@ SITUATIONS = {
             ),
             "npc", None, "9", "from the left at 9.0 s, 5.0 s after the ego. NPC 0 had priority",
         ),
-        Situation(
-            "crossing-stopped-in-it-near-ahead",
+        "crossing-stopped-in-it-near-ahead": (
             "The ego stops in a crossing behind a queue. An NPC from the left, with priority and 10 m/s, drives in 2.5 "
             "seconds after the ego and never brakes.",
             lambda: junctions.hit(
@@ -974,8 +847,7 @@ SITUATIONS = {
             ),
             "both", "did-not-give-way", "9", "NPC 0 should have braked hard by",
         ),
-        Situation(
-            "crossing-npc-waits-and-drives-in-late",
+        "crossing-npc-waits-and-drives-in-late": (
             "An NPC from the left that has priority waits at the line. It sets off just as the ego drives into the "
             "crossing.",
             lambda: junctions.hit(
@@ -983,8 +855,7 @@ SITUATIONS = {
             ),
             "npc", None, "9", "after the ego. NPC 0 had priority. NPC 0 should have waited but set off at 7.9 s",
         ),
-        Situation(
-            "crossing-npc-waits-and-sets-off-with-the-ego",
+        "crossing-npc-waits-and-sets-off-with-the-ego": (
             "An NPC from the left with priority waits. It sets off a second before the ego enters, too late for the "
             "ego to respond.",
             lambda: junctions.hit(
@@ -992,39 +863,29 @@ SITUATIONS = {
             ),
             "none", None, "9", "Neither could have foreseen the other",
         ),
-        Situation(
-            "crossing-npc-slows-down-before-it",
+        "crossing-npc-slows-down-before-it": (
             "An NPC from the left that has priority slows down from 10 to 6 m/s well before the crossing. The ego does "
             "not wait.",
-            lambda: junctions.hit(
-                plan("west straight", 6.5, 8), plan("north straight", 5.2, 10, (2.0, -2.0, 6.0))
-            ),
+            lambda: junctions.hit(plan("west straight", 6.5, 8), plan("north straight", 5.2, 10, (2.0, -2.0, 6.0))),
             "ego", "did-not-give-way", "9", "from the left",
         ),
-        Situation(
-            "crossing-npc-speeds-up-towards-it",
+        "crossing-npc-speeds-up-towards-it": (
             "An NPC from the left, with priority and 4 m/s, would pass after the ego. Too late for the ego to respond, "
             "it speeds up with 5 m/s^2.",
-            lambda: junctions.hit(
-                plan("west straight", 8, 8), plan("north straight", 10.5, 4, (6.6, 5.0, 12.0))
-            ),
+            lambda: junctions.hit(plan("west straight", 8, 8), plan("north straight", 10.5, 4, (6.6, 5.0, 12.0))),
             "none", None, "9", "Neither could have foreseen the other",
         ),
-        Situation(
-            "crossing-without-priorities",
+        "crossing-without-priorities": (
             "Neither vehicle has priority. The ego and an NPC from the right drive into the crossing together.",
             lambda: junctions.hit(plan("west straight", 6, 8), plan("south straight", 6, 8), priority="none"),
             "both", "did-not-give-way", "9", "together with NPC 0 from the right. Neither had priority",
         ),
-        Situation(
-            "crossing-without-priorities-npc-first",
-            "Neither has priority. An NPC from the right has been in the crossing for 3.5 s when the ego "
-            "drives in.",
+        "crossing-without-priorities-npc-first": (
+            "Neither has priority. An NPC from the right has been in the crossing for 3.5 s when the ego drives in.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south straight", 4.5, 1.5), priority="none"),
             "ego", "did-not-give-way", "9", "NPC 0 from the right. Neither had priority",
         ),
-        Situation(
-            "crossing-waits-and-is-hit-from-behind",
+        "crossing-waits-and-is-hit-from-behind": (
             "The ego stops before the crossing, because an NPC comes from the left. Two seconds later a following NPC "
             "runs into the ego.",
             lambda: junctions.hit(
@@ -1034,8 +895,7 @@ SITUATIONS = {
             ),
             "npc", None, "7", "The ego was standing",
         ),
-        Situation(
-            "crossing-brakes-hard-for-one-and-is-hit",
+        "crossing-brakes-hard-for-one-and-is-hit": (
             "The ego brakes with 7 m/s^2 for an NPC from the right that has priority. An NPC 0.8 s behind runs into "
             "it.",
             lambda: junctions.hit(
@@ -1045,10 +905,9 @@ SITUATIONS = {
             ),
             "npc", None, "7", "Both drove equally fast",
         ),
-        Situation(
-            "crossing-brakes-hard-for-none-and-is-hit",
-            "The ego brakes with 7 m/s^2 before a crossing that the only crossing NPC has passed. An NPC 0.8 s behind"
-            " runs into it.",
+        "crossing-brakes-hard-for-none-and-is-hit": (
+            "The ego brakes with 7 m/s^2 before a crossing that the only crossing NPC has passed. An NPC 0.8 s behind "
+            "runs into it.",
             lambda: junctions.hit(
                 plan("west straight", 6, 12, (4.8, -7.0, 2.0)),
                 plan("grid", 7.2, 12),
@@ -1056,95 +915,83 @@ SITUATIONS = {
             ),
             "both", "braked-for-nothing", "7", "with nothing in its way",
         ),
-    ),
-    "Where ways turn across": (
-        Situation(
-            "turns-left-across-oncoming",
+    },
+    "Where ways turn across": {
+        "turns-left-across-oncoming": (
             "The ego turns left in front of an oncoming NPC that has priority.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("east straight", 6.5, 10)),
             "ego", "did-not-give-way", "9", "from ahead. NPC 0 had priority",
         ),
-        Situation(
-            "oncoming-turns-left-across",
+        "oncoming-turns-left-across": (
             "An oncoming NPC turns left in front of the ego, which has priority.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 5.2, 6), priority="ego"),
             "npc", None, "9", "NPC 0 entered the crossing from ahead",
         ),
-        Situation(
-            "oncoming-turns-left-across-slowly",
+        "oncoming-turns-left-across-slowly": (
             "An oncoming NPC turns left with 4 m/s, two seconds before the ego arrives, which has priority. The ego "
             "never brakes.",
             lambda: junctions.hit(plan("west straight", 6, 9), plan("east left", 3.9, 4), priority="ego"),
             "both", "entered-taken-zone", "9", "The ego should have braked",
         ),
-        Situation(
-            "turns-left-into-one-from-the-left",
+        "turns-left-into-one-from-the-left": (
             "The ego turns left and drives into an NPC from the left, which has priority and is already in the "
             "crossing.",
             lambda: junctions.hit(plan("west left", 6, 6), plan("north straight", 5.4, 6)),
             "ego", "did-not-give-way", "9", "0.6 s after NPC 0 from the left. NPC 0 had priority",
         ),
-    ),
-    "Where ways merge": (
-        Situation(
-            "turns-right-in-front",
+    },
+    "Where ways merge": {
+        "turns-right-in-front": (
             "The ego turns right with 4 m/s. A second later an NPC from the left, which has priority, arrives with 12 "
             "m/s.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.1, 12)),
             "ego", "did-not-give-way", "9", "The ego entered the merge",
         ),
-        Situation(
-            "turns-right-far-in-front",
+        "turns-right-far-in-front": (
             "The ego turns right. 4.5 s later an NPC from the left, with priority, arrives and speeds up from 6 to 12 "
             "m/s.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 10.5, 6, (10.0, 3.0, 12.0))),
             "npc", None, "9", "NPC 0 drove 6.0 m/s",
         ),
-        Situation(
-            "turns-right-in-front-and-is-hit-later",
+        "turns-right-in-front-and-is-hit-later": (
             "The ego turns right in front of an NPC with 12 m/s and priority. The NPC brakes hard to 5 m/s and runs "
             "into the ego after the zone.",
             lambda: junctions.hit(plan("west right", 6, 4), plan("north straight", 7.3, 12, (6.5, -6.0, 5.0))),
             "both", "did-not-give-way", "9", "The ego should have braked hard by 5.6 s",
         ),
-        Situation(
-            "npc-turns-right-in-front",
+        "npc-turns-right-in-front": (
             "An NPC from the right turns right in front of the ego, which has priority.",
             lambda: junctions.hit(plan("west straight", 6, 12), plan("south right", 5.0, 4), priority="ego"),
             "npc", None, "9", "NPC 0 entered the merge from the right",
         ),
-        Situation(
-            "npc-turns-right-far-in-front",
-            "An NPC from the right turns right 4.5 s before the ego, which has priority, arrives. The ego "
-            "never brakes.",
+        "npc-turns-right-far-in-front": (
+            "An NPC from the right turns right 4.5 s before the ego, which has priority, arrives. The ego never "
+            "brakes.",
             lambda: junctions.hit(plan("west straight", 8, 8), plan("south right", 3.5, 4), priority="ego"),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
-        Situation(
-            "joins-the-circle-in-front",
+        "joins-the-circle-in-front": (
             "The ego joins a circle with 6 m/s. 0.7 s later an NPC in the circle arrives with 10 m/s.",
             lambda: junctions.hit(plan("join", 6, 6), plan("circle", 6.7, 10)),
             "ego", "did-not-give-way", "9", "0.7 s before NPC 0 from the left. NPC 0 had priority",
         ),
-        Situation(
-            "joins-the-circle-beside",
+        "joins-the-circle-beside": (
             "The ego joins a circle and drives into the side of an NPC that is just ahead and as fast.",
             lambda: junctions.hit(plan("join", 6, 8), plan("circle", 5.7, 8)),
             "ego", "did-not-give-way", "9", "0.3 s after NPC 0",
         ),
-        Situation(
-            "joins-the-circle-behind-one-that-stops",
+        "joins-the-circle-behind-one-that-stops": (
             "The ego joins a circle two seconds behind an NPC. The NPC then stops with 3 m/s^2, and the ego never "
             "brakes.",
             lambda: junctions.hit(plan("join", 8, 8), plan("circle", 6.0, 8, (8.0, -3.0, 0.0))),
             "ego", "leader-unanswered", "4b", "The ego should have braked",
         ),
-        Situation(
-            "npc-joins-the-circle-in-front",
+        "npc-joins-the-circle-in-front": (
             "An NPC joins a circle 0.7 s before the ego, which is in the circle and has priority, arrives there.",
             lambda: junctions.hit(plan("circle", 4.7, 10), plan("join", 4, 5), priority="ego"),
             "npc", None, "9", "NPC 0 entered the merge",
         ),
-    ),
+    },
 }  # fmt: skip
-"""By what the page calls them."""
+"""By the heading on the page and the name: text, trace, responsibility, fault, clause and says of a Situation."""
+SITUATIONS = {heading: tuple(Situation(name, *told) for name, told in each.items()) for heading, each in TOLD.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, product
+from itertools import product
 
 import pytest
 from hypothesis import given
@@ -35,10 +35,6 @@ roads = st.sampled_from(
 )
 
 
-def chains_of(most=8, genes=6):
-    return st.lists(st.lists(cells, min_size=1, max_size=genes), min_size=1, max_size=most)
-
-
 @st.composite
 def gene_requests(draw, most=8):
     """Return (previous distinct cells, requested cells, cells whose lane exists, one coin per NPC)."""
@@ -51,12 +47,7 @@ def gene_requests(draw, most=8):
 def test_cells_run_clockwise_from_the_front_left():
     around = [(-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0)]
     assert [(cell.column, cell.row) for cell in sorted(Cell)] == around
-    assert [cell.label for cell in (Cell(1), Cell(2), Cell(5), Cell(8))] == [
-        "front-left",
-        "front",
-        "rear-right",
-        "left",
-    ]
+    assert [Cell(number).label for number in (1, 2, 5, 8)] == ["front-left", "front", "rear-right", "left"]
 
 
 def test_the_ring_closes_between_8_and_1():
@@ -85,23 +76,6 @@ def test_outer_cells_are_endless_without_the_ego_place():
     assert cell_at(LENGTH / 2, -LANE / 2, LENGTH, LANE) is None
     assert cell_at(80.0, 0.5, LENGTH, LANE) is Cell.FRONT
     assert cell_at(-300.0, -9.0, LENGTH, LANE) is Cell.REAR_LEFT
-
-
-@given(chains_of(), seeds)
-def test_repaired_chains_are_valid(chains, seed):
-    repaired = repair_chains(chains, seed)
-    assert [len(chain) for chain in repaired] == [len(chain) for chain in chains]
-    for chain in repaired:
-        assert all(is_adjacent(a, b) for a, b in pairwise(chain))
-    for gene in range(6):
-        held = [chain[gene] for chain in repaired if gene < len(chain)]
-        assert len(held) == len(set(held))
-
-
-@given(chains_of(), seeds, seeds)
-def test_valid_chains_come_back_unchanged_whatever_the_seed(chains, seed, other):
-    repaired = repair_chains(chains, seed)
-    assert repair_chains(repaired, other) == repaired
 
 
 @given(st.lists(cells, min_size=1, max_size=6), seeds)
@@ -147,17 +121,11 @@ def preference(previous, requested, existing, clockwise):
 @given(gene_requests(most=5))
 def test_repair_takes_first_complete_assignment_by_preference(case):
     previous, requested, existing, coins = case
-    orders = [
-        preference(before, wanted, existing, coin)
-        for before, wanted, coin in zip(previous, requested, coins, strict=True)
-    ]
-    complete = list(product(*(range(len(order)) for order in orders)))
-    distinct = [
-        choice
-        for choice in complete
-        if len({order[rank] for order, rank in zip(orders, choice, strict=True)}) == len(orders)
-    ]
-    best = tuple(order[rank] for order, rank in zip(orders, min(distinct), strict=True))
+    wishes = zip(previous, requested, coins, strict=True)
+    orders = [preference(before, wanted, existing, coin) for before, wanted, coin in wishes]
+    complete = product(*map(enumerate, orders))
+    distinct = [choice for choice in complete if len({cell for _, cell in choice}) == len(orders)]
+    best = tuple(cell for _, cell in min(distinct))
     assert repair_gene(previous, requested, existing, coins) == best
 
 
@@ -183,20 +151,19 @@ def test_executed_cells_are_executed_again_for_any_coins(case, others):
 
 @given(st.lists(cells, min_size=1, max_size=8), roads, seeds)
 def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed):
+    coins = [toss(seed, npc, 0) for npc in range(len(requested))]
     if len(requested) > len(existing):
-        with pytest.raises(
-            ValueError, match=rf"received {len(requested)} NPCs for {len(existing)} existing cells; use"
-        ):
-            repair_gene(None, requested, existing, [toss(seed, npc, 0) for npc in range(len(requested))])
+        with pytest.raises(ValueError, match=f"received {len(requested)} NPCs for {len(existing)} existing cells; use"):
+            repair_gene(None, requested, existing, coins)
         return
-    executed = repair_gene(None, requested, existing, [toss(seed, npc, 0) for npc in range(len(requested))])
+    executed = repair_gene(None, requested, existing, coins)
     free = set(existing)
     for wanted, cell in zip(requested, executed, strict=True):
         nearest = min(ring_distance(wanted, other) for other in free)
         assert cell in free
         assert ring_distance(wanted, cell) == nearest
         free.remove(cell)
-    assert repair_gene(None, executed, existing, [not toss(seed, npc, 0) for npc in range(len(requested))]) == executed
+    assert repair_gene(None, executed, existing, [not coin for coin in coins]) == executed
 
 
 class TestRepairThatSkipsMissingCells:

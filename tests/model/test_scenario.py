@@ -43,11 +43,8 @@ def one(cell=2, speed=20.0):
 
 
 def test_position_instruction_accepts_plain_and_numpy_numbers():
-    for gene in (
-        one(3, 12),
-        PositionInstruction(np.int64(3), np.float64(12.0)),
-        PositionInstruction(Cell(3), np.int32(12)),
-    ):
+    for cell, speed in ((3, 12), (np.int64(3), np.float64(12.0)), (Cell(3), np.int32(12))):
+        gene = PositionInstruction(cell, speed)
         assert gene == PositionInstruction(Cell.FRONT_RIGHT, 12.0)
         assert type(gene.cell) is Cell
         assert type(gene.speed) is float
@@ -97,14 +94,7 @@ def test_values_are_frozen_and_hashable():
 @given(scenarios)
 def test_a_scenario_survives_pickling_and_repairing(scenario):
     assert pickle.loads(pickle.dumps(scenario)) == scenario
-    again = Scenario.repaired(
-        scenario.npcs,
-        seed=(scenario.seed + 1) % MAX_SEED,
-        ego_lane=scenario.ego_lane,
-        ego_speed=scenario.ego_speed,
-        gene_seconds=scenario.gene_seconds,
-    )
-    assert again.npcs == scenario.npcs
+    assert Scenario.repaired(scenario.npcs, seed=(scenario.seed + 1) % MAX_SEED).npcs == scenario.npcs
 
 
 @given(raw_chains, st.integers(0, MAX_SEED))
@@ -263,16 +253,8 @@ class TestLaneInstructions:
         scenario = Scenario(npcs=((LaneInstruction("right", 10.0),),))
         assert scenario.canonical() == '[[[["right",10.0]]],0,1,22.0,10.0]'
         assert "right@10" in str(scenario)
-        assert (
-            len(
-                {
-                    scenario.id,
-                    Scenario(npcs=((LaneInstruction("left", 10.0),),)).id,
-                    Scenario(npcs=((one(4, 10.0),),)).id,
-                }
-            )
-            == 3
-        )
+        others = [Scenario(npcs=((gene,),)).id for gene in (LaneInstruction("left", 10.0), one(4, 10.0))]
+        assert len({scenario.id, *others}) == 3
 
     def test_mixed_kinds_in_a_chain_are_refused_with_place(self):
         lane = LaneInstruction("keep", 1.0)

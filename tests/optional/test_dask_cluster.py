@@ -22,10 +22,10 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.simulator_world import SimulatorWorld
 from tests.helpers.toy_world import Toy, idle, scenario, trace_of
+from tests.world.test_simulator import Marking
 
 SPAWN = multiprocessing.get_context("spawn")
 SCENARIOS = [scenario(number) for number in range(48)]
@@ -224,25 +224,6 @@ class Submitting:
 
     def submit(self, run, task, **named):
         return self.executor.submit(run, task)
-
-
-class Marking(Simulator):
-    """A simulator that leaves a file at its end."""
-
-    def __init__(self, folder):
-        self.folder = folder
-
-    def start(self, vehicles, seed):
-        self.cars = [each[:4] for each in vehicles]
-
-    def step(self, controls):
-        self.cars = [(each.x, each.y, each.heading, each.speed) for each in controls]
-
-    def states(self):
-        return self.cars
-
-    def close(self):
-        (self.folder / str(os.getpid())).touch(exist_ok=False)
 
 
 @pytest.mark.processes

@@ -81,8 +81,6 @@ def test_a_world_that_keeps_its_promises_passes(world, given):
 
 
 class Recorded:
-    """An environment whose traces are changed."""
-
     def __init__(self, world, change):
         self.world, self.change = world, change
 

@@ -8,68 +8,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from pytest_pafot import PositionInstruction, Scenario, Simulator, SimulatorWorld
+from pytest_pafot import PositionInstruction, Scenario, SimulatorWorld
 from pytest_pafot.searching.space import sample
 from pytest_pafot.testing import check_world
 from pytest_pafot.testing.simulators import experiments
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.tables import table
-
-
-class Toy(Simulator):
-    """A kinematic bicycle. What it does inside may differ from what it states."""
-
-    hz, lanes = 15, 4
-    inside: ClassVar = {}
-
-    def says(self, name):
-        return self.inside.get(name, getattr(self, name, False))
-
-    def angle(self, stated):
-        return math.radians(stated) if self.says("degrees") else stated
-
-    def start(self, vehicles, seed):
-        self.random = random.Random(seed)
-        self.lengths = [self.inside.get("length", 1.0) * each.length for each in vehicles]
-        self.cars = []
-        for each in vehicles:
-            heading = self.angle(each.heading)
-            back = each.length / 2 if self.says("at_front") else 0.0
-            x, y = self.way(heading)
-            self.cars.append([each.x - back * x, each.y - back * y, heading, each.speed])
-
-    def way(self, heading):
-        """Return where a heading points: along x, or along y for a compass."""
-        return (
-            (math.sin(heading), math.cos(heading))
-            if self.says("headings") == "y to x"
-            else (math.cos(heading), math.sin(heading))
-        )
-
-    def step(self, controls):
-        dt, unit = 1 / self.says("hz"), self.says("metres_per_second") / self.says("metres")
-        for car, length, control in zip(self.cars, self.lengths, controls, strict=True):
-            slip = math.atan(math.tan(self.wheels(control)) / 2)
-            x, y = self.way(car[2] + slip)
-            car[0] += car[3] * unit * x * dt
-            car[1] += car[3] * unit * y * dt
-            car[2] += car[3] * unit * math.sin(slip) / (length / 2) * dt
-            car[3] += self.gas(control) * dt
-
-    def wheels(self, control):
-        return self.angle(control.steering)
-
-    def gas(self, control):
-        return control.acceleration
-
-    def states(self):
-        rows = []
-        for car, length in zip(self.cars, self.lengths, strict=True):
-            x, y = self.way(car[2])
-            ahead = length / 2 if self.says("at_front") else 0.0
-            heading = math.degrees(car[2]) if self.says("degrees") else car[2]
-            rows.append([car[0] + ahead * x, car[1] + ahead * y, heading, car[3]])
-        return rows
+from tests.world.test_simulator import Bicycle as Toy
 
 
 def circle(radius):
@@ -94,8 +39,6 @@ def first_broken(world, **space):
 
 
 class Late(Toy):
-    """Its states are those before the step."""
-
     def start(self, vehicles, seed):
         super().start(vehicles, seed)
         self.seen = super().states()
@@ -160,8 +103,6 @@ class Worn(Toy):
 
 
 class Rested(Worn):
-    """They are cold again at each start."""
-
     def start(self, vehicles, seed):
         super().start(vehicles, seed)
         self.heat = 0.0
@@ -178,8 +119,6 @@ class Own(Toy):
 
 
 class Single(Toy):
-    """It has single precision."""
-
     def start(self, vehicles, seed):
         super().start(vehicles, seed)
         self.cars = np.array(self.cars, np.float32)
@@ -189,8 +128,6 @@ class Single(Toy):
 
 
 class Substeps(Toy):
-    """It does ten steps in a tick."""
-
     inside: ClassVar = {"hz": 150}
 
     def step(self, controls):

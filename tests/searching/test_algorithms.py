@@ -1,6 +1,6 @@
 """The algorithms that can be named, and those of users by class."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from pytest_pafot.searching import (
     resolve_algorithm,
     sample,
 )
+from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.algorithms.catalogue import CLASSES
 from pytest_pafot.searching.evaluation import GenerationFinished
 from pytest_pafot.searching.fitness import FitnessError, resolve
@@ -27,8 +28,6 @@ SPACE = SearchSpace(npcs=3)
 
 @dataclass(frozen=True)
 class Own(GenerationalSearch):
-    """A user's own algorithm."""
-
     name = "own"
     jump: float = field(default=0.5, kw_only=True)
 
@@ -104,27 +103,35 @@ def test_custom_algorithm_is_searched_like_any_other(cheap_world, algorithm):
     assert sizes == [0 if algorithm is Own else 4, 4, 4, 4]
 
 
-@table(
-    ("given", "message"),
-    [
-        ("genetic", r"expected one of random, pafot, .*, received 'genetic'; or give module:Class"),
-        ("rand", r"received 'rand'; did you mean 'random'\?"),
-        ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
-        (
-            "tests.searching.test_algorithms:Onw",
-            r"expected a name in the module tests.searching.test_algorithms, received "
-            r"'tests.searching.test_algorithms:Onw'; did you mean 'tests.searching.test_algorithms:Own'\?",
-        ),
-        (
-            "builtins:<lambda>",
-            "expected a name in the module builtins, received 'builtins:<lambda>'; it has __build_class__, __import__",
-        ),
-        (RandomSearch(), r"expected one of random, .*, a class, or module:Class, received RandomSearch\(.* the class"),
-        (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
-        (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),
-        (Borrowed, r"expected a unique name for Borrowed, received 'pafot'"),
-    ],
-)
+@pytest.mark.parametrize("search", [PafotSearch(), AvFuzzerSearch(), Fresh()], ids=lambda search: search.name)
+def test_calls_out_of_turn_and_other_evaluations_are_refused(search, make_evaluation):
+    rng = np.random.default_rng(0)
+    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
+        search.tell(search.start(rng), [make_evaluation()], rng)
+    state, asked = search.ask(search.start(rng), rng)
+    for scenarios in (asked, ()):
+        with pytest.raises(RuntimeError, match=f"ask: expected tell .*, which gave {len(scenarios)} scenarios"):
+            search.ask(replace(state, asked=scenarios), rng)
+    evaluations = [make_evaluation(scenario) for scenario in asked]
+    with pytest.raises(ValueError, match="tell: expected 4 evaluations, one per scenario, received 3"):
+        search.tell(state, evaluations[:3], rng)
+    with pytest.raises(ValueError, match=r"at 0, received the evaluation of .*; keep the order"):
+        search.tell(state, evaluations[::-1], rng)
+
+
+@table(("given", "message"), [
+    ("genetic", r"expected one of random, pafot, .*, received 'genetic'; or give module:Class"),
+    ("rand", r"received 'rand'; did you mean 'random'\?"),
+    ("no_such:Search", r"expected a module that can be imported, received 'no_such:Search' \(ModuleNotFoundError"),
+    ("tests.searching.test_algorithms:Onw", r"expected a name in the module tests.searching.test_algorithms, received "
+     r"'tests.searching.test_algorithms:Onw'; did you mean 'tests.searching.test_algorithms:Own'\?"),
+    ("builtins:<lambda>",
+     "expected a name in the module builtins, received 'builtins:<lambda>'; it has __build_class__, __import__"),
+    (RandomSearch(), r"expected one of random, .*, a class, or module:Class, received RandomSearch\(.* the class"),
+    (Nameless, r"expected a class with a name, start, ask and tell, received Nameless without start, tell, name;"),
+    (GenerationalSearch, r"received GenerationalSearch without propose, start, name;"),
+    (Borrowed, r"expected a unique name for Borrowed, received 'pafot'"),
+])  # fmt: skip
 def test_wrong_algorithm_error_names_what_is_expected(given, message):
     with pytest.raises(ValueError, match=f"algorithm: .*{message}"):
         resolve_algorithm(given)

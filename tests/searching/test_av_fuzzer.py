@@ -2,7 +2,6 @@
 
 import math
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -269,29 +268,14 @@ class TestCourse:
         assert (restarts, started) == ([6], [9])
 
 
-class TestTurns:
-    def test_asking_twice_is_refused_even_without_questions(self):
-        search = AvFuzzerSearch()
-        state, _ = search.ask(search.start(rng()), rng())
-        with pytest.raises(RuntimeError, match="which gave 4 scenarios"):
-            search.ask(state, rng())
-        with pytest.raises(RuntimeError, match="which gave 0 scenarios"):
-            search.ask(replace(state, asked=()), rng())
-
-    def test_telling_something_else_is_refused(self, make_evaluation):
-        search = AvFuzzerSearch()
-        state, asked = search.ask(search.start(rng()), rng())
-        with pytest.raises(ValueError, match="tell: expected 4 evaluations"):
-            search.tell(state, [make_evaluation(asked[0])], rng())
-
-    @table(("fields", "message"), [
-        ({"population": 1}, "population: expected at least 2"),
-        ({"mutation_rate": 1.5}, "mutation_rate: expected a number from 0 to 1"),
-        ({"local_mutation_factor": math.nan}, "local_mutation_factor: expected a finite number"),
-    ])  # fmt: skip
-    def test_wrong_parameters_are_refused(self, fields, message):
-        with pytest.raises(ValueError, match=message):
-            AvFuzzerSearch(**fields)
+@table(("fields", "message"), [
+    ({"population": 1}, "population: expected at least 2"),
+    ({"mutation_rate": 1.5}, "mutation_rate: expected a number from 0 to 1"),
+    ({"local_mutation_factor": math.nan}, "local_mutation_factor: expected a finite number"),
+])  # fmt: skip
+def test_wrong_parameters_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        AvFuzzerSearch(**fields)
 
 
 def test_av_fuzzer_draws_without_zones_as_it_did_before(make_evaluation):

@@ -257,32 +257,6 @@ def test_ineligible_run_is_neither_best_nor_elite(make_evaluation, fields):
     assert seen == [Restarted]
 
 
-def test_tell_without_ask_is_refused(make_evaluation):
-    search = PafotSearch()
-    rng = np.random.default_rng(0)
-    with pytest.raises(RuntimeError, match="tell: expected a state that ask returned"):
-        search.tell(search.start(rng), [make_evaluation()], rng)
-
-
-def test_a_second_ask_is_refused():
-    search = PafotSearch()
-    rng = np.random.default_rng(0)
-    state, _ = search.ask(search.start(rng), rng)
-    with pytest.raises(RuntimeError, match="ask: expected tell after the last ask, which gave 4 scenarios"):
-        search.ask(state, rng)
-
-
-def test_evaluations_that_do_not_match_are_refused(make_evaluation):
-    search = PafotSearch()
-    rng = np.random.default_rng(0)
-    state, asked = search.ask(search.start(rng), rng)
-    evaluations = [make_evaluation(scenario) for scenario in asked]
-    with pytest.raises(ValueError, match="expected 4 evaluations, one per scenario, received 3"):
-        search.tell(state, evaluations[:3], rng)
-    with pytest.raises(ValueError, match=r"at 0, received the evaluation of .*; keep the order"):
-        search.tell(state, evaluations[::-1], rng)
-
-
 @table(("parameters", "message"), [
     ({"population": 1}, "population: expected at least 2"),
     ({"mutation_rate": float("nan")}, "mutation_rate: expected a number from 0 to 1"),

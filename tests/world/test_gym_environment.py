@@ -167,16 +167,12 @@ def test_wrapped_policy_matches_the_plain_gymnasium_loop(case, monkeypatch):
 
 
 class Repeating(HighwayEnv):
-    """A straight road whose ``step`` repeats each action, twice in all."""
-
     def step(self, action):
         super().step(action)
         return super().step(action)
 
 
 class Hurried(HighwayEnv):
-    """A straight road whose ``reset`` sets the rate of decisions."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.config["policy_frequency"] = 3
@@ -202,8 +198,6 @@ def test_times_of_decisions_are_those_at_which_the_policy_was_asked(entry_point,
 
 
 class Drawn(HighwayEnv):
-    """A straight road whose ``reset`` draws the rate of decisions."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.config["policy_frequency"] = int(self.np_random.choice((3, 5)))
@@ -342,8 +336,6 @@ def test_registered_configuration_applies_unless_another_is_given(register):
 
 
 class Doubled(HighwayEnv):
-    """A straight road with its own reset and step."""
-
     def reset(self, **options):
         seen, info = super().reset(**options)
         return 2 * seen, info
@@ -354,8 +346,6 @@ class Doubled(HighwayEnv):
 
 
 class Unhurried(HighwayEnv):
-    """A straight road whose ``reset`` sets how fast the ego wants to drive."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.vehicle.target_speed = 12.0
@@ -424,8 +414,6 @@ class Truck(MDPVehicle):
 
 
 class Freight(HighwayEnv):
-    """One that makes an ego of a class of its own."""
-
     def _create_vehicles(self):
         super()._create_vehicles()
         usual = self.vehicle
@@ -484,8 +472,6 @@ def test_what_the_act_of_an_own_road_does_to_the_ego_holds_in_runs(options, ads,
 
 
 class Harder(HighwayEnv):
-    """One of whose episodes every third has a lane more."""
-
     episodes = 0
 
     def _reset(self):
@@ -495,16 +481,12 @@ class Harder(HighwayEnv):
 
 
 class Chancy(HighwayEnv):
-    """One whose start is random, without the seed."""
-
     def _create_vehicles(self):
         super()._create_vehicles()
         self.vehicle.position[0] += np.random.default_rng().uniform()
 
 
 class Lessons(gymnasium.Wrapper):
-    """A wrapper whose second episode has more lanes."""
-
     lessons = 0
 
     def reset(self, **kwargs):
@@ -558,16 +540,12 @@ class Loaded(HighwayEnv):
 
 
 class Weighing(Loaded):
-    """One whose step asks its ego."""
-
     def step(self, action):
         self.vehicle.load()
         return super().step(action)
 
 
 class Watching(Loaded):
-    """One whose observations ask its ego."""
-
     def define_spaces(self):
         super().define_spaces()
         kind = type("Weight", (type(self.observation_type),), {})
@@ -582,16 +560,12 @@ def test_environment_may_ask_the_ego_of_its_own_class(cls, wrappers, register):
 
 
 class Wet(HighwayEnv):
-    """A straight road with its own simulation."""
-
     def _simulate(self, action=None):
         self.vehicle.speed *= 0.9
         super()._simulate(action)
 
 
 class Wide(HighwayEnv):
-    """A straight road with a random number of lanes."""
-
     def _create_road(self):
         self.config["lanes_count"] = int(self.np_random.integers(2, 50))
         super()._create_road()
@@ -645,8 +619,6 @@ class Sorting(Bothered):
 
 
 class Choosing(HighwayEnv):
-    """One whose reset removes vehicles, but not the ego."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.road.vehicles[1:] = []
@@ -654,8 +626,6 @@ class Choosing(HighwayEnv):
 
 
 class Crowding(HighwayEnv):
-    """One whose reset adds a vehicle."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.road.vehicles.append(Replayed(self.road, [500.0, 0.0]))
@@ -663,8 +633,6 @@ class Crowding(HighwayEnv):
 
 
 class Swapping(HighwayEnv):
-    """One whose reset makes another ego."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.vehicle = type(self.vehicle)(self.road, self.vehicle.position, speed=20.0)
@@ -694,8 +662,6 @@ def test_environment_that_changes_the_vehicles_of_a_run_is_refused(cls, received
 
 
 class Slowing(HighwayEnv):
-    """One whose reset slows other vehicles down and puts them elsewhere."""
-
     def reset(self, **options):
         super().reset(**options)
         for each in self.road.vehicles[1:]:
@@ -707,8 +673,6 @@ class Slowing(HighwayEnv):
 
 
 class Warming(HighwayEnv):
-    """One whose reset drives for a second."""
-
     def reset(self, **options):
         super().reset(**options)
         seen, *_, info = super().step(0)
@@ -729,8 +693,6 @@ def test_reset_does_nothing_to_npcs(register):
 
 
 class Configured(gymnasium.Wrapper):
-    """A wrapper that changes the configuration before each reset."""
-
     changes = None
     by_options = False
 
@@ -764,8 +726,6 @@ def test_configuration_that_wrappers_give_holds_in_runs(by_options):
 
 
 class Fast(HighwayEnv):
-    """One whose reset draws the speeds of its actions."""
-
     def reset(self, *, seed=None, options=None):
         gymnasium.Env.reset(self, seed=seed)
         top = 30 if self.np_random.uniform() < 0.5 else 25
@@ -814,8 +774,6 @@ class Urging(HighwayEnv):
 
 
 class Scoring(HighwayEnv):
-    """One whose reward changes nothing."""
-
     def _reward(self, action):
         found = {}
         found["twice"] = 2 * super()._reward(action)
@@ -901,8 +859,6 @@ def test_npc_at_an_obstacle_makes_a_run_invalid(register):
 
 
 class Littered(HighwayEnv):
-    """One whose own reset puts an obstacle in lane 1."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.road.objects.append(Obstacle(self.road, [300.0, 4.0]))
@@ -930,8 +886,6 @@ def test_obstacle_that_a_custom_reset_puts_there_is_one_like_others(wrappers, re
 
 
 class Chanced(HighwayEnv):
-    """One whose obstacle is drawn after its traffic."""
-
     def _reset(self):
         super()._reset()
         self.road.objects.append(Obstacle(self.road, [float(self.np_random.uniform(250.0, 400.0)), 4.0]))
@@ -950,8 +904,6 @@ def test_random_obstacle_is_where_a_reset_with_seed_0_and_no_traffic_puts_it(reg
 
 
 class Falling(Roadworks):
-    """One on which an object falls after 3 s."""
-
     def step(self, action):
         if 3.0 <= self.time < 3.1:
             self.fall()
@@ -962,15 +914,11 @@ class Falling(Roadworks):
 
 
 class Rolling(Falling):
-    """One whose object moves."""
-
     def fall(self):
         self.road.objects[0].position = np.array([400.0, 4.0])
 
 
 class Strewing(Roadworks):
-    """One whose reset adds an object at random."""
-
     def reset(self, **options):
         first = super().reset(**options)
         self.road.objects.append(Obstacle(self.road, [400.0 + 100 * self.np_random.random(), 0.0]))
@@ -978,8 +926,6 @@ class Strewing(Roadworks):
 
 
 class Marking(Falling):
-    """One on which a mark appears that vehicles can drive over."""
-
     def fall(self):
         self.road.objects.append(Landmark(self.road, [500.0, 0.0]))
 

@@ -80,8 +80,6 @@ def test_literal_grid_of_paper_starts_without_contact():
 
 
 class Truck(Vehicle):
-    """A vehicle class that is longer and wider than highway-env's cars, and keeps its speed."""
-
     LENGTH = 16.0
     WIDTH = 2.6
 

@@ -4,11 +4,13 @@ import math
 import multiprocessing
 import os
 import pickle
+import random
 import subprocess
 import sys
 import time
 import warnings
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -36,26 +38,59 @@ LANE = 4.0
 
 
 class Bicycle(Simulator):
-    """A kinematic bicycle, operation by operation as highway-env writes it."""
+    """A kinematic bicycle, operation by operation as highway-env writes it, in any units and axes.
+
+    ``inside`` has what it does where that is not what it states.
+    """
 
     hz, lanes = 15, 4
+    inside: ClassVar = {}
+
+    def says(self, name):
+        return self.inside.get(name, getattr(self, name, False))
+
+    def angle(self, stated):
+        return math.radians(stated) if self.says("degrees") else stated
 
     def start(self, vehicles, seed):
-        self.cars = [[each.x, each.y, each.heading, each.speed] for each in vehicles]
-        self.lengths = [each.length for each in vehicles]
+        self.random = random.Random(seed)
+        self.lengths = [self.inside.get("length", 1.0) * each.length for each in vehicles]
+        self.cars = []
+        for each in vehicles:
+            heading = self.angle(each.heading)
+            back = each.length / 2 if self.says("at_front") else 0.0
+            x, y = self.way(heading)
+            self.cars.append([each.x - back * x, each.y - back * y, heading, each.speed])
+
+    def way(self, heading):
+        """Return where a heading points, along x and y."""
+        x, y = math.cos(heading), math.sin(heading)
+        return {"y to x": (y, x), "x to -y": (x, -y), "-x to y": (-x, y)}.get(self.says("headings"), (x, y))
 
     def step(self, controls):
-        dt = 1 / self.hz
+        dt, unit = 1 / self.says("hz"), self.says("metres_per_second") / self.says("metres")
         for car, length, control in zip(self.cars, self.lengths, controls, strict=True):
-            x, y, heading, speed = car
-            slip = math.atan(0.5 * math.tan(control.steering))
-            x += speed * math.cos(heading + slip) * dt
-            y += speed * math.sin(heading + slip) * dt
-            heading += speed * math.sin(slip) / (length / 2.0) * dt
-            car[:] = x, y, heading, speed + control.acceleration * dt
+            slip = math.atan(0.5 * math.tan(self.wheels(control)))
+            x, y = self.way(car[2] + slip)
+            car[0] += car[3] * unit * x * dt
+            car[1] += car[3] * unit * y * dt
+            car[2] += car[3] * unit * math.sin(slip) / (length / 2) * dt
+            car[3] += self.gas(control) * dt
+
+    def wheels(self, control):
+        return self.angle(control.steering)
+
+    def gas(self, control):
+        return control.acceleration
 
     def states(self):
-        return self.cars
+        rows = []
+        for (x, y, heading, speed), length in zip(self.cars, self.lengths, strict=True):
+            ahead = length / 2 if self.says("at_front") else 0.0
+            along_x, along_y = self.way(heading)
+            stated = math.degrees(heading) % 360.0 if self.says("degrees") else heading
+            rows.append([x + ahead * along_x, y + ahead * along_y, stated, speed])
+        return rows
 
 
 BEHIND = ((PositionInstruction(6, 0.0),),)
@@ -127,60 +162,6 @@ class Slowing:
 # Units and axes.
 
 FOOT, KMH = 0.3048, 1 / 3.6
-CLOCKWISE = {"y to x": -math.pi / 2, "x to -y": 0.0, "-x to y": math.pi}
-"""Headings that grow clockwise if y is to the left, with the direction of 0, clockwise from x [rad]."""
-
-
-def other_axes(cls, **flags):
-    """Return a bicycle that states its places and moves in other axes, of which it makes its own by hand."""
-
-    class Other(cls):
-        def start(self, vehicles, seed):
-            self.lengths = [each.length * self.metres for each in vehicles]
-            self.cars = [self.mine(each, length) for each, length in zip(vehicles, self.lengths, strict=True)]
-
-        def mine(self, each, length):
-            side = -1.0 if self.y_is_left else 1.0
-            heading = math.radians(each.heading) if self.degrees else each.heading
-            is_clockwise = self.headings in CLOCKWISE
-            heading = heading + CLOCKWISE[self.headings] if is_clockwise else side * heading
-            x, y = each.x * self.metres, side * each.y * self.metres
-            if self.at_front:
-                x, y = x - length / 2 * math.cos(heading), y - length / 2 * math.sin(heading)
-            return [x, y, heading, each.speed * self.metres_per_second]
-
-        def step(self, controls):
-            side = -1.0 if self.y_is_left and self.headings not in CLOCKWISE else 1.0
-            angle = math.pi / 180 if self.degrees else 1.0
-            unit = self.metres_per_second
-            super().step(
-                [
-                    each._replace(acceleration=each.acceleration * unit, steering=side * each.steering * angle)
-                    for each in controls
-                ]
-            )
-
-        def states(self):
-            side, rows = -1.0 if self.y_is_left else 1.0, []
-            for (x0, y0, heading, speed), length in zip(self.cars, self.lengths, strict=True):
-                ahead = length / 2 if self.at_front else 0.0
-                x, y = x0 + ahead * math.cos(heading), y0 + ahead * math.sin(heading)
-                is_clockwise = self.headings in CLOCKWISE
-                turned = heading - CLOCKWISE[self.headings] if is_clockwise else side * heading
-                turned = math.degrees(turned) if self.degrees else turned
-                rows.append(
-                    (
-                        x / self.metres,
-                        side * y / self.metres,
-                        turned % 360.0 if self.degrees else turned,
-                        speed / self.metres_per_second,
-                    )
-                )
-            return np.array(rows)
-
-    for name, value in flags.items():
-        setattr(Other, name, value)
-    return Other
 
 
 @table(
@@ -189,12 +170,7 @@ def other_axes(cls, **flags):
         "y to the left": {"y_is_left": True},
         "degrees": {"degrees": True},
         "front bumper": {"at_front": True},
-        "feet and km/h": {
-            "metres": FOOT,
-            "metres_per_second": KMH,
-            "lane_width": LANE / FOOT,
-            "speed_limit": 26.8 / KMH,
-        },
+        "feet and km/h": {"metres": FOOT, "metres_per_second": KMH, "lane_width": LANE / FOOT, "speed_limit": 96.48},
         "a compass": {"y_is_left": True, "headings": "y to x"},
         "x to the north, a compass": {"y_is_left": True, "headings": "x to -y"},
         "x backwards": {"y_is_left": True, "headings": "-x to y", "degrees": True},
@@ -202,7 +178,7 @@ def other_axes(cls, **flags):
     }.values(),
 )
 def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
-    world = SimulatorWorld(other_axes(Bicycle, **flags), duration=20.0)
+    world = SimulatorWorld(type("Other", (Bicycle,), flags), duration=20.0)
     for scenario in scenarios()[1:3]:
         there, here = world.rollout(scenario, swerving), HIGHWAY.rollout(scenario, swerving)
         assert (there.outcome, there.ticks) == (here.outcome, here.ticks)
@@ -666,8 +642,6 @@ def test_close_that_fails_never_hides_the_error_of_the_run(recwarn, action):
 
 
 class Marking(Bicycle):
-    """A simulator that leaves a file at its end."""
-
     def __init__(self, folder):
         self.folder = folder
 
@@ -731,8 +705,6 @@ def test_file_names_the_class_of_a_simulator_and_what_it_states():
 
 
 class Packaged(Bicycle):
-    """A simulator whose runs depend on a package."""
-
     packages = ("pytest",)
 
 

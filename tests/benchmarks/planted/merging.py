@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
-from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
+from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, listed
 
 
 class Overtaker(Driver):
@@ -14,17 +12,10 @@ class Overtaker(Driver):
 
     WORTH = 3.0  # the difference to the wanted speed at which it overtakes [m/s]
     BACK = 4.0  # the time after a lane change until it goes back [s]
-    ANSWER, BRAKE = 1.5, 4.5  # time to answer [s], braking that it plans with [m/s^2]
 
     def along(self, o, cars):
         v, leaders = o.ego.speed, self.ahead(o, cars)
         return min([self.cruise(o)] + [min(self.behind(v, c), self.emergency(v, c)) for c in leaders])
-
-    def behind(self, v, c):
-        """Approach the speed from which it could stop behind the other."""
-        f, room, late = max(c.v + 0.4 * min(c.a, 0.0), 0.0), max(c.gap - 3.0, 0.0), self.BRAKE * self.ANSWER
-        safe = math.sqrt(late * late + 2 * self.BRAKE * room + f * f) - late
-        return clip((safe - v) / 0.9, -4.0, 2.0)
 
     def emergency(self, v, c):
         needed = braking_needed(v, c)
@@ -37,14 +28,6 @@ class Overtaker(Driver):
         right = self.lane + 1
         goes_back = right < o.lanes and o.time > self.arrived + self.BACK
         return [right] if goes_back and self.flow(o, cars, right) > min(own, wanted) - 1.0 else []
-
-    def clear(self, o, cars, k):
-        return all(self.room(o.ego.speed, c) for c in cars if self.concerns(o, c, k))
-
-    def concerns(self, o, c, k):
-        """Return whether the other is in lane k, or may come into it from either side."""
-        beyond = abs(c.y - k * WIDE) < 7.0 and abs(c.y - o.ego.y) > 5.0 and c.gap < 15.0
-        return self.inside(c, k) or beyond
 
     def room(self, v, c):
         """Return whether the gap to a vehicle in the other lane is enough."""

@@ -22,29 +22,20 @@ class Planted:
         kind: The kind of policy.
         conditions: The number of things that must coincide before the defect shows, 1 to 3.
         make, twin: Return the ADS factory of the policy, and of the repaired one.
-        about: What is wrong, and when.
     """
 
     kind: str
     conditions: int
     make: Callable[[], Any]
     twin: Callable[[], Any]
-    about: str
 
 
 def listed(kind: str, policies: Mapping[str, tuple[Any, int]]) -> dict[str, Planted]:
     """Return the policies of planner classes by name; each class takes ``repaired`` and has a number of conditions."""
     return {
-        name: Planted(
-            kind, conditions, partial(partial, planner), partial(partial, planner, repaired=True), about_of(planner)
-        )
+        name: Planted(kind, conditions, partial(partial, planner), partial(partial, planner, repaired=True))
         for name, (planner, conditions) in policies.items()
     }
-
-
-def about_of(policy: Any) -> str:
-    """Return the first sentence of a class's docstring in one line."""
-    return " ".join(policy.__doc__.split("\n\n")[0].split())
 
 
 def clip(x, lo, hi):
@@ -67,6 +58,7 @@ class Driver:
     """A planner with one defect, unless it is ``repaired``: memory of speeds, lane changes, steering."""
 
     SHARE = 0.96  # of the speed limit
+    ANSWER, BRAKE = 1.5, 4.5  # time to answer [s], braking that it plans with [m/s^2]
     PULL, DRIFT = 0.45, 1.3  # of the steering: towards the goal [1/s], at most [m/s]
     REST = 4.0  # time between two lane changes [s]
 
@@ -128,6 +120,20 @@ class Driver:
             self.old, self.rest, self.arrived = None, o.time + self.REST, o.time
         elif abs(e.y - self.old * WIDE) < 0.9 and not self.clear(o, cars, self.lane):
             self.lane, self.old, self.rest = self.old, None, o.time + 3.0
+
+    def clear(self, o, cars, k):
+        return all(self.room(o.ego.speed, c) for c in cars if self.concerns(o, c, k))
+
+    def concerns(self, o, c, k):
+        """Return whether the other is in lane k, or may come into it from either side."""
+        beyond = abs(c.y - k * WIDE) < 7.0 and abs(c.y - o.ego.y) > 5.0 and c.gap < 15.0
+        return self.inside(c, k) or beyond
+
+    def behind(self, v, c):
+        """Approach the speed from which it could stop behind the other."""
+        f, room, late = max(c.v + 0.4 * min(c.a, 0.0), 0.0), max(c.gap - 3.0, 0.0), self.BRAKE * self.ANSWER
+        safe = math.sqrt(late * late + 2 * self.BRAKE * room + f * f) - late
+        return clip((safe - v) / 0.9, -4.0, 2.0)
 
     def cruise(self, o):
         return clip(0.6 * (self.SHARE * o.speed_limit - o.ego.speed), -1.5, 1.8)

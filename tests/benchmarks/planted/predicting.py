@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, clip, listed
+from tests.benchmarks.planted.policy import WIDE, Driver, braking_needed, listed
 
 
 class Predictor(Driver):
@@ -13,7 +13,7 @@ class Predictor(Driver):
     """
 
     HORIZON, MARGIN = 1.6, 1.2  # of the prediction [s]; beside the ego's lane [m]
-    ANSWER, BRAKE = 1.4, 4.5  # time to answer [s], braking that it plans with [m/s^2]
+    ANSWER = 1.4
 
     def lanes(self, o, cars):
         """Return no lanes: it stays in its lane."""
@@ -35,12 +35,6 @@ class Predictor(Driver):
             return 0.0
         towards = -c.w if c.y > lane else c.w
         return off / towards if towards > 0.1 else math.inf
-
-    def behind(self, v, c):
-        """Approach the speed from which it could stop behind the other."""
-        f, room, late = max(c.v + 0.4 * min(c.a, 0.0), 0.0), max(c.gap - 3.0, 0.0), self.BRAKE * self.ANSWER
-        safe = math.sqrt(late * late + 2 * self.BRAKE * room + f * f) - late
-        return clip((safe - v) / 0.9, -4.0, 2.0)
 
     def emergency(self, v, leaders):
         needed = max([self.needed(v, c) for c in leaders], default=0.0)

@@ -11,7 +11,7 @@ from functools import partial
 
 from highway_env.vehicle.controller import ControlledVehicle
 
-from tests.benchmarks.planted.policy import WIDE, Planted, about_of, braking_needed, clip
+from tests.benchmarks.planted.policy import WIDE, Planted, braking_needed, clip
 
 TICKS = 3  # ticks of 1/15 s from one decision to the next
 PERIOD = TICKS / 15.0
@@ -192,37 +192,16 @@ class TakenForShoulder(Pilot):
         return super().concerns(c, k)
 
 
-class ShortLookAheadRepaired(ShortLookAhead):
-    """ShortLookAhead without the defect."""
-
-    repaired = True
-
-
-class ClockWrapsRepaired(ClockWraps):
-    """ClockWraps without the defect."""
-
-    repaired = True
-
-
-class TakenForShoulderRepaired(TakenForShoulder):
-    """TakenForShoulder without the defect."""
-
-    repaired = True
-
-
-POLICIES = {
-    "short-look-ahead": (ShortLookAhead, ShortLookAheadRepaired, 1),
-    "clock-wraps": (ClockWraps, ClockWrapsRepaired, 2),
-    "taken-for-shoulder": (TakenForShoulder, TakenForShoulderRepaired, 3),
-}
-
-
-def given(policy):
-    """Return a class, which is its own factory."""
-    return policy
+def given(policy, *, repaired=False):
+    """Return a class, which is its own factory, or the same without its defect."""
+    return type(f"{policy.__name__}Repaired", (policy,), {"repaired": True}) if repaired else policy
 
 
 PLANTED = {
-    name: Planted("vehicle", conditions, partial(given, made), partial(given, twin), about_of(made))
-    for name, (made, twin, conditions) in POLICIES.items()
+    name: Planted("vehicle", conditions, partial(given, policy), partial(given, policy, repaired=True))
+    for name, policy, conditions in (
+        ("short-look-ahead", ShortLookAhead, 1),
+        ("clock-wraps", ClockWraps, 2),
+        ("taken-for-shoulder", TakenForShoulder, 3),
+    )
 }

@@ -58,8 +58,6 @@ def test_env_step_drives_to_lanes_identically(seed):
 
 
 class ToSpeed25(ControlledVehicle):
-    """highway-env's own controllers, with a target speed."""
-
     def act(self, action=None):
         self.target_speed = 25.0
         super().act()

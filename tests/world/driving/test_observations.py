@@ -188,8 +188,6 @@ def test_every_other_observation_is_left_to_highway_env(env, config):
 
 
 class Ghost(Vehicle):
-    """A vehicle that describes itself as if it were elsewhere."""
-
     def to_dict(self, *args, **kwargs):
         return {**super().to_dict(*args, **kwargs), "x": 7.0}
 

@@ -102,8 +102,6 @@ def test_vehicle_lane_is_that_of_its_seen_position():
 
 
 class OfItsOwn:
-    """An ADS that says how it was made, and is closed."""
-
     def __init__(self):
         self.closed = []
 

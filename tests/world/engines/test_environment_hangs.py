@@ -41,8 +41,6 @@ def clock(monkeypatch):
 
 
 class Slow(gymnasium.Wrapper):
-    """Its step takes long."""
-
     takes = NEVER
     clock = None
 
@@ -65,8 +63,6 @@ class Swallowing(Slow):
 
 
 class Repeating(gymnasium.Wrapper):
-    """It steps its environment for ever, also after the end of the run."""
-
     def step(self, action):
         while True:
             self.env.step(action)

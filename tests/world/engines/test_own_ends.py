@@ -30,15 +30,11 @@ IDLE, FASTER = 1, 3
 
 
 class Goal(HighwayEnvFast):
-    """The goal is a line across the road."""
-
     def _is_terminated(self):
         return super()._is_terminated() or self.vehicle.position[0] > 260.0
 
 
 class Exit(ExitEnv):
-    """The episode is over at the exit or where it has been missed."""
-
     def _is_terminated(self):
         return self._is_success() or self.vehicle.position[0] > 430.0
 
@@ -55,8 +51,6 @@ class Timed(HighwayEnvFast):
 
 
 class Rewarded(gymnasium.Wrapper):
-    """The episode is won with a sum of rewards."""
-
     def reset(self, **given):
         self.won = 0.0
         return super().reset(**given)
@@ -68,8 +62,6 @@ class Rewarded(gymnasium.Wrapper):
 
 
 class Fenced(gymnasium.Wrapper):
-    """The episode is cut at a place."""
-
     def step(self, action):
         seen, reward, terminated, truncated, info = super().step(action)
         return seen, reward, terminated, truncated or self.unwrapped.vehicle.position[0] > 300.0, info
@@ -210,8 +202,6 @@ class Plain(gymnasium.RewardWrapper):
 
 
 class Twice(gymnasium.Wrapper):
-    """Each action is done twice."""
-
     def step(self, action):
         self.env.step(action)
         return self.env.step(action)
@@ -224,8 +214,6 @@ class OwnStep(HighwayEnvFast):
 
 
 class LooksAhead(OwnStep):
-    """Its step goes ahead in a copy of it first."""
-
     def step(self, action):
         ahead = copy.deepcopy(self)
         ahead._simulate(action)
@@ -295,8 +283,6 @@ class Endless(gymnasium.Wrapper):
 
 
 class Thinking(gymnasium.Wrapper):
-    """Its step takes longer than a decision may."""
-
     def step(self, action):
         time.sleep(0.25)
         return super().step(action)
@@ -341,8 +327,6 @@ def test_wrappers_that_fail_beside_an_episode_end_the_run_there(wrapper, ticks, 
 
 
 class Lazy(gymnasium.Wrapper):
-    """Its steps do nothing."""
-
     def step(self, action):
         return self.observation_space.sample(), 0.0, False, False, {}
 
@@ -383,8 +367,6 @@ class Unlimited(HighwayEnvFast):
 
 
 class Whole(gymnasium.Wrapper):
-    """A step goes on until the episode is over."""
-
     def step(self, action):
         for _ in range(1000):
             result = super().step(action)
@@ -534,8 +516,6 @@ def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register, given
 
 
 class TwentySteps(HighwayEnvFast):
-    """It knows the time, and how long its steps are."""
-
     def _is_truncated(self):
         return self.time * self.config["policy_frequency"] >= 20
 
@@ -550,8 +530,6 @@ def test_an_end_reads_the_rate_of_the_steps_after_which_it_is_asked(register):
 
 
 class Skipping(HighwayEnvFast):
-    """Each of its steps is three."""
-
     def step(self, action):
         for _ in range(3):
             result = super().step(action)

@@ -44,8 +44,6 @@ class Calls:
 
 
 class Forgives(Calls):
-    """A world that goes on without the ADS, whatever the ADS does."""
-
     calls = 0
 
     def ask(self, ads, decision):
@@ -57,8 +55,6 @@ class Forgives(Calls):
 
 
 class Trusts(Calls):
-    """A world that catches nothing."""
-
     def rollout(self, scenario, ads_factory):
         ads = ads_factory()
         for decision in range(10):
@@ -67,8 +63,6 @@ class Trusts(Calls):
 
 
 class InThread(Calls):
-    """A world that asks the ADS in another thread."""
-
     def ask(self, ads, decision):
         raised = []
 
@@ -157,8 +151,6 @@ def test_world_that_catches_nothing_passes_the_hang_on():
 
 
 class Swallows(Calls):
-    """A world that catches even what ends a process."""
-
     def ask(self, ads, decision):
         try:
             ads(decision)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pickle
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
 from highway_env.road.lane import StraightLane
 from highway_env.road.regulation import RegulatedRoad
-from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
@@ -107,18 +107,15 @@ def test_the_kernel_moves_the_egos_that_it_knows(env_id, monkeypatch):
 class Yielding(OwnEnvironment):
     """A slow road that leads across one with priority, and on as a faster road."""
 
-    @classmethod
-    def default_config(cls):
-        return {**super().default_config(), "duration": 20}
+    options: ClassVar = {"duration": 20}
 
     def _reset(self):
-        network = RoadNetwork()
-        network.add_lane("w", "m", StraightLane([-150, 0], [30, 0], speed_limit=10))
-        network.add_lane("m", "e", StraightLane([30, 0], [400, 0], speed_limit=20))
-        network.add_lane("n", "s", StraightLane([0, -150], [0, 150], speed_limit=10, priority=1))
-        self.road = RegulatedRoad(network, np_random=self.np_random)
-        self.vehicle = self.action_type.vehicle_class(self.road, [-60.0, 0.0], 0.0, 10.0)
-        self.road.vehicles = [self.vehicle]
+        lanes = [
+            ("w", "m", StraightLane([-150, 0], [30, 0], speed_limit=10)),
+            ("m", "e", StraightLane([30, 0], [400, 0], speed_limit=20)),
+            ("n", "s", StraightLane([0, -150], [0, 150], speed_limit=10, priority=1)),
+        ]
+        self.open(lanes, [-60.0, 0.0], road=RegulatedRoad)
 
 
 @pytest.fixture

@@ -6,13 +6,13 @@ import copy
 import itertools
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
 from highway_env.envs.merge_env import MergeEnv
 from highway_env.road.lane import CircularLane, StraightLane
-from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
@@ -265,23 +265,23 @@ def test_copied_vehicle_shares_its_way_with_the_original():
     assert copy.deepcopy([road])[0] is road
 
 
+HALVES = (("n", "s", 0.0), ("s", "n", math.pi))
+"""The nodes and the first angle of the two halves of a circle."""
+
+
 class OwnCircuit(OwnEnvironment):
     """A user's environment: two lanes around a circle, with only the road from highway-env."""
 
-    @classmethod
-    def default_config(cls):
-        return {**super().default_config(), "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 6, 12]}}
+    options: ClassVar = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 6, 12]}}
 
     def _reset(self):
-        network = RoadNetwork()
-        for node, after, start in (("n", "s", 0.0), ("s", "n", math.pi)):
-            for radius in (50, 46):  # clockwise on the screen, so the outer lane is the left one
-                network.add_lane(node, after, CircularLane([0, 0], radius, start, start + math.pi, speed_limit=12))
-        self.road = Road(network, np_random=self.np_random)
-        lane = network.get_lane(("n", "s", 1))
-        ego = self.action_type.vehicle_class(self.road, lane.position(30, 0), lane.heading_at(30), 10.0)
-        self.road.vehicles.append(ego)
-        self.vehicle = ego
+        lanes = [
+            (node, after, CircularLane([0, 0], radius, start, start + math.pi, speed_limit=12))
+            for node, after, start in HALVES
+            for radius in (50, 46)  # clockwise on the screen, so the outer lane is the left one
+        ]
+        inner = lanes[1][2]
+        self.open(lanes, inner.position(30, 0), inner.heading_at(30))
 
     def _is_truncated(self):
         return False
@@ -291,28 +291,19 @@ class OwnDeadEnd(OwnCircuit):
     """A user's environment whose road ends in front of the ego."""
 
     def _reset(self):
-        network = RoadNetwork()
-        network.add_lane("a", "b", StraightLane([0, 0], [30, 40], speed_limit=12))
-        self.road = Road(network, np_random=self.np_random)
-        self.vehicle = self.action_type.vehicle_class(self.road, [27.0, 36.0], math.atan2(4, 3), 10.0)
-        self.road.vehicles.append(self.vehicle)
+        self.open([("a", "b", StraightLane([0, 0], [30, 40], speed_limit=12))], [27.0, 36.0], math.atan2(4, 3))
 
 
 class OwnTaper(OwnCircuit):
     """A user's environment in which the right one of two straight lanes ends."""
 
-    @classmethod
-    def default_config(cls):
-        return {**super().default_config(), "taper": 60.0}
+    options: ClassVar = OwnCircuit.options | {"taper": 60.0}
 
     def _reset(self):
-        network, end = RoadNetwork(), self.config["taper"]
-        network.add_lane("a", "b", StraightLane([0, 0], [end, 0], speed_limit=30))
-        network.add_lane("a", "b", StraightLane([0, 4], [end, 4], speed_limit=30))
-        network.add_lane("b", "c", StraightLane([end, 0], [end + 600, 0], speed_limit=30))
-        self.road = Road(network, np_random=self.np_random)
-        self.vehicle = self.action_type.vehicle_class(self.road, [20.0, 0.0], 0.0, 6.0)
-        self.road.vehicles.append(self.vehicle)
+        end = self.config["taper"]
+        lanes = [("a", "b", StraightLane([0, y], [end, y], speed_limit=30)) for y in (0, 4)]
+        lanes.append(("b", "c", StraightLane([end, 0], [end + 600, 0], speed_limit=30)))
+        self.open(lanes, [20.0, 0.0], speed=6.0)
 
 
 class OwnRamp(MergeEnv):
@@ -326,18 +317,15 @@ class OwnRamp(MergeEnv):
 class OwnMeeting(OwnCircuit):
     """A straight road from west to east, and a second one that meets or passes it."""
 
-    @classmethod
-    def default_config(cls):
-        return {**super().default_config(), "other": ["n", "s"], "points": [[200.0, -80.0], [200.0, 90.0]]}
+    options: ClassVar = OwnCircuit.options | {"other": ["n", "s"], "points": [[200.0, -80.0], [200.0, 90.0]]}
 
     def _reset(self):
-        network, (origin, end) = RoadNetwork(), self.config["other"]
-        network.add_lane("a", "b", StraightLane([0, 0], [300, 0], speed_limit=20))
-        network.add_lane("b", "c", StraightLane([300, 0], [600, 0], speed_limit=20))
-        network.add_lane(origin, end, StraightLane(*self.config["points"], speed_limit=20))
-        self.road = Road(network, np_random=self.np_random)
-        self.vehicle = self.action_type.vehicle_class(self.road, [50.0, 0.0], 0.0, 10.0)
-        self.road.vehicles.append(self.vehicle)
+        lanes = [
+            ("a", "b", StraightLane([0, 0], [300, 0], speed_limit=20)),
+            ("b", "c", StraightLane([300, 0], [600, 0], speed_limit=20)),
+            (*self.config["other"], StraightLane(*self.config["points"], speed_limit=20)),
+        ]
+        self.open(lanes, [50.0, 0.0])
 
 
 class OwnTraffic(OwnMeeting):
@@ -351,24 +339,19 @@ class OwnHalves(OwnCircuit):
     """Two half circles. No run reaches the second one: its nodes are those of the first in the other order."""
 
     def _reset(self):
-        network = RoadNetwork()
-        for node, after, start in (("n", "s", 0.0), ("s", "n", math.pi)):
-            network.add_lane(node, after, CircularLane([0, 0], 200, start, start + math.pi, speed_limit=12))
-        self.road = Road(network, np_random=self.np_random)
-        lane = network.get_lane(("n", "s", 0))
-        self.vehicle = self.action_type.vehicle_class(self.road, lane.position(200, 0), lane.heading_at(200), 10.0)
-        self.road.vehicles.append(self.vehicle)
+        lanes = [
+            (*nodes, CircularLane([0, 0], 200, start, start + math.pi, speed_limit=12)) for *nodes, start in HALVES
+        ]
+        first = lanes[0][2]
+        self.open(lanes, first.position(200, 0), first.heading_at(200))
 
 
 @pytest.fixture
-def registered():
-    ids = {"OwnCircuit-v0": OwnCircuit, "OwnDeadEnd-v0": OwnDeadEnd, "OwnTaper-v0": OwnTaper}
-    ids |= {"OwnMeeting-v0": OwnMeeting, "OwnTraffic-v0": OwnTraffic, "OwnHalves-v0": OwnHalves, "OwnRamp-v0": OwnRamp}
-    for env_id, entry_point in ids.items():
-        gymnasium.register(id=env_id, entry_point=entry_point)
-    yield
-    for env_id in ids:
-        del gymnasium.registry[env_id]
+def registered(monkeypatch):
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
+    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+    for entry_point in (OwnCircuit, OwnDeadEnd, OwnTaper, OwnMeeting, OwnTraffic, OwnHalves, OwnRamp):
+        gymnasium.register(f"{entry_point.__name__}-v0", entry_point)
 
 
 @pytest.mark.usefixtures("registered")

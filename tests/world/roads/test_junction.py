@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, StraightLane
-from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
 from pytest_pafot.world.roads.junction import WIDER, Course, meetings_of, near_pairs
@@ -241,25 +241,19 @@ class OwnJunction(OwnEnvironment):
     The option says from where the ego comes, the west or the bend.
     """
 
-    @classmethod
-    def default_config(cls):
-        return {**super().default_config(), "from": "w", "duration": 12, "policy_frequency": 5}
+    options: ClassVar = {"from": "w", "duration": 12, "policy_frequency": 5}
 
     def _reset(self):
-        network = RoadNetwork()
-        network.add_lane("w", "m", StraightLane([-150, 0], [20, 0], speed_limit=15))
-        network.add_lane("m", "e", StraightLane([20, 0], [200, 0], speed_limit=15))
-        network.add_lane("n", "s", StraightLane([-20, -120], [-20, 120], speed_limit=15))
-        network.add_lane("b", "c", StraightLane([0, 150], [0, 20], speed_limit=15))
-        bend = CircularLane([20, 20], 20, math.pi, 1.5 * math.pi, clockwise=True, speed_limit=15)
-        network.add_lane("c", "m", bend)
-        self.road = Road(network, np_random=self.np_random)
-        start = {"w": ("w", "m", 0), "b": ("b", "c", 0)}[self.config["from"]]
-        lane = network.get_lane(start)
+        lanes = [
+            ("w", "m", StraightLane([-150, 0], [20, 0], speed_limit=15)),
+            ("m", "e", StraightLane([20, 0], [200, 0], speed_limit=15)),
+            ("n", "s", StraightLane([-20, -120], [-20, 120], speed_limit=15)),
+            ("b", "c", StraightLane([0, 150], [0, 20], speed_limit=15)),
+            ("c", "m", CircularLane([20, 20], 20, math.pi, 1.5 * math.pi, clockwise=True, speed_limit=15)),
+        ]
+        lane = next(lane for origin, _, lane in lanes if origin == self.config["from"])
         at = lane.length - 90
-        ego = self.action_type.vehicle_class(self.road, lane.position(at, 0), lane.heading_at(at), 10.0)
-        self.road.vehicles = [ego]
-        self.controlled_vehicles = [ego]
+        self.open(lanes, lane.position(at, 0), lane.heading_at(at))
 
 
 @pytest.fixture
