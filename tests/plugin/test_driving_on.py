@@ -82,15 +82,15 @@ LASTING = """
 def saved(project):
     """Return a project with a file of the scenario, in which the fast ego hit the NPC."""
     project.write(TEST.replace("WORLD", WORLD))
-    project.pytester.makepyfile(policies=POLICIES)
-    return filed(project, pafot.Highway(lanes=3).to_dict())
+    return filed(project)
 
 
 HIT = Failure(kind="AssertionError", assertion="assert not run.collision")
 
 
-def filed(project, world, failure=HIT, expect=None):
-    """Save a failure of the fast ego, by default its collision, in a file that names a world."""
+def filed(project, world=None, failure=HIT, expect=None):
+    """Write the policies, and save a failure of the fast ego, by default its collision, in a file with a world."""
+    project.pytester.makepyfile(policies=POLICIES)
     namespace = {}
     exec(POLICIES, namespace)
     run = pafot.Run(pafot.Highway(lanes=3).rollout(SCENARIO, namespace["fast"]))
@@ -99,7 +99,7 @@ def filed(project, world, failure=HIT, expect=None):
         run,
         failure,
         test="test_it.py::test_gap",
-        world=world,
+        world=world or pafot.Highway(lanes=3).to_dict(),
         found=Found(seed=0, generation=0, algorithm="random", versions=dict(installed_versions())),
     )
     finding = finding if expect is None else replace(finding, expect=expect)
@@ -197,9 +197,8 @@ def test_file_is_not_driven_on_after_death_without_fork(saved, monkeypatch):
 
 def test_death_after_the_end_of_a_crash_still_fails(project):
     project.write(TEST.replace("WORLD", WORLD))
-    project.pytester.makepyfile(policies=POLICIES)
     died = LostRun(SCENARIO, pid=1, how="ended with exit code 9")
-    filed(project, pafot.Highway(lanes=3).to_dict(), expect=expectation(died))
+    filed(project, expect=expectation(died))
     result = replay(project, "dying")
     result.assert_outcomes(failed=1, skipped=1)
     result.stdout.fnmatch_lines(["replay: still failing, driven on past the file's end", "*1 still failing"])
@@ -222,10 +221,9 @@ def test_pass_without_its_situation_is_driven_on_too(saved):
 def test_check_that_fails_after_the_end_still_fails(project):
     check = "run.ego.speed, name='speed', at_most=24.0"
     project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", f"pafot.check({check})"))
-    project.pytester.makepyfile(policies=POLICIES)
     broken = Check(name="speed", value=30.0, margin=-0.25, at_most=24.0, time=5.6)
     failure = Failure(kind="CheckFailed", message=str(broken), assertion="speed", check=broken)
-    filed(project, pafot.Highway(lanes=3).to_dict(), failure)
+    filed(project, failure=failure)
     told = "*driven on past the file's end: the same failure, speed failed at *"
     replay(project, "late").stdout.fnmatch_lines([told, "*1 still failing"])
     replay(project, "braking").stdout.fnmatch_lines(["*1 passes"])
@@ -237,12 +235,11 @@ def test_check_that_fails_after_the_end_still_fails(project):
 def test_value_that_grows_with_the_run_is_not_judged_later(project, broken):
     body = f"way = float(run.ego.speed.sum() / run.trace.physics_hz)\n    {broken}"
     project.write(TEST.replace("WORLD", WORLD).replace("assert not run.collision", body))
-    project.pytester.makepyfile(policies=POLICIES)
     measured = Check(name="way", value=167.0, margin=-0.67, at_most=100.0)
     failure = Failure(kind="AssertionError", assertion=broken)
     if "check" in broken:
         failure = Failure(kind="CheckFailed", message=str(measured), assertion="way", check=measured)
-    filed(project, pafot.Highway(lanes=3).to_dict(), failure)
+    filed(project, failure=failure)
     result = replay(project, "braking")
     result.stdout.fnmatch_lines(["*1 passes"])
     result.stdout.no_fnmatch_line("*driven on*")
@@ -258,10 +255,7 @@ def test_error_of_the_test_after_the_end_is_named(saved):
 
 
 def test_accepted_failure_stays_accepted_with_a_slower_ego(saved):
-    path = saved.only_file
-    path.write_text(
-        path.read_text().replace("# xfail: {reason, until}", 'xfail: {reason: "a known mistake", until: 9999-12-31}')
-    )
+    saved.accept()
     replay(saved, "slow").assert_outcomes(xfailed=1, skipped=1)
 
 
@@ -282,7 +276,6 @@ def test_reference_is_driven_on_as_well(saved, now, before, label, reference):
 @pytest.mark.parametrize(("more", "label"), [("", "passes"), (LASTING, "still failing")])
 def test_own_world_is_driven_on_if_it_goes_on(project, more, label):
     project.write(OWN + more + TEST.replace("WORLD", "Own()"))
-    project.pytester.makepyfile(policies=POLICIES)
     filed(project, {"kind": "own", "class": "Own", "data": {}})
     replay(project, "slow").stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
 
@@ -300,7 +293,6 @@ OTHER = f"{NOT}: expected the same world, received one in which the run begins o
 ])  # fmt: skip
 def test_wrong_lasting_is_named_and_changes_no_label(project, lasting, told):
     project.write(OWN + lasting + "\n" + TEST.replace("WORLD", "Own()"))
-    project.pytester.makepyfile(policies=POLICIES)
     filed(project, {"kind": "own", "class": "Own", "data": {}})
     result = replay(project, "slow")
     result.assert_outcomes(passed=1, skipped=1)

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-import pytest_pafot as pafot
 from tests.plugin.test_driving_on import POLICIES, filed
 
 CAREFUL = """
@@ -26,8 +25,8 @@ SEARCHED = ("--pafot-runs=30", "--pafot-json=out.json", "--pafot-shrink-rollouts
 
 def fixed(project, policy, **more):
     project.write(TEST.replace("POLICY", policy))
+    filed(project, **more)
     project.pytester.makepyfile(policies=POLICIES + CAREFUL)
-    filed(project, pafot.Highway(lanes=3).to_dict(), **more)
     project.pytester.makeini("[pytest]\n")
     return project
 

@@ -3,7 +3,7 @@
 import textwrap
 
 from pytest_pafot.corpus.reader import load
-from tests.helpers.sessions import section
+from tests.plugin.conftest import shows
 
 VEHICLES = {
     "mark": """
@@ -49,6 +49,7 @@ def test_drive(run):
 """
 
 RAISED = {
+    "return {}['missing key'], 0.0": "KeyError",
     "pytest.skip('no GPU')": "Skipped",
     "pytest.importorskip('no_such_module')": "Skipped",
     "pytest.xfail('never')": "XFailed",
@@ -71,8 +72,10 @@ class TestWhatAnAdsRaisesIsAFinding:
         for number, failure in enumerate(RAISED.values()):
             (name,) = [name for name in project.files if f"/test_drive_{number}/" in name]
             finding = load(project.path / name)
-            assert f"the ADS failed: {failure}" in section(result, f"test_drive_{number}[saved-{finding.id}]")
+            shows(result, f"test_drive_{number}[saved-{finding.id}]", f"the ADS failed: {failure}*")
             assert finding.expect.failure == failure
+            assert finding.id.startswith("ads-error-")
+        result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
         result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
         project.run(runs=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
 

@@ -7,7 +7,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.oracle.checks import Rejected
-from tests.helpers.sessions import section
+from tests.plugin.conftest import shows
 
 
 def test_function_that_returns_a_value_is_refused(project):
@@ -28,24 +28,33 @@ def test_mark_takes_the_name_of_a_policy_with_its_argument(project):
     result.stdout.fnmatch_lines(["@pafot.search(ads=...): expected a factory in the module named, *'named:Planner'?"])
 
 
-def test_subtests_fixture_is_refused_in_a_search(project):
-    source = """
-@pafot.search(SHORT)
-def test_parts_THROUGH(run, THROUGH):
-    with THROUGH.test("part"):
-        assert not run.duration
+ONCE = ("pytest_benchmark", "pytest_codspeed", "syrupy")
+COLLECTS = "*received a function with the fixture '*', which collects failures*write `assert ...`*"
+FIXTURES = {"subtests": COLLECTS, "indirectly": COLLECTS}
+FIXTURES |= {f"of_{package}": f"*received one with the fixture 'of_{package}'*{package}*" for package in ONCE}
+OF_PACKAGE = """
+@pytest.fixture
+def of_PACKAGE():
+    return type("Once", (), {"__module__": "PACKAGE.fixture"})()
+"""
+INDIRECTLY = """
+@pytest.fixture
+def indirectly(subtests):
+    return subtests
 
-def test_other_THROUGH(THROUGH):
-    with THROUGH.test("part"):
+def test_other(indirectly):
+    with indirectly.test("part"):
         pass
 """
-    indirectly = "@pytest.fixture\ndef indirectly(subtests):\n    return subtests\n"
-    project.write(indirectly + "".join(source.replace("THROUGH", each) for each in ("subtests", "indirectly")))
+
+
+def test_fixture_that_collects_failures_or_is_for_one_call_is_refused(project):
+    tests = (f"@pafot.search(SHORT)\ndef test_{each}(run, {each}):\n    assert {each} is None\n" for each in FIXTURES)
+    project.write("\n".join([*(OF_PACKAGE.replace("PACKAGE", each) for each in ONCE), INDIRECTLY, *tests]))
     result = project.run()
-    result.assert_outcomes(failed=2, passed=2)
-    told = "*received a function with the fixture '*', which collects failures*write `assert ...`*"
-    for each in ("subtests", "indirectly"):
-        pytest.LineMatcher(section(result, f"test_parts_{each}").splitlines()).fnmatch_lines([told])
+    result.assert_outcomes(failed=len(FIXTURES), passed=1)
+    for name, line in FIXTURES.items():
+        shows(result, f"test_{name}", line)
     assert project.files == []
 
 
@@ -55,16 +64,6 @@ def test_recorder_of_warnings_holds_those_of_one_run(project):
         "    warnings.warn(run.scenario.id)\n    assert [str(each.message) for each in recwarn] == [run.scenario.id]\n"
     )
     project.run("--pafot-runs=8").assert_outcomes(passed=1)
-
-
-@pytest.mark.parametrize("package", ["pytest_benchmark", "pytest_codspeed", "syrupy"])
-def test_fixture_for_one_call_is_refused(project, package):
-    once = f"@pytest.fixture\ndef once():\n    return type('Once', (), {{'__module__': '{package}.fixture'}})()\n\n"
-    project.write(once + "@pafot.search(SHORT)\ndef test_x(run, once):\n    assert once is None\n")
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines([f"*received one with the fixture 'once'*{package}*"])
-    assert project.files == []
 
 
 def test_failures_collected_by_pytest_check_fail_the_search(project):
@@ -114,11 +113,20 @@ def test_double(run):
 def test_raw(run):
     pass
 
+@pytest.mark.pafot
+def test_bare(run):
+    pass
+
+@pytest.mark.pafot(ads=1)
+def test_given(run):
+    pass
+
+@pytest.mark.pafot
 def test_other():
     pass
 """)
     result = project.run()
-    result.assert_outcomes(errors=7, passed=1)
+    result.assert_outcomes(errors=9, passed=1)
     told = {
         "test_async": "*expected a plain function, received an async function*write `def`*",
         "TestCase.test_method": "*received a method of the unittest.TestCase TestCase*",
@@ -126,21 +134,22 @@ def test_other():
         "test_misspelt": "*expected a parameter 'rnu'*received the parameters (run); correct @pafot.search(arg=...)",
         "test_double": "*expected the parameter 'run' to be free for the simulated run*",
         "test_raw": "*mark it with @pafot.search(...)*",
+        "test_bare": "*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*",
+        "test_given": "*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*",
     }
     for name, line in told.items():
-        pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([line])
+        shows(result, name, line)
 
 
-def test_arg_may_rename_a_keyword_only_parameter(project):
-    project.write('@pafot.search(SHORT, arg="drive")\ndef test_renamed(*, drive):\n    assert drive.duration > 0\n')
-    project.run().assert_outcomes(passed=1)
-
-
-def test_the_decorator_works_bare_called_and_on_classes(project):
+def test_the_decorator_works_bare_called_with_a_name_and_on_classes(project):
     project.write("""
 @pafot.search()
 def test_called(run):
     assert run.duration > 0
+
+@pafot.search(SHORT, arg="drive")
+def test_renamed(*, drive):
+    assert drive.duration > 0
 
 @pafot.search(runs=4)
 class TestClass:
@@ -151,7 +160,7 @@ class TestClass:
     def test_own_arguments(self, run):
         assert run.scenario.genes == 2
 """)
-    project.run().assert_outcomes(passed=3)
+    project.run().assert_outcomes(passed=4)
 
 
 @pytest.mark.parametrize("target", [partial(print, 1), lambda run: None], ids=["object", "lambda"])
@@ -184,7 +193,7 @@ def test_given_and_search_on_one_function_are_refused(project):
     result.assert_outcomes(errors=2)
     told = "*expected @pafot.search or @given, received both*pafot_simulate*"
     for name in ("test_given_first", "test_search_first"):
-        pytest.LineMatcher(section(result, name).splitlines()).fnmatch_lines([told])
+        shows(result, name, told)
 
 
 WRONG = [
@@ -203,20 +212,20 @@ WRONG = [
 """Arguments that are an error of their item before any fixture, and the error's text."""
 
 
-def shown_of(project, cases, before=""):
-    """Return a session's output, and the lines of the failure of each of these arguments."""
+def told_of(project, cases, before=""):
+    """Return a session's result; the failure of each of these arguments tells its message."""
     tests = [f"@pafot.search({arguments})\ndef test_{n}(run):\n    pass\n" for n, (arguments, _) in enumerate(cases)]
     project.write("\n".join([before, *tests, "def test_other():\n    pass\n"]))
     result = project.run()
-    return result, [pytest.LineMatcher(section(result, f"test_{n}").splitlines()) for n in range(len(cases))]
+    for n, (_, message) in enumerate(cases):
+        shows(result, f"test_{n}", message)
+    result.stdout.no_fnmatch_line("*another exception occurred*")
+    return result
 
 
 def test_wrong_argument_is_an_error_before_any_fixture(project):
-    result, shown = shown_of(project, WRONG, "@pytest.fixture\ndef ads():\n    raise RuntimeError('set up')\n")
+    result = told_of(project, WRONG, "@pytest.fixture\ndef ads():\n    raise RuntimeError('set up')\n")
     result.assert_outcomes(errors=len(WRONG), passed=1)
-    for lines, (_, message) in zip(shown, WRONG, strict=True):
-        lines.fnmatch_lines([message])
-    result.stdout.no_fnmatch_line("*another exception occurred*")
     result.stdout.no_fnmatch_line("All traceback entries are hidden*")
     assert "set up" not in result.stdout.str()
 
@@ -235,20 +244,9 @@ REFUSED = [
 
 
 def test_argument_refused_by_world_or_run_fails_item(project):
-    result, shown = shown_of(project, REFUSED)
+    result = told_of(project, REFUSED)
     result.assert_outcomes(failed=len(REFUSED), passed=1)
-    for lines, (_, message) in zip(shown, REFUSED, strict=True):
-        lines.fnmatch_lines([message])
-    result.stdout.no_fnmatch_line("*another exception occurred*")
     result.stdout.no_fnmatch_line("*ended early; its findings are reported*")
-
-
-def test_a_missing_ads_fixture_says_what_to_write(project):
-    project.pytester.makeconftest("")
-    project.write("@pafot.search\ndef test_drive(run):\n    pass\n")
-    result = project.run()
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(["*the fixture 'ads' that gives the ADS factory was not found*", "*    def ads():"])
 
 
 def test_missing_ads_fixture_suggests_a_similar_name(project, monkeypatch):
@@ -277,14 +275,6 @@ def test_summary_line_names_the_test_only_once(project):
     )
 
 
-def test_failing_factory_shows_traceback_and_is_no_finding(project):
-    project.write("def broken():\n    return 1 / 0\n\n@pafot.search(ads=broken)\ndef test_drive(run):\n    pass\n")
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["E*ZeroDivisionError*"])
-    assert project.files == []
-
-
 def test_skip_outside_the_test_function_is_an_error(project):
     calls = ["pytest.skip('no GPU')", "pytest.importorskip('no_such_module')", "pytest.xfail('')"]
     cases = [(where, call) for where in ("factory", "fitness") for call in calls]
@@ -299,8 +289,8 @@ def test_skip_outside_the_test_function_is_an_error(project):
     result = project.run()
     result.assert_outcomes(failed=len(cases))
     for n, (where, _) in enumerate(cases):
-        shown = pytest.LineMatcher(section(result, f"test_drive_{n}").splitlines())
-        shown.fnmatch_lines([f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"])
+        told = f"*expected the {where}* to raise no skip*call pytest.skip() in the fixture or*"
+        shows(result, f"test_drive_{n}", told)
 
 
 def test_xfail_in_the_test_function_hides_no_failure(saved):

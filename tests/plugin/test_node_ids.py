@@ -30,13 +30,9 @@ NAMES = [
 
 
 @pytest.mark.parametrize(("base", "search", "saved"), NAMES)
-def test_search_and_saved_items_share_their_base_name(base, search, saved):
+def test_search_and_saved_items_share_their_base_name_and_a_finding_is_named_like_its_item(base, search, saved):
     assert base_name(Item(search)) == base_name(Item(saved, "cut-in-3fa9c1")) == base
     assert base_id(Item(search)) == f"test_it.py::TestBraking::{base}"
-
-
-@pytest.mark.parametrize(("base", "search", "saved"), NAMES)
-def test_finding_is_named_like_its_future_item(base, search, saved):
     assert saved_node_id(Item(search), "cut-in-3fa9c1") == f"test_it.py::TestBraking::{saved}"
     assert saved_name(Item(search), "cut-in-3fa9c1") == f"TestBraking.{saved}"
 

@@ -45,23 +45,19 @@ def test_ci_is_set_unless_empty_or_negative(value, expected):
     assert is_ci({"CI": value}) is expected
 
 
-def test_the_command_line_wins_over_the_marker(project):
-    assert settings(project, "--pafot-generations=1", marker={"generations": 2}).generations == 1
-
-
-def test_the_marker_wins_over_the_ini_file(project):
-    assert settings(project, marker={"generations": 2}, ini="pafot_generations = 5").generations == 2
-
-
-@pytest.mark.parametrize(("sources", "runs", "generations"), [
-    ({"marker": {"generations": 100}}, None, 100),
-    ({"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
-    ({"ini": "pafot_generations = 100"}, None, 100),
-    ({"marker": {"runs": 7, "generations": 2}}, 7, 2),
-    ({"marker": {"generations": 0}}, None, 0),
+@pytest.mark.parametrize(("args", "sources", "runs", "generations"), [
+    (("--pafot-generations=1",), {"marker": {"generations": 2}}, None, 1),
+    ((), {"marker": {"generations": 2}, "ini": "pafot_generations = 5"}, None, 2),
+    ((), {"marker": {"generations": 100}}, None, 100),
+    ((), {"marker": {"runs": 7}, "ini": "pafot_generations = 3"}, 7, None),
+    ((), {"ini": "pafot_generations = 100"}, None, 100),
+    ((), {"marker": {"runs": 7, "generations": 2}}, 7, 2),
+    ((), {"marker": {"generations": 0}}, None, 0),
 ])  # fmt: skip
-def test_budget_comes_from_one_source_and_replaces_default(project, sources, runs, generations):
-    found = settings(project, **sources)
+def test_budget_comes_from_command_line_or_marker_or_ini_file_and_replaces_default(
+    project, args, sources, runs, generations
+):
+    found = settings(project, *args, **sources)
     assert (found.runs, found.generations) == (runs, generations)
 
 

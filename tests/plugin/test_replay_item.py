@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tests.helpers.sessions import section
+from tests.plugin.conftest import CONFTEST, shows
 
 KNOWN = """
 @pafot.search(genes=2, gene_seconds=5, npcs=1, ego_lane=1, ego_speed=22)
@@ -20,6 +20,7 @@ FAILS = KNOWN.replace("LINE", "assert run.outcome == 'x'")
 PASSES = KNOWN.replace("LINE", "assert run.outcome")
 
 
+BRAKING = CONFTEST.replace("(0.0, 0.0)", "(-8.0 if observation.ego.speed > 1 else 0.0, 0.0)")
 GYM = """
 @pafot.search(ads=lambda: lambda observation: 1, world=pafot.World("highway-fast-v0", duration=5.0))  # stop_after=1
 def test_fails(run):
@@ -60,7 +61,7 @@ def test_a_search_counts_a_known_failure_and_passes(saved):
 
 
 def test_accepted_failure_lets_the_session_pass(saved):
-    edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
+    saved.accept()
     result = saved.run(runs=20)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
@@ -68,7 +69,7 @@ def test_accepted_failure_lets_the_session_pass(saved):
 
 
 def test_accepted_file_that_passes_fails_until_line_removed(saved):
-    edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
+    saved.accept()
     saved.write(PASSES)
     result = saved.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
@@ -86,18 +87,17 @@ def prepared():
 
 @pytest.mark.parametrize(("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")])
 def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcome):
-    edited(saved, "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}')
+    saved.accept()
     text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
     saved.write(f"{text}\n{FIXTURE.replace('RAISE', raises)}")
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
-UNTIL = 'xfail: {reason: "planner issue 12", until: 2027-01-31}'
 OVER = "  warning: *.pafot.yaml: accepted (planner issue 12, until 2027-01-31), but that day is over: correct *"
 
 
 def test_expired_xfail_that_passes_is_only_a_warning(saved):
-    edited(saved, "# xfail: {reason, until}", UNTIL)
+    saved.accept(until="2027-01-31")
     saved.write(PASSES)
     saved.run("--pafot-today=2027-01-31", runs=0).assert_outcomes(failed=1, skipped=1)
     result = saved.run("--pafot-today=2027-02-01", runs=0)
@@ -106,7 +106,7 @@ def test_expired_xfail_that_passes_is_only_a_warning(saved):
 
 
 def test_last_xfail_day_is_compared_with_the_calendar(saved):
-    edited(saved, "# xfail: {reason, until}", UNTIL.replace("2027-01-31", "9999-12-31"))
+    saved.accept()
     saved.run(runs=0).assert_outcomes(xfailed=1, skipped=1)
     edited(saved, "9999-12-31", "2026-01-01")
     saved.run(runs=0).assert_outcomes(failed=1, skipped=1)
@@ -126,8 +126,7 @@ def test_passing_replay_under_other_versions_has_drifted(saved):
 def test_replay_without_incident_reports_how_long_it_lasted(project):
     project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_drive(run):\n    assert not run.collision\n")
     project.run_once("--pafot-shrink-rollouts=0", runs=20)
-    braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
-    project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
+    project.pytester.makeconftest(BRAKING)
     edited(project, "highway-env: ", "highway-env: 0.")
     result = project.run(runs=0)
     result.stdout.fnmatch_lines(["    *collision at * s in the file, safe for 10.0 s now; highway-env 0.*"])
@@ -147,8 +146,7 @@ def test_pass_without_its_situation_is_no_fix(project):
     project.write(CUT_IN)
     project.pytester.makepyfile(before="def make():\n    return lambda seen: (0.0, 0.0)\n")
     project.run_once("--pafot-shrink-rollouts=0", runs=40)
-    braking = "lambda seen: (-8.0 if seen.ego.speed > 1 else 0.0, 0.0)"
-    project.pytester.makeconftest(f"import pytest\n\n@pytest.fixture\ndef ads():\n    return lambda: {braking}\n")
+    project.pytester.makeconftest(BRAKING)
     told = ["--junitxml=junit.xml", "--pafot-report=page.html", "--pafot-json=session.json"]
     result = project.run(*told, "--pafot-against=before:make", runs=0)
     result.assert_outcomes(passed=1, skipped=1)
@@ -185,8 +183,8 @@ def test_replay_whose_passing_run_is_cut_has_drifted(saved):
     result.stdout.fnmatch_lines(["*1 drifted*", "*world.duration 10.0 in the file, 0.4 now*"])
 
 
-def copies_that_differ(project, edits):
-    """Return a session's output about edited copies of a file, in the same folder."""
+def check_copies(project, edits):
+    """Check that a session names the line of each edited copy of a file, in the same folder, and what is wrong."""
     file, text = project.only_file, project.only_file.read_text()
     for number, (old, new, _) in enumerate(edits):
         assert old in text
@@ -194,7 +192,8 @@ def copies_that_differ(project, edits):
     file.unlink()
     result = project.run(runs=0)
     result.assert_outcomes(failed=len(edits), skipped=1)
-    return [section(result, f"test_fails[saved-copy-{number}]").splitlines() for number in range(len(edits))]
+    for number, (*_, told) in enumerate(edits):
+        shows(result, f"test_fails[saved-copy-{number}]", f"*copy-{number}.pafot.yaml:{told}")
 
 
 def test_invalid_world_or_scenario_fails_item_with_line(saved):
@@ -205,8 +204,7 @@ def test_invalid_world_or_scenario_fails_item_with_line(saved):
         ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
         ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
     ]
-    for number, lines in enumerate(copies_that_differ(saved, edits)):
-        pytest.LineMatcher(lines).fnmatch_lines([f"*copy-{number}.pafot.yaml:{edits[number][2]}"])
+    check_copies(saved, edits)
 
 
 def test_environment_creation_failure_is_reported_with_line(project):
@@ -217,8 +215,7 @@ def test_environment_creation_failure_is_reported_with_line(project):
         ("lanes_count: 3", "lanes_cound: 3", "4: world.config: expected options of highway-fast-v0, received lanes_c*"),
         ("highway-fast-v0", "highway-slow-v0", "3: world.env_id: expected a registered environment, received *"),
     ]
-    for number, lines in enumerate(copies_that_differ(project, edits)):
-        pytest.LineMatcher(lines).fnmatch_lines([f"*copy-{number}.pafot.yaml:{edits[number][2]}"])
+    check_copies(project, edits)
 
 
 def test_a_rejected_replay_is_skipped_and_not_green(saved):
@@ -302,7 +299,8 @@ def by_chance(project, monkeypatch):
     project.write(CHANCE)
     monkeypatch.setenv("PASSES", FAILS_ALWAYS)
     project.run()
-    edited(project, "# xfail: {reason, until}", f'flaky: "another run"\n{UNTIL}')
+    project.accept(until="2027-01-31")
+    edited(project, "xfail: ", 'flaky: "another run"\nxfail: ')
     return lambda passes: monkeypatch.setenv("PASSES", passes)
 
 

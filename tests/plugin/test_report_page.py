@@ -84,14 +84,16 @@ def test_page_counts_runs_of_new_and_known_findings(project, page):
 
 
 def test_accepted_failure_is_shown_with_its_reason(saved, page):
-    with saved.only_file.open("a") as file:
-        file.write('xfail: {reason: "planner issue 12", until: 9999-12-31}\n')
+    saved.accept()
     saved.run("--pafot-report=report.html", runs=0).assert_outcomes(xfailed=1, skipped=1)
     assert [finding.label for finding in read_page(page)[1]] == ["accepted: planner issue 12, until 9999-12-31"]
 
 
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
-    failing.run("--pafot-report=report.html", "--pafot-save=none")
+    result = failing.run("--pafot-report=report.html", "--pafot-save=none")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(["  not saved: --pafot-save=none"])
+    assert failing.files == []
     _, (finding,), _ = read_page(page)
     assert finding.file == f"{finding.id}.pafot.yaml"
     assert finding.command == "pytest 'test_it.py::test_fails[search]' --pafot-runs=4 --pafot-seed=1"

@@ -131,13 +131,6 @@ def test_counts(run, once, tmp_path):
     project.run(runs=8).assert_outcomes(passed=1)
 
 
-def test_save_none_reports_finds_and_writes_nothing(failing):
-    result = failing.run("--pafot-save=none")
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  not saved: --pafot-save=none"])
-    assert failing.files == []
-
-
 def test_central_corpus_mirrors_the_folders_of_tests(failing):
     failing.pytester.mkdir("sub")
     (failing.path / "test_it.py").rename(failing.path / "sub" / "test_it.py")
@@ -146,21 +139,7 @@ def test_central_corpus_mirrors_the_folders_of_tests(failing):
     failing.run(f"--pafot-corpus={failing.path / 'all'}", runs=0).assert_outcomes(failed=1, skipped=1)
 
 
-def test_each_parametrisation_has_its_own_files(project):
-    project.write("""
-@pytest.mark.parametrize("limit", [0, 1000])
-@pafot.search(SHORT)  # stop_after=1
-def test_short(run, limit):
-    assert run.duration < limit
-""")
-    project.run().assert_outcomes(failed=2, passed=1)
-    assert project.only_file.parent.name == "test_short@0"
-    result = project.run("-v", runs=0)
-    result.assert_outcomes(failed=1, skipped=2)
-    result.stdout.fnmatch_lines([f"test_it.py::test_short[[]0-saved-{project.only_id}[]] FAILED*"])
-
-
-def test_parametrised_ads_fixture_gives_several_searches(project):
+def test_each_parametrisation_of_a_test_or_its_ads_has_its_own_files(project):
     project.write("""
 @pytest.fixture(params=["slow", "fast"])
 def ads(request):
@@ -170,9 +149,19 @@ def ads(request):
 @pafot.search(SHORT)  # stop_after=1
 def test_brakes(run):
     assert run.hardest_brake < 1
+
+@pytest.mark.parametrize("limit", [0, 1000])
+@pafot.search(SHORT, ads=lambda: lambda observation: (0.0, 0.0))
+def test_short(run, limit):
+    assert run.duration < limit
 """)
-    project.run().assert_outcomes(failed=2, passed=1)
-    assert project.only_file.parent.name == "test_brakes@slow"
+    project.run().assert_outcomes(failed=4, passed=2)
+    assert [name.split("/")[2] for name in project.files] == ["test_brakes@slow", "test_short@0"]
+    result = project.run("-v", runs=0)
+    result.assert_outcomes(failed=2, skipped=4)
+    for name, part in zip(project.files, ("test_brakes[[]slow", "test_short[[]0"), strict=True):
+        id_ = name.rpartition("/")[2].removesuffix(".pafot.yaml")
+        result.stdout.fnmatch_lines([f"test_it.py::{part}-saved-{id_}[]] FAILED*"])
 
 
 def test_blame_ego_skips_runs_caused_by_npcs(project):
@@ -188,23 +177,6 @@ def test_fault(run):
     result = project.run(runs=16)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["* npc at fault*"])
-
-
-def test_raising_ads_is_a_finding_with_its_traceback(project):
-    project.write("""
-class Broken:
-    def __call__(self, observation):
-        return {}["missing key"] if observation.time > 1 else (0.0, 0.0)
-
-@pafot.search(SHORT, ads=Broken)  # stop_after=1
-def test_runs(run):
-    pass
-""")
-    result = project.run()
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
-    assert project.only_id.startswith("ads-error")
-    project.run(runs=0).assert_outcomes(failed=1, skipped=1)
 
 
 def test_max_time_zero_still_makes_one_run(project):

@@ -42,14 +42,18 @@ def is_whole(result):
     return result.ret == pytest.ExitCode.TESTS_FAILED and "INTERNALERROR" not in result.stdout.str()
 
 
-@pytest.mark.parametrize(("function", "expected"), [
-    ("plugin.terminal_reporter.unclaimed", "problem: records of processes that died: ValueError: a fault"),
-    ("report.page.render_page", "problem: --pafot-report=x.html: not written: ValueError: a fault"),
-    ("report.terminal.session_lines", "summary of pytest-pafot: ValueError: a fault"),
-], ids=["records", "report", "summary"])  # fmt: skip
-def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, expected):
+PAGE = "problem: --pafot-report=x.html: not written: "
+
+
+@pytest.mark.parametrize(("function", "error", "expected"), [
+    ("plugin.terminal_reporter.unclaimed", ValueError, "problem: records of processes that died: ValueError: a fault"),
+    ("report.page.render_page", ValueError, f"{PAGE}ValueError: a fault"),
+    ("report.page.render_page", KeyboardInterrupt, f"{PAGE}KeyboardInterrupt: a fault"),
+    ("report.terminal.session_lines", ValueError, "summary of pytest-pafot: ValueError: a fault"),
+], ids=["records", "report", "interrupt", "summary"])  # fmt: skip
+def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function, error, expected):
     def fail(*arguments, **named):
-        raise ValueError("a fault")
+        raise error("a fault")
 
     project.write(FAILS.replace("test_fails", "test_old"))
     project.run_once()
@@ -98,17 +102,6 @@ def leak():
     assert "problem: --pafot-report=x.html: not written: " in text
     assert "received: Too many open files;" in text
     assert "close the files that the ADS and the tests open" in text
-
-
-def test_interrupt_while_writing_report_loses_only_the_report(project, monkeypatch):
-    def interrupted(*arguments, **named):
-        raise KeyboardInterrupt
-
-    project.write(FAILS)
-    monkeypatch.setattr("pytest_pafot.report.page.render_page", interrupted)
-    result = project.run("--pafot-report=x.html")
-    assert is_whole(result)
-    result.stdout.fnmatch_lines(["*problem: --pafot-report=x.html: not written: KeyboardInterrupt*"])
 
 
 @pytest.mark.skipif(os.name == "nt", reason="processes have no signals there")

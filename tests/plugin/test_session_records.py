@@ -93,16 +93,15 @@ def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
 
 
 def test_expired_xfail_is_recorded_with_a_warning(saved):
-    text = saved.only_file.read_text().replace(
-        "# xfail: {reason, until}", "xfail: {reason: issue 12, until: 2027-01-31}"
-    )
-    saved.only_file.write_text(text)
+    saved.accept(until="2027-01-31")
     records = [recorded(saved, f"--pafot-today={day}", runs=0) for day in ("2027-01-31", "2027-02-01")]
     assert [record.findings[0].result for record in records] == ["xfailed", "failed"]
-    assert [record.findings[0].xfail for record in records] == [{"reason": "issue 12", "until": "2027-01-31"}] * 2
+    accepted = {"reason": "planner issue 12", "until": "2027-01-31"}
+    assert [record.findings[0].xfail for record in records] == [accepted] * 2
     assert (records[0].exit, records[0].searches, records[0].warnings) == (0, [], [])
     (warning,) = records[1].warnings
-    assert warning.startswith(f"{saved.files[0]}: accepted (issue 12, until 2027-01-31), but that day is over: ")
+    told = f"{saved.files[0]}: accepted (planner issue 12, until 2027-01-31), but that day is over: "
+    assert warning.startswith(told)
 
 
 def test_unreadable_file_is_recorded_with_the_reason(saved):

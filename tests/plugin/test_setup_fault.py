@@ -13,6 +13,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.verdict import Verdict
 from tests.helpers.sessions import section
+from tests.plugin.conftest import shows
 
 MISSPELT = """
 @pafot.search(SHORT, ARGUMENTS)
@@ -41,13 +42,12 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         result = project.run(runs=12)
         result.assert_outcomes(failed=len(each))
         for n in range(len(each)):
-            shown = pytest.LineMatcher(section(result, f"test_drive_{n}").splitlines())
-            shown.fnmatch_lines(
-                [
-                    "*assert not run.collided",
-                    "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
-                    "E*This happened in all * runs*an error of the test function*use assert.",
-                ]
+            shows(
+                result,
+                f"test_drive_{n}",
+                "*assert not run.collided",
+                "E*AttributeError: a run has no attribute 'collided'; did you mean `run.collision`?",
+                "E*This happened in all * runs*an error of the test function*use assert.",
             )
         result.stdout.no_fnmatch_line("*pafot: found*")
         result.stdout.no_fnmatch_line("*During handling*")
@@ -73,8 +73,7 @@ class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
         result = project.run(runs=12)
         result.assert_outcomes(failed=len(told))
         for n, line in enumerate(told.values()):
-            shown = pytest.LineMatcher(section(result, f"test_{n}").splitlines())
-            shown.fnmatch_lines([line, "*in all * runs, at the first decision*"])
+            shows(result, f"test_{n}", line, "*in all * runs, at the first decision*")
         assert project.files == []
 
     def test_setup_error_leaves_earlier_scenarios_unchanged(self, project):
@@ -287,18 +286,6 @@ def test_first_generation_error_counts_only_judged_runs():
         check_set_up(state, bench, " of the first generation")
 
 
-def test_mark_without_decorator_is_refused_with_advice(project):
-    marked = [
-        f"@{mark}\ndef test_{n}(run):\n    pass\n"
-        for n, mark in enumerate(("pytest.mark.pafot", "pytest.mark.pafot(ads=1)"))
-    ]
-    project.write("\n".join([*marked, "@pytest.mark.pafot\ndef test_other():\n    pass\n"]))
-    result = project.run()
-    result.assert_outcomes(errors=2, passed=1)
-    told = "*expected the decorator @pafot.search, received the mark @pytest.mark.pafot*"
-    result.stdout.fnmatch_lines([told, "_*", told])
-
-
 def steers(actions):
     """Return a test of an ADS that always acts in the same way, for each action."""
     return "\n".join(
@@ -397,12 +384,7 @@ class TestAReplayWithAFaultOfTheSetUp:
         result.stdout.fnmatch_lines(["the ADS failed: ValueError: alone*", "replayed 1 saved scenario: 1 drifted"])
 
     def test_an_accepted_failure_does_not_excuse_it(self, two):
-        for path in two.path.rglob("*.pafot.yaml"):
-            path.write_text(
-                path.read_text().replace(
-                    "# xfail: {reason, until}", 'xfail: {reason: "planner issue 12", until: 9999-12-31}'
-                )
-            )
+        two.accept()
         two.run(runs=0).assert_outcomes(xfailed=2, skipped=1)
         two.write(drives(next(iter(SIGNATURES))))
         two.run(runs=0).assert_outcomes(failed=2, skipped=1)
