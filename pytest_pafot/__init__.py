@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Chromosome, Scenario
     from pytest_pafot.model.trace import Collision, Outcome, Trace
     from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
-    from pytest_pafot.oracle.checks import CheckFailed, check, reject
-    from pytest_pafot.oracle.run import Run
-    from pytest_pafot.plugin.marks import search
+    from pytest_pafot.oracle.run import CheckFailed, Run, check, reject
+    from pytest_pafot.plugin.collection import search
     from pytest_pafot.world import (
         Drive,
         Highway,
@@ -53,9 +52,8 @@ _NAMES = {
     "model.scenario": "Chromosome Scenario",
     "model.trace": "Collision Outcome Trace",
     "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",
-    "oracle.checks": "CheckFailed check reject",
-    "oracle.run": "Run",
-    "plugin.marks": "search",
+    "oracle.run": "CheckFailed Run check reject",
+    "plugin.collection": "search",
     "world.sumo": "sumo",
     "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState "
     "World WorldError WorldLike",

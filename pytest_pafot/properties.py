@@ -19,8 +19,7 @@ import numpy as np
 from pytest_pafot.attribution.responses import DISTANCES
 from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.model.trace import FloatArray
-from pytest_pafot.oracle.checks import check, require
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Run, check, require
 from pytest_pafot.support.errors import checked_number
 
 __all__ = ["comfort", "no_fault", "rss_distance", "stays_on_road"]

@@ -9,7 +9,7 @@ import pytest_pafot as pafot
 from pytest_pafot import properties
 from pytest_pafot.criticality import RssRules
 from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, AdsError, Outcome
-from pytest_pafot.oracle.checks import Recording, recorded
+from pytest_pafot.oracle.run import Recording, recorded
 from pytest_pafot.searching.space import SearchSpace, sample
 from tests.helpers.crossing_traces import CROSSES, MERGES, junction_trace
 from tests.helpers.drives import HZ, bent

@@ -151,7 +151,7 @@ def idle(name):
     return lambda observation: 1
 """
 RUN_BY = {
-    "corpus/saved.py": "test_unknown_finding_is_among_those_that_the_command_lists",
+    "corpus/reader.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
     "report/terminal.py": "test_the_list_that_a_ci_job_names_has_the_findings",
 }

@@ -41,8 +41,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Collision, Outcome
 from pytest_pafot.model.vehicle_type import READY, STYLES, DrivingStyle, VehicleType
-from pytest_pafot.oracle.checks import check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Run, check
 from pytest_pafot.report.session_record import finding_entry, to_text
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.world import (

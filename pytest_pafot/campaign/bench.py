@@ -16,8 +16,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Isolated, Runner
 from pytest_pafot.findings.finding import disagreement, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
-from pytest_pafot.findings.signature import Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support import monotonic

@@ -31,8 +31,7 @@ from pytest_pafot.campaign.search_session import Events, SearchSession, prepared
 from pytest_pafot.corpus.layout import folder_of_test, link_below, refusal
 from pytest_pafot.findings.finding import Finding, ads_failure, event_of, of_failure
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.algorithms.catalogue import AlgorithmClass, RandomSearch
 from pytest_pafot.searching.evaluation import Evaluated

@@ -23,13 +23,11 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Cluster, ExecutionError, Job, Runner, runner_for
 from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.finding import ads_failure, raised_failure
-from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
-from pytest_pafot.findings.verdict import Verdict, severity_of
+from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure, Verdict, severity_of
 from pytest_pafot.model.instructions import Cell, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import WORLD_HANG, Outcome, Trace
-from pytest_pafot.oracle.checks import Recording, Rejected, recorded
-from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, reference_outcome
+from pytest_pafot.oracle.run import Recording, ReferenceOutcome, Rejected, Run, preventing, recorded, reference_outcome
 from pytest_pafot.support.errors import DriverError, RequestError
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.support.references import factory_named, name_of, source_files

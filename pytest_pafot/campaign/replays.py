@@ -20,8 +20,7 @@ from pytest_pafot.campaign.harness import (
 )
 from pytest_pafot.campaign.request import AgainstError, build_space
 from pytest_pafot.campaign.results import UNJUDGED
-from pytest_pafot.corpus.reader import located
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.reader import Saved, located
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import (
     NOT_TRIED_HERE,
@@ -33,10 +32,12 @@ from pytest_pafot.execution.runner import (
     judged_apart,
     runner_for,
 )
-from pytest_pafot.findings.failure_rate import ENOUGH, RUNS, FailureRate, with_other_seed
 from pytest_pafot.findings.finding import (
     DRIVEN_ON,
+    ENOUGH,
     HAS_EVENT,
+    RUNS,
+    FailureRate,
     Finding,
     beyond_acceptance,
     ending,
@@ -45,10 +46,10 @@ from pytest_pafot.findings.finding import (
     is_same_event,
     is_same_failure,
     of_failure,
+    with_other_seed,
 )
 from pytest_pafot.findings.sighting import Observed
-from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Signature, Verdict
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.sight import Sight

@@ -18,8 +18,7 @@ from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
 from pytest_pafot.findings.finding import Finding, Found, Manner, failed_as
 from pytest_pafot.findings.sighting import Alike, worse
-from pytest_pafot.findings.signature import CHECK_FAILED, Failure, Signature
-from pytest_pafot.findings.verdict import Severity, Verdict
+from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run

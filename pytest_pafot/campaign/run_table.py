@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_pafot.campaign.events import SearchEvent, SearchStarted
-from pytest_pafot.findings.signature import Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Signature, Verdict
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import Evaluated
 

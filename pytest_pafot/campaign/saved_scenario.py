@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.corpus import reader
-from pytest_pafot.corpus.saved import named_file
+from pytest_pafot.corpus.reader import named_file
 from pytest_pafot.findings.finding import Expect, Finding, is_same_event
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario

@@ -34,7 +34,7 @@ from pytest_pafot.campaign.results import Driver, Examiner, State
 from pytest_pafot.campaign.scenarios import Bred, Numbers
 from pytest_pafot.campaign.search import LEAST, TimedWatch, Watch, search
 from pytest_pafot.campaign.store import Store
-from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.corpus.reader import Saved, saved_in
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import forks, judged_apart, runner_for

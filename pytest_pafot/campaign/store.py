@@ -21,8 +21,7 @@ from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
 from pytest_pafot.execution.runner import LostRun, expectation
 from pytest_pafot.findings.finding import Expect, Finding, Found, portable
 from pytest_pafot.findings.sighting import Observed, Seen
-from pytest_pafot.findings.signature import PROCESS_CRASH, Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import PROCESS_CRASH, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run

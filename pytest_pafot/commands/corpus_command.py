@@ -15,8 +15,7 @@ from datetime import date
 from pathlib import Path
 
 from pytest_pafot.corpus.layout import files_in, folders_below, unlisted_below
-from pytest_pafot.corpus.reader import content_of, parsed
-from pytest_pafot.corpus.saved import Saved, named_file
+from pytest_pafot.corpus.reader import Saved, content_of, named_file, parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.errors import CorpusError, RequestError
 from pytest_pafot.support.files import Since, added_in, way_out, write_whole

@@ -14,7 +14,7 @@ from pytest_pafot.campaign.explore import AlgorithmRun
 from pytest_pafot.campaign.harness import SetupFaultError
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.commands.policy_reference import ads_factory, chosen_world
-from pytest_pafot.oracle.checks import require
+from pytest_pafot.oracle.run import require
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError

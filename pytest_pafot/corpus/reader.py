@@ -6,6 +6,8 @@ later are optional, and a file without them keeps its meaning. docs/reference/co
 A file is untrusted input: plain data with line numbers, and no other feature of YAML. Aliases, anchors, tags, merge
 keys, repeated keys and second documents are refused, and dates are allowed in only one place. Size and depth are
 limited. Errors quote only files that begin like a saved scenario: any other file with such a name may be a secret.
+
+At collection no file is an error: a :class:`Saved` has either the finding or the text of the error.
 """
 
 from __future__ import annotations
@@ -20,33 +22,33 @@ from datetime import date
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
 from pytest_pafot.attribution.mistakes import LANE_CHANGES
-from pytest_pafot.corpus.layout import SUFFIX
-from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.corpus.layout import SUFFIX, files_below, files_in, refusal
 from pytest_pafot.findings.finding import (
     MAX_DEPTH,
     MAX_NUMBER,
     Expect,
+    FailureRate,
     Finding,
     Found,
     check_plain,
     is_id,
 )
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import ZoneSituation
+from pytest_pafot.findings.verdict import ZONES
 from pytest_pafot.model.instructions import Cell, CrossingInstruction, Instruction, LaneInstruction, PositionInstruction
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import PAPERS, READY, STYLES, VehicleType
-from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, plain_number, plain_whole
+from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, command, plain_number, plain_whole
 from pytest_pafot.support.files import LFS_POINTER, open_regular
-from pytest_pafot.support.text import day_of
+from pytest_pafot.support.text import day_of, visible
 
 VERSION = 2
 """The version of the format that is written. No other version can be read."""
@@ -715,3 +717,84 @@ def _rate(field: Field) -> FailureRate:
 def _perceived(field: Field) -> Sight:
     fields = field.mapping(Keys((), tuple(types_of(Sight))))
     return _made(field, Sight, {name: inner.value for name, inner in fields.items()})
+
+
+class Saved(NamedTuple):
+    """A corpus file as collected, with its finding, or with an error that says why the file cannot be read."""
+
+    path: Path
+    finding: Finding | None = None
+    error: str = ""
+
+    @classmethod
+    def read(cls, path: Path) -> Saved:
+        """Read a corpus file. If that fails, the error is stored, and the file's item reports it when it runs."""
+        try:
+            return cls(path=path, finding=load(path))
+        except (CorpusError, OSError) as error:
+            return cls(path=path, error=str(error))
+
+    @property
+    def id(self) -> str:
+        """The id of the finding, which is the file's name without its suffix."""
+        return self.path.name.removesuffix(SUFFIX)
+
+    @property
+    def xfail(self) -> str | None:
+        """The reason why the failure is accepted; None if it is not accepted."""
+        return None if self.finding is None else self.finding.xfail
+
+    def is_accepted(self, today: date) -> bool:
+        """Return whether the failure is accepted (``xfail``) on a day."""
+        return self.finding is not None and self.finding.is_accepted(today)
+
+    @property
+    def is_crash(self) -> bool:
+        """True if a process died in this scenario."""
+        return self.finding is not None and self.finding.expect.is_crash
+
+    @property
+    def needs_own_process(self) -> bool:
+        """True if a run of this scenario may end the process, never end, or use up all memory."""
+        expect = None if self.finding is None else self.finding.expect
+        return expect is not None and (self.is_crash or expect.outcome == "hang" or expect.failure == "MemoryError")
+
+    def __repr__(self) -> str:
+        return visible(f"<saved {self.id}>")
+
+
+def named_file(given: str) -> Path:
+    """Return the file of a saved scenario, given its path, its id, or the name of its item as pytest prints it.
+
+    Raises:
+        CorpusError: if there is no such file below the current folder, or more than one.
+    """
+    if (path := Path(given)).is_file():
+        return path
+    name = given.rpartition("[")[2].removesuffix("]").removeprefix("saved-").removesuffix(SUFFIX)
+    files = {file: file.name.removesuffix(SUFFIX) for file in files_below(Path())}
+    found = [file for file, other in files.items() if other == name]
+    if len(found) == 1:
+        return found[0]
+    expected = "the file of a saved scenario, or the id of a saved scenario below the current folder"
+    if found:
+        fix = f"give one of the files: {', '.join(map(str, found))}"
+        raise CorpusError(path, expected, f"an id that {len(found)} files have", fix)
+    names = list(dict.fromkeys(files.values()))
+    near = [each for each in names if name in each] or difflib.get_close_matches(name, names)
+    fix = (
+        f"did you mean {' or '.join(near[:3])}?"
+        if near
+        else f"`{command('pytest_pafot', 'corpus', 'list')}` lists the files"
+    )
+    raise CorpusError(path, expected, "no such file or id", fix)
+
+
+def saved_in(folder: Path) -> list[Saved]:
+    """Read all corpus files in a folder; return them, sorted by id."""
+    return [Saved.read(path) for path in files_in(folder)]
+
+
+def refused_in(folder: Path, link: Path) -> list[Saved]:
+    """Return the files of a folder as unreadable, because the folder is behind a link that leads out of the project."""
+    return [Saved(path=path, error=f"{path}: {refusal(link)}") for path in files_in(folder)]

@@ -26,7 +26,7 @@ from typing import Any, Self, TypeAlias, cast
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
 from pytest_pafot.findings.finding import Expect
-from pytest_pafot.findings.signature import PROCESS_CRASH
+from pytest_pafot.findings.verdict import PROCESS_CRASH
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
 from pytest_pafot.oracle.run import Run

@@ -19,9 +19,9 @@ import numpy as np
 from pytest_pafot.attribution.mistakes import Avoidance, Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responses import ANSWERS, AT_FAULT, sentences
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
-from pytest_pafot.findings.failure_rate import FailureRate
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.signature import (
+from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
+from pytest_pafot.findings.verdict import (
     AT_ZONES,
     CHECK_FAILED,
     PROCESS_CRASH,
@@ -30,13 +30,11 @@ from pytest_pafot.findings.signature import (
     normalised,
     zone_in_words,
 )
-from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
 from pytest_pafot.model.instructions import Cell
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side, Trace, Y
-from pytest_pafot.oracle.checks import Check, CheckFailed
-from pytest_pafot.oracle.run import ReferenceOutcome, Run, preventing, with_avoidance
+from pytest_pafot.oracle.run import Check, CheckFailed, ReferenceOutcome, Run, preventing, with_avoidance
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.text import visible
 
@@ -74,6 +72,12 @@ MAX_TRACEBACK = 8000
 MAX_KEY = 64
 MAX_DEPTH = 16
 MAX_NUMBER = 1e9
+RUNS = 10
+"""The number of runs, each with another seed, in which it is counted how often a policy fails."""
+
+ENOUGH = 3
+"""The number of failures from which on ten runs without a failure are a fix: with a share of 0.3, the chance that none
+of them fails is 0.7 ** 10, less than 3 %."""
 
 _ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 
@@ -96,7 +100,7 @@ class Expect:
 
     Attributes:
         failure: name of the exception class; `ProcessCrash` if the process died or hung.
-        assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.signature.Signature`.
+        assertion: the assertion, normalised as in :class:`~pytest_pafot.findings.verdict.Signature`.
         check: measured value of the failed check, whose name is in ``assertion``; None if no check failed.
         message: first line of the exception's message; empty if ``assertion`` already says it.
         outcome: how the run ended.
@@ -281,6 +285,22 @@ class Found:
 
 IN_MEMORY: Mapping[str, bool] = MappingProxyType({"is_stored": False})
 """The metadata of a dataclass's field that plain data leaves out (:mod:`pytest_pafot.searching.plain`)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailureRate:
+    """The number of runs of one scenario, and how many of them fail."""
+
+    failing: int
+    runs: int = RUNS
+
+    def __str__(self) -> str:
+        return f"{self.failing or 'none'} of {self.runs}"
+
+
+def with_other_seed(scenario: Scenario, number: int) -> Scenario:
+    """Return a scenario in which a policy draws other numbers; ``number`` is 0 for the scenario itself."""
+    return replace(scenario, seed=(scenario.seed + number) % (MAX_SEED + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -496,7 +516,7 @@ def raised_failure(exception: BaseException, test_file: str) -> Failure:
         check = exception.check
         return Failure(kind=CHECK_FAILED, message=str(check), assertion=check.name, check=check)
     told = getattr(exception, "assertion", None)
-    if type(exception) is AssertionError and isinstance(told, str):  # see oracle/checks.py:require
+    if type(exception) is AssertionError and isinstance(told, str):  # see oracle/run.py:require
         return Failure(kind="AssertionError", message=message_of(exception), assertion=told)
     statements = list(_statements(exception.__traceback__))
     own = [text for text, file in statements if file == test_file and text]

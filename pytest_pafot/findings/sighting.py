@@ -8,8 +8,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from pytest_pafot.findings.decisions import Moment
-from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.finding import IN_MEMORY, Finding
+from pytest_pafot.findings.finding import IN_MEMORY, FailureRate, Finding
 from pytest_pafot.findings.verdict import Severity, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run

@@ -20,7 +20,7 @@ from pytest_pafot.attribution.manoeuvres import DRIFTING, braking
 from pytest_pafot.attribution.responses import BRAKES
 from pytest_pafot.attribution.responsibility import frame_of
 from pytest_pafot.criticality import RoadFrame
-from pytest_pafot.findings.signature import AT_ZONES, Failure
+from pytest_pafot.findings.verdict import AT_ZONES, Failure
 from pytest_pafot.model.trace import ALONG, LANE, FloatArray, Outcome, Trace
 from pytest_pafot.model.trace import SPEED as SPEEDS
 from pytest_pafot.oracle.run import Run

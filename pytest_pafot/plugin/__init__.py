@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, is_ci
-from pytest_pafot.plugin.collection import Collection
-from pytest_pafot.plugin.marks import ANY_MARK, SAVED_MARK, SEARCH_MARK, arguments_of, is_driven
+from pytest_pafot.plugin.collection import ANY_MARK, SAVED_MARK, SEARCH_MARK, Collection, arguments_of, is_driven
 from pytest_pafot.plugin.session import (
     INVENTORY,
     SESSION,
@@ -122,8 +121,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         _report(config)
     if not is_marked or config.getoption("collectonly"):
         return  # these plugins import the simulation, and an editor that only lists tests would wait for it
-    from pytest_pafot.plugin.failure_reports import Failures  # noqa: PLC0415
     from pytest_pafot.plugin.item_checks import Checks, Execution  # noqa: PLC0415
+    from pytest_pafot.plugin.messages import Failures  # noqa: PLC0415
 
     _register(config, {"checks": Checks(), "execution": Execution(), "failing": Failures()})
     end_in_order(config)
@@ -144,8 +143,7 @@ def _report(config: pytest.Config) -> None:
     features: dict[str, object] = {"messages": Messages()}
     if not is_worker(config):
         from pytest_pafot.plugin.guard import Guard  # noqa: PLC0415
-        from pytest_pafot.plugin.report_files import Files  # noqa: PLC0415
-        from pytest_pafot.plugin.terminal_reporter import Reporter  # noqa: PLC0415
+        from pytest_pafot.plugin.reporter import Files, Reporter  # noqa: PLC0415
 
         files = Files(config)
         features |= {"files": files, "reporting": Reporter(config, files), "guard": Guard(config)}

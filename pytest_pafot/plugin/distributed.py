@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pytest_pafot.corpus.layout import SEARCH_PART, around
-from pytest_pafot.plugin.marks import SAVED_PART
+from pytest_pafot.plugin.collection import SAVED_PART
 from pytest_pafot.plugin.session import INVENTORY, SHARED, Inventory, end_in_order
 
 KEY = "pafot"  # the key of this plugin's data in the input and the output of a worker

@@ -10,7 +10,6 @@ from __future__ import annotations
 import fnmatch
 import os
 import re
-import sys
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
@@ -36,7 +35,6 @@ from pytest_pafot.corpus.layout import (
 from pytest_pafot.corpus.layout import (
     is_inside as is_inside_project,
 )
-from pytest_pafot.plugin.marks import MARKED
 from pytest_pafot.plugin.session import GIVEN, INVENTORY, SESSION, call_of, cause_of, first, path_of, value_if_right
 from pytest_pafot.report.session import ADVICE, WHY_UNNAMED
 from pytest_pafot.support.errors import RequestError
@@ -299,31 +297,3 @@ def _report(session: pytest.Session, node_id: str, line: str, advice: str) -> No
     session.testscollected += 1
     log(report=report(outcome="failed", longrepr=longrepr, when="setup"))
     log(report=report(outcome="passed", longrepr=None, when="teardown"))
-
-
-def marked_and_left(config: pytest.Config, items: Iterable[pytest.Item]) -> Iterator[str]:
-    """Yield the names of the marked functions and classes of which pytest has collected no test.
-
-    They are looked for in what the session was to collect, in the rootdir. A class that others derive from is meant to
-    be no test of its own.
-    """
-    run: set[int] = set()
-    for item in items:
-        run |= {id(each) for each in getattr(getattr(item, "cls", None), "__mro__", ())}
-        function = getattr(item, "function", None)
-        while function is not None:
-            run.add(id(function))
-            function = getattr(function, "__wrapped__", None)
-    asked = [path_of(config, each) for each in config.args if "::" not in each]
-    for module, marked in list(MARKED.items()):
-        file = Path(getattr(module, "__file__", None) or os.devnull)
-        is_asked_for = any(map(file.is_relative_to, asked)) and file.is_relative_to(config.rootpath)
-        if sys.modules.get(module.__name__) is not module or not is_asked_for or "site-packages" in file.parts:
-            continue
-        for each in marked:
-            name = each.__qualname__
-            owner = getattr(module, name.partition(".")[0], None)
-            is_base = isinstance(owner, type) and bool(type.__subclasses__(owner))
-            is_off = not all(getattr(member, "__test__", True) for member in (each, owner))
-            if id(each) not in run and "<locals>" not in name and not is_base and not is_off:
-                yield f"{relative(file, config.rootpath)}::{name.replace('.', '::')}"

@@ -20,17 +20,19 @@ from pytest_pafot.corpus.layout import SEARCH_PART
 from pytest_pafot.execution.crash_records import left_by, records_of
 from pytest_pafot.execution.pool import GRACE
 from pytest_pafot.plugin import messages
-from pytest_pafot.plugin.collection import REQUEST, is_search, saved_of
-from pytest_pafot.plugin.marks import (
+from pytest_pafot.plugin.collection import (
     ANY_MARK,
     DEFAULT_ADS,
     DEFAULT_ARG,
     POSITIONAL,
+    REQUEST,
     SEARCH_MARK,
     WORLD_FIXTURE,
     arguments_of,
     base_id,
     is_driven,
+    is_search,
+    saved_of,
 )
 from pytest_pafot.plugin.messages import set_of_saved
 from pytest_pafot.plugin.replay_item import run_replay

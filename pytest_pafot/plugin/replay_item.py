@@ -15,17 +15,15 @@ from pytest_pafot.campaign.replays import Replays, event_change, happened
 from pytest_pafot.campaign.request import Request
 from pytest_pafot.campaign.store import cause
 from pytest_pafot.corpus.layout import relative
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled
 from pytest_pafot.findings.sighting import Observed, Seen, label
 from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.oracle.checks import CheckFailed
-from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin import marks, messages
-from pytest_pafot.plugin.failure_reports import NOT_ACCEPTED, REPLAYED, explained
-from pytest_pafot.plugin.messages import OF_ONE_RUN, set_properties
+from pytest_pafot.oracle.run import CheckFailed, Run
+from pytest_pafot.plugin import collection, messages
+from pytest_pafot.plugin.messages import NOT_ACCEPTED, OF_ONE_RUN, REPLAYED, explained, set_properties
 from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
@@ -118,7 +116,7 @@ def _check_set_up(item: pytest.Function, replays: Replays, saved: Saved, run: Ru
         return
     if of_failure(run, verdict.failure) == finding.signature:  # the file was saved for it
         return
-    key, faults = (marks.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
+    key, faults = (collection.base_id(item), cause), item.session.stash.setdefault(SET_UP_FAULTS, {})
     line = ascii_text(headline(run, verdict))
     if key in faults:
         text = f"{line}\nIt is the error of the set-up that {faults[key]} explains."
@@ -145,7 +143,7 @@ def _send(
         severity=None if verdict is None else verdict.severity,
         before=None if reference is None else reference.severity,
     )
-    sighting = Seen(finding=finding, node_id=item.nodeid, test=marks.base_id(item), observed=observed)
+    sighting = Seen(finding=finding, node_id=item.nodeid, test=collection.base_id(item), observed=observed)
     sighting = replace(sighting, headline=headline, path=path, detail=detail)
     if headline:
         set_properties(item.user_properties, severity=sighting.severity or "none")

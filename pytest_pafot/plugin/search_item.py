@@ -41,13 +41,12 @@ from pytest_pafot.execution.runner import ExecutionError
 from pytest_pafot.findings.decisions import advice_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
-from pytest_pafot.oracle.checks import CheckFailed
-from pytest_pafot.plugin import marks, messages
+from pytest_pafot.oracle.run import CheckFailed
+from pytest_pafot.plugin import collection, messages
 from pytest_pafot.plugin.collection import COLLECTED, REQUEST
-from pytest_pafot.plugin.failure_reports import OUTPUT, explained
-from pytest_pafot.plugin.messages import OF_ONE_RUN, OfOneRun, of_findings, set_properties
+from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, explained, of_findings, set_properties
+from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import SHARED, is_worker
-from pytest_pafot.plugin.terminal_reporter import LiveTerminal
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.evaluation import GenerationFinished
 from pytest_pafot.support import monotonic
@@ -95,8 +94,8 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
     Raises:
         RequestError: if the value of a fixture cannot be used, or if scenarios would be saved behind a link.
     """
-    world = build_world(request, item.funcargs[marks.WORLD_FIXTURE])
-    name, root = marks.qualified_name(item), item.config.rootpath
+    world = build_world(request, item.funcargs[collection.WORLD_FIXTURE])
+    name, root = collection.qualified_name(item), item.config.rootpath
     folder = folder_of_test(item.path, name, request.settings.corpus, root)
     against = request.settings.against
     link = link_below(chosen_folder(item.path, request.settings.corpus), folder)
@@ -118,8 +117,8 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         policy=policy,
         test=bound_test(item, request.arg),
         test_file=source_file(item.obj, str(item.path)),
-        node_id=marks.base_id(item),
-        saved_node_id=partial(marks.saved_node_id, item),
+        node_id=collection.base_id(item),
+        saved_node_id=partial(collection.saved_node_id, item),
         folder=folder,
         records=records_of(item.config.rootpath),
         root=item.config.rootpath,
@@ -367,7 +366,7 @@ def _report(item: pytest.Item, seen: Seen, section: str) -> dict[str, Any]:
     call = pytest.CallInfo.from_call(fail, when="call")
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
     report.nodeid = seen.node_id
-    report.location = (*report.location[:2], marks.saved_name(item, seen.id))
+    report.location = (*report.location[:2], collection.saved_name(item, seen.id))
     report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(seen.run, report.user_properties)
     set_properties(report.user_properties, **of_findings([seen]))

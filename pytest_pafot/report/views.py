@@ -23,8 +23,7 @@ from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES, DrivingStyle
-from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run, arrival, lanes_apart
+from pytest_pafot.oracle.run import Check, Run, arrival, lanes_apart
 from pytest_pafot.report.terminal import prevention_text, shrunk_lines
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names

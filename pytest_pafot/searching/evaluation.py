@@ -59,7 +59,7 @@ class Evaluation:
         barely_moved: whether the ego's mean speed was below 2 m/s.
         kind: kind of the failure, equal for failures that count as the same. None if nothing failed or it is unknown.
         margins: name and worst margin of each check in the user's test function
-            (:attr:`pytest_pafot.oracle.checks.Check.margin`), sorted by name.
+            (:attr:`pytest_pafot.oracle.run.Check.margin`), sorted by name.
         collision: collision of the run; None without one.
         ended: what ended the run early, without a collision, see :func:`ended_by`; empty if nothing did.
         gap: the smallest gap to another vehicle in a run that ended early [m]; infinite in other runs.

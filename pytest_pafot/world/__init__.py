@@ -17,12 +17,11 @@ In a :class:`pytest_pafot.SimulatorWorld`, a simulator of the user's moves all v
 
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.base_world import WorldLike
+from pytest_pafot.world.base_world import Highway, WorldLike
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.policy import Perception
 from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
 from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.kernel.action import Drive
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.limits import NpcLimits

@@ -18,10 +18,9 @@ from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences, shown
-from pytest_pafot.world.base_world import WorldLike
+from pytest_pafot.world.base_world import Highway, WorldLike
 from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
-from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits, plain_data
 from pytest_pafot.world.simulator_world import SimulatorWorld
 from pytest_pafot.world.sumo import Sumo

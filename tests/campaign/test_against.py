@@ -9,8 +9,7 @@ import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.harness import same_policy
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.tables import table

@@ -9,10 +9,9 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.campaign.explore import replays_of, request_of
-from pytest_pafot.corpus.reader import load
-from pytest_pafot.corpus.saved import saved_in
+from pytest_pafot.corpus.reader import load, saved_in
 from pytest_pafot.corpus.writer import rewrite
-from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.sighting import label
 
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "ego_lane": 1, "ego_speed": 22}

@@ -12,8 +12,7 @@ from example_ads import constant_speed
 from pytest_pafot.campaign.results import Counts, Examiner, Result, lost
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.terminal import search_lines

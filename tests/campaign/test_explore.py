@@ -24,7 +24,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, write
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.support.errors import RequestError
 from tests.helpers.tables import table

@@ -17,8 +17,7 @@ from pytest_pafot.campaign.search_session import search_seed
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import expectation
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Lane, Outcome, Trace
 from pytest_pafot.oracle.run import Run

@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from pytest_pafot.campaign.replays import Replays
-from pytest_pafot.corpus.saved import Saved
+from pytest_pafot.corpus.reader import Saved
 from pytest_pafot.findings.finding import Expect, of_failure
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError

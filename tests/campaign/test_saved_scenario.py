@@ -7,9 +7,9 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.findings.finding import Finding, Found
-from pytest_pafot.findings.signature import PROCESS_CRASH, Failure
+from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure
 from pytest_pafot.model.trace import LANE
-from pytest_pafot.oracle.checks import Check
+from pytest_pafot.oracle.run import Check
 from pytest_pafot.support.errors import CorpusError
 from pytest_pafot.world import codec
 

@@ -2,8 +2,7 @@
 
 from pytest_pafot.campaign.harness import judge, reference_outcomes
 from pytest_pafot.model.trace import AdsError, Outcome
-from pytest_pafot.oracle.checks import Rejected
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Rejected, Run
 from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
 from tests.helpers.tables import table
 

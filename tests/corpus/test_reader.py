@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pytest_pafot.corpus import reader
 from pytest_pafot.corpus.reader import load, located, parsed
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario

@@ -5,9 +5,9 @@ from datetime import date
 
 import pytest
 
-from pytest_pafot.corpus.saved import Saved, saved_in
+from pytest_pafot.corpus.reader import Saved, saved_in
 from pytest_pafot.corpus.writer import write
-from pytest_pafot.findings.signature import PROCESS_CRASH
+from pytest_pafot.findings.verdict import PROCESS_CRASH
 from pytest_pafot.model.trace import Outcome
 from tests.findings.builders import plain_finding
 

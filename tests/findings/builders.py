@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 
 from pytest_pafot.attribution.mistakes import LANE_CHANGES, Avoidance, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
-from pytest_pafot.findings.failure_rate import FailureRate
-from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, Finding, Found
+from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, FailureRate, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import Alike, Observed, Seen
-from pytest_pafot.findings.signature import ZONES
 from pytest_pafot.findings.situation import Situation, ZoneSituation
+from pytest_pafot.findings.verdict import ZONES
 from pytest_pafot.model.instructions import (
     ACTS,
     SHIFTS,

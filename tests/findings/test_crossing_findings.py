@@ -3,12 +3,11 @@
 import pytest
 
 from pytest_pafot.findings.finding import Expect, Finding, Found, handles, is_same_event, of_failure
-from pytest_pafot.findings.signature import ZONES, Failure, Signature
 from pytest_pafot.findings.situation import ZoneSituation, missed, seconds_after
+from pytest_pafot.findings.verdict import ZONES, Failure, Signature
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Check, Run
 from tests.findings.builders import VERSIONS, plain_finding
 from tests.helpers.junctions import driven, hit, plan
 from tests.helpers.tables import table

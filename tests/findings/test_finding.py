@@ -7,6 +7,8 @@ import pytest
 
 from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.findings.finding import (
+    ENOUGH,
+    RUNS,
     Expect,
     Finding,
     Found,
@@ -15,10 +17,12 @@ from pytest_pafot.findings.finding import (
     of_failure,
     portable,
     raised_failure,
+    with_other_seed,
 )
-from pytest_pafot.findings.signature import Failure, normalised
 from pytest_pafot.findings.situation import Situation
+from pytest_pafot.findings.verdict import Failure, normalised
 from pytest_pafot.model.instructions import Cell
+from pytest_pafot.model.scenario import MAX_SEED
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.run import Run
 from tests.findings.builders import plain_finding
@@ -231,3 +235,14 @@ def test_manners_differ_in_fault_manoeuvres_and_place():
         "front-left of the ego, not front of the ego",
     ]
     assert own.unlike(own) == own.unlike(Manner("", "", "", "")) == []
+
+
+def test_runs_without_a_failure_are_hardly_luck_if_enough_failed_before():
+    assert (1 - ENOUGH / RUNS) ** RUNS < 0.05
+
+
+def test_other_seeds_change_only_the_seed():
+    scenario = plain_finding().scenario
+    assert with_other_seed(scenario, 0) == scenario
+    for number, seed in ((1, scenario.seed + 1), (MAX_SEED, scenario.seed - 1)):
+        assert with_other_seed(scenario, number) == replace(scenario, seed=seed)

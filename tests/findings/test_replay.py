@@ -3,11 +3,10 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.findings.finding import Finding, Found, handles, has_time, is_same_event, is_same_failure, of_failure
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
-from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Check, Run
 from tests.helpers import situations
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle

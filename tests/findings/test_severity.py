@@ -9,13 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.findings.signature import CHECK_FAILED, Failure
-from pytest_pafot.findings.verdict import Severity, severity_of, worsening
+from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, severity_of, worsening
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Y
-from pytest_pafot.oracle.checks import Check, CheckFailed, check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Check, CheckFailed, Run, check
 from pytest_pafot.world import Highway
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle

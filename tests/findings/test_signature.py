@@ -5,11 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.findings.finding import of_failure
-from pytest_pafot.findings.signature import Failure, Signature, normalised
+from pytest_pafot.findings.verdict import Failure, Signature, normalised
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
-from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Check, Run
 from tests.helpers.hostile import CHARACTERS
 from tests.helpers.situations import SITUATIONS
 from tests.helpers.tables import table

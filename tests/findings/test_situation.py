@@ -5,12 +5,11 @@ from dataclasses import replace
 import pytest
 
 from pytest_pafot.findings.finding import Expect, Finding, Found, handles, unhandled
-from pytest_pafot.findings.signature import Failure
 from pytest_pafot.findings.situation import Situation, missed, seconds_after
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome, X
-from pytest_pafot.oracle.checks import Check
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.oracle.run import Check, Run
 from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.situations import FAR, LEFT, OWN, RIGHT
 from tests.helpers.traces import LENGTH, trace_of

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pytest_pafot as pafot
-from pytest_pafot.oracle.checks import Check, CheckFailed, Recording, recorded
+from pytest_pafot.oracle.run import Check, CheckFailed, Recording, recorded
 from tests.helpers.tables import table
 
 JERK = np.array([0.0, 3.0, -1.0, 35.1, 12.0])

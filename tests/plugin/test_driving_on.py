@@ -9,8 +9,8 @@ import pytest_pafot as pafot
 from pytest_pafot.corpus.writer import write
 from pytest_pafot.execution.runner import LostRun, expectation
 from pytest_pafot.findings.finding import Finding, Found
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.oracle.checks import Check
+from pytest_pafot.findings.verdict import Failure
+from pytest_pafot.oracle.run import Check
 from pytest_pafot.support.process import installed_versions
 from tests.helpers.sessions import section
 

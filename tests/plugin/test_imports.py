@@ -15,7 +15,7 @@ SOURCES = sorted(Path(pytest_pafot.plugin.__file__).parent.glob("*.py"))
 
 UNUSED = (
     "campaign", "campaign.options", "corpus", "corpus.layout", "support", "support.errors",
-    "plugin", "plugin.collection", "plugin.marks", "plugin.session",
+    "plugin", "plugin.collection", "plugin.session",
     "report", "report.session",
 )  # fmt: skip
 """The modules that every pytest session imports where the plugin is installed. Each costs it some time."""

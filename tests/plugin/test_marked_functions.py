@@ -6,7 +6,7 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.oracle.checks import Rejected
+from pytest_pafot.oracle.run import Rejected
 from tests.plugin.conftest import shows
 
 

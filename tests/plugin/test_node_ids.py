@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pytest_pafot.plugin.marks import base_id, base_name, saved_name, saved_node_id, saved_part
+from pytest_pafot.plugin.collection import base_id, base_name, saved_name, saved_node_id, saved_part
 
 
 class Item(SimpleNamespace):

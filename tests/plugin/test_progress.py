@@ -20,7 +20,7 @@ def pytest_sessionstart(session):
 @pytest.fixture
 def impatient(monkeypatch):
     monkeypatch.setattr("pytest_pafot.plugin.session.LOG_SECONDS", 0.0)
-    monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter.TERMINAL_SECONDS", 0.0)
+    monkeypatch.setattr("pytest_pafot.plugin.reporter.TERMINAL_SECONDS", 0.0)
 
 
 def test_log_gets_whole_lines_during_the_search(project, impatient):

@@ -46,7 +46,7 @@ PAGE = "problem: --pafot-report=x.html: not written: "
 
 
 @pytest.mark.parametrize(("function", "error", "expected"), [
-    ("plugin.terminal_reporter.unclaimed", ValueError, "problem: records of processes that died: ValueError: a fault"),
+    ("plugin.reporter.unclaimed", ValueError, "problem: records of processes that died: ValueError: a fault"),
     ("report.page.render_page", ValueError, f"{PAGE}ValueError: a fault"),
     ("report.page.render_page", KeyboardInterrupt, f"{PAGE}KeyboardInterrupt: a fault"),
     ("report.terminal.session_lines", ValueError, "summary of pytest-pafot: ValueError: a fault"),
@@ -66,7 +66,7 @@ def test_error_at_session_end_is_one_summary_line(project, monkeypatch, function
 
 def test_unreportable_findings_of_interrupted_session_are_named(project, monkeypatch):
     project.write(IS_CUT)
-    monkeypatch.setattr("pytest_pafot.plugin.terminal_reporter.report_on", lambda report, when, **_: 1 / 0)
+    monkeypatch.setattr("pytest_pafot.plugin.reporter.report_on", lambda report, when, **_: 1 / 0)
     result = project.run(no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text = text_of(result)

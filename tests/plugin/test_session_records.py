@@ -10,7 +10,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.plugin import report_files
+from pytest_pafot.plugin import reporter
 from pytest_pafot.plugin.session import exit_code
 from pytest_pafot.report.session import Session
 from pytest_pafot.world import codec
@@ -121,8 +121,8 @@ def test_search_that_cannot_start_is_recorded_with_reason(project):
 
 @pytest.mark.parametrize(("quick", "count"), [(1e12, 2), (-1.0, 0)], ids=["quick", "slow"])
 def test_findings_are_recorded_during_the_session_unless_writing_takes_long(project, monkeypatch, quick, count):
-    monkeypatch.setattr(report_files, "QUICK", quick)  # so it takes long or not, however busy the machine is
-    monkeypatch.setattr(report_files, "REST", 1e12)
+    monkeypatch.setattr(reporter, "QUICK", quick)  # so it takes long or not, however busy the machine is
+    monkeypatch.setattr(reporter, "REST", 1e12)
     then = "import shutil; shutil.copy('pafot.json', 'then.json')"
     project.write(IS_CUT.replace("raise KeyboardInterrupt", f"{then}; raise KeyboardInterrupt"))
     record, before = recorded(project, no_reraise_ctrlc=True), record_of(project, "then.json")

@@ -10,8 +10,7 @@ from pytest_pafot.campaign.harness import SetupFaultError, cause_of
 from pytest_pafot.campaign.results import Counts, State
 from pytest_pafot.campaign.search import check_set_up
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.findings.signature import Failure
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Verdict
 from tests.helpers.sessions import section
 from tests.plugin.conftest import shows
 

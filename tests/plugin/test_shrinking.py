@@ -14,7 +14,7 @@ from example_ads import constant_speed
 from pytest_pafot.campaign.refine import steps
 from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.shrink import OutOfBudget, sort_key
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario

@@ -13,7 +13,7 @@ import pytest_pafot as pafot
 from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.findings.finding import Finding, Found
 from pytest_pafot.findings.sighting import Observed, Seen
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.page import Shown, render_page
 from pytest_pafot.report.session import Session

@@ -7,9 +7,8 @@ import pytest
 
 import pytest_pafot as pafot
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.signature import CHECK_FAILED, Failure
-from pytest_pafot.oracle.checks import CheckFailed, Recording, recorded
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.findings.verdict import CHECK_FAILED, Failure
+from pytest_pafot.oracle.run import CheckFailed, Recording, Run, recorded
 from pytest_pafot.report.page import finding_article, finding_list
 from tests.helpers.tables import table
 from tests.helpers.traces import trace_of, vehicle

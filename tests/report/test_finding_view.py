@@ -10,7 +10,7 @@ import pytest_pafot as pafot
 from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run

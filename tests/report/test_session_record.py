@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.campaign.events import Search
-from pytest_pafot.findings.failure_rate import FailureRate
+from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.sighting import Alike, Seen
 from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin.failure_reports import SCENARIO
+from pytest_pafot.plugin.messages import SCENARIO
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import (

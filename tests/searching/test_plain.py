@@ -16,8 +16,7 @@ from pytest_pafot.attribution.mistakes import Manoeuvre, Mistake
 from pytest_pafot.attribution.responsibility import Fault, Responsibility
 from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.sighting import Observed, Seen
-from pytest_pafot.findings.signature import Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Signature, Verdict
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Collision, Outcome, Side
 from pytest_pafot.plugin.messages import packed

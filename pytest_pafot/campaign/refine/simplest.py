@@ -15,12 +15,10 @@ from pytest_pafot.campaign.results import State, signature_of
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Whole
-from pytest_pafot.findings.failure_rate import RUNS, FailureRate, with_other_seed
-from pytest_pafot.findings.finding import of_failure
+from pytest_pafot.findings.finding import RUNS, FailureRate, of_failure, with_other_seed
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.findings.signature import Failure, Signature
-from pytest_pafot.findings.verdict import Verdict
+from pytest_pafot.findings.verdict import Failure, Signature, Verdict
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Trace

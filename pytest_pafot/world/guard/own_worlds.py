@@ -15,12 +15,11 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import AdsError, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleType
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.world.base_world import REQUIRED, BaseWorld, BuiltInWorld, FirstDecision, RoadStart
+from pytest_pafot.world.base_world import REQUIRED, BaseWorld, BuiltInWorld, FirstDecision, Highway, RoadStart
 from pytest_pafot.world.driving.policy import AdsFactory, is_vehicle_class, rewrapped
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, error_of, patience_with_world, unending
 from pytest_pafot.world.gym_world import World
-from pytest_pafot.world.highway import Highway
 from pytest_pafot.world.limits import HANG_LIMIT
 from pytest_pafot.world.roads.road import Meeting, StraightRoad
 from pytest_pafot.world.simulator_world import SimulatorWorld

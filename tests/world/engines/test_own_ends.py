@@ -16,7 +16,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot.findings.finding import Finding, Found, handles, unhandled
-from pytest_pafot.findings.signature import Failure
+from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, X
