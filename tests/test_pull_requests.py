@@ -3,14 +3,7 @@
 import pytest
 
 from tests.helpers.actions import git, inputs_of, run_action
-from tests.test_ci_script import (  # noqa: F401
-    begun_repository,
-    commit,
-    copied,
-    record_of,
-    repository,
-    saved,
-)
+from tests.test_ci_script import begun_repository, commit, copied, record_of, repository, saved  # noqa: F401
 
 pytestmark = pytest.mark.processes
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import pytest_pafot
 from pytest_pafot import CAR, TRUCK, Highway, strategies
-from pytest_pafot.model.instructions import LaneInstruction, PositionInstruction, is_adjacent
+from pytest_pafot.model.instructions import LaneInstruction, is_adjacent
 from pytest_pafot.model.scenario import Scenario
 from tests.helpers.tables import table
 
@@ -110,11 +110,6 @@ def test_failing_change_of_lanes_shrinks_to_one_npc():
 def test_instructions_respect_the_minimum_speed_of_traffic(scenario):
     assert scenario.traffic == "everyday"
     assert all(0.75 * 26.8 <= gene.speed <= 26.8 for chain in scenario.npcs for gene in chain)
-
-
-def test_simplest_scenario_is_one_stationary_npc():
-    simplest = find(strategies.scenarios(), lambda _: True, settings=SIMPLEST)
-    assert simplest == Scenario(npcs=((PositionInstruction(1, 0.0),),), ego_lane=1, traffic="hostile")
 
 
 def test_failing_chain_shrinks_to_staying_and_round_speeds():

@@ -113,13 +113,6 @@ def test_name_taken_by_another_finding_gets_a_number(path):
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
 
 
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a user who is bound by permissions")
-def test_a_read_only_folder_is_one_clear_error(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(CorpusWriteError, match="make the folder writable"):
-        write(tmp_path / "front-2-1f3a9c.pafot.yaml", plain_finding())
-
-
 @pytest.mark.parametrize("function", [write, rewrite])
 def test_folder_creation_failure_is_one_clear_error(tmp_path, function):
     (tmp_path / "pafot_corpus").write_text("a file where the folder should be")

@@ -68,21 +68,16 @@ OWN = (
 )
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_custom_algorithm_class_is_named_in_all_output(project, workers):
+@pytest.mark.parametrize(("argument", "options"), [
+    ("algorithm=Own", ()), ("algorithm=Own", ("--pafot-workers=2",)), ("", ("--pafot-algorithm=own:Own",)),
+])  # fmt: skip
+def test_custom_algorithm_class_is_named_in_all_output(project, argument, options):
     project.pytester.makepyfile(own=OWN)
     project.write(
-        "from own import Own\n@pafot.search(SHORT, algorithm=Own)  # stop_after=1\n"
+        f"from own import Own\n@pafot.search(SHORT, {argument})  # stop_after=1\n"
         "def test_it(run):\n    assert not run.collision\n"
     )
-    result = project.run(f"--pafot-workers={workers}", runs=32)
+    result = project.run(*options, runs=32)
     result.assert_outcomes(failed=2)
     result.stdout.fnmatch_lines(["*own, seed *"])
-    assert "algorithm: own" in project.only_file.read_text()
-
-
-def test_algorithm_option_takes_a_class_by_module_name(project):
-    project.pytester.makepyfile(own=OWN)
-    project.write("@pafot.search(SHORT)  # stop_after=1\ndef test_it(run):\n    assert not run.collision\n")
-    project.run("--pafot-algorithm=own:Own", runs=32).assert_outcomes(failed=2)
     assert "algorithm: own" in project.only_file.read_text()

@@ -1,35 +1,5 @@
 """The next session reports and saves what a process was running when it died."""
 
-from pytest_pafot.execution.crash_records import records_of
-
-
-def test_next_session_saves_scenario_of_a_dead_process(project):
-    project.write("""
-import os
-
-SESSION = os.getpid()
-
-@pafot.search(SHORT)
-def test_dies(run):
-    if os.environ.get("DIE") or (os.getpid() != SESSION and not os.environ.get("MENDED")):
-        os._exit(9)
-""")
-    project.pytester._monkeypatch.setenv("DIE", "1")
-    assert project.run(apart=True).ret == 9
-    assert project.files == []
-    project.pytester._monkeypatch.delenv("DIE")
-    result = project.run()
-    result.assert_outcomes(failed=2)
-    assert project.only_id.startswith("crash-")
-    result.stdout.fnmatch_lines(["*died while it ran this scenario*"])
-    # It is reported once: from now on, the file shows the failure.
-    project.pytester._monkeypatch.setenv("MENDED", "1")
-    result = project.run()
-    result.assert_outcomes(passed=2)
-    result.stdout.fnmatch_lines(["*1 fixed"])
-    assert not records_of(project.path).exists()
-
-
 PASSES = """
 @pafot.search(SHORT)
 def test_lives(run):

@@ -100,7 +100,9 @@ def test_search_runs_in_session_once_crash_is_fixed(crash):
     crash.mend()
     result = crash.run()
     result.assert_outcomes(passed=3)
+    result.stdout.fnmatch_lines(["*1 fixed"])
     result.stdout.no_fnmatch_line("*--pafot-isolate*")
+    assert not crash.records
 
 
 @forks

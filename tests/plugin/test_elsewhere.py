@@ -52,7 +52,8 @@ def test_a_search_without_such_a_failure_makes_a_pass_a_fix(project):
 
 @pytest.mark.processes
 @pytest.mark.parametrize("args", [(), ("-n2",)], ids=["serial", "xdist"])
-def test_a_search_that_finds_the_failure_says_where(project, args):
+def test_a_search_that_finds_the_failure_says_where(project, monkeypatch, args):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
     fixed(project, "braking")
     result, (replayed,), (new,) = searched(project, "--pafot-report=page.html", *args)
     assert (replayed["status"], replayed["searched"]) == ("still failing", 0)
@@ -64,7 +65,9 @@ def test_a_search_that_finds_the_failure_says_where(project, args):
             f"    elsewhere: {new} fails in the same way",
         ]
     )
-    page = (project.path / "page.html").read_text(encoding="utf-8")
+    page, summary = ((project.path / name).read_text(encoding="utf-8") for name in ("page.html", "summary.md"))
+    assert "1 still failing" in summary
+    assert f"{new} fails in the same way" in summary
     assert "1 saved scenario: 1 still failing" in page
     assert f"{replayed['node_id']}: elsewhere: {new} fails in the same way" in page
 
@@ -76,12 +79,3 @@ def test_a_saved_scenario_that_fails_in_the_same_way_is_elsewhere_as_well(projec
     told = {each["id"]: (each["status"], each["elsewhere"]) for each in replayed}
     assert told[new][0] == "still failing"
     assert told[first["id"]] == ("still failing", new)
-
-
-def test_the_job_summary_names_what_fails_elsewhere(project, monkeypatch):
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(project.path / "summary.md"))
-    fixed(project, "braking")
-    _, _, (new,) = searched(project)
-    text = (project.path / "summary.md").read_text(encoding="utf-8")
-    assert "1 still failing" in text
-    assert f"{new} fails in the same way" in text

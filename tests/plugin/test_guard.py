@@ -317,63 +317,6 @@ def test_longer_suffix_is_named_unless_it_is_a_backup(saved, ci, name, is_lost):
     original.with_name("a.pafot.yaml").rename(original)
 
 
-UNNAMED = """
-@pafot.search(SHORT)
-def never_at_fault(run):
-    pass
-
-@pafot.search(SHORT)
-class Safety:
-    def test_it(self, run):
-        pass
-
-class TestIt:
-    @pafot.search(SHORT)
-    def drives(self, run):
-        pass
-"""
-NAMED = """
-@pafot.search(SHORT)
-def never(run):
-    pass
-
-test_never = never
-
-@pafot.search(SHORT)
-class Base:
-    def test_it(self, run):
-        pass
-
-class TestDerived(Base):
-    pass
-
-@pafot.search(SHORT)
-class Helper:
-    __test__ = False
-
-class Meta(type):
-    pytestmark = pytest.mark.skip
-
-def drives(run):
-    pass
-"""
-
-
-def test_marked_test_without_the_name_of_a_test_fails_a_ci_session(project, monkeypatch):
-    project.write(UNNAMED)
-    project.write(NAMED, name="test_named")
-    project.write("from test_it import never_at_fault, Safety\n\ndef test_other():\n    pass\n", name="test_other")
-    names = [f"test_it.py::{name}" for name in ("Safety", "Safety::test_it", "TestIt::drives", "never_at_fault")]
-    for args in ([], ["-k", "other"]):
-        result = replay(project, *args)
-        assert (result.ret, [line.partition(": ")[0] for line in told(result)]) == (0, names[:1] + names[2:])
-    monkeypatch.setenv("CI", "true")
-    result = replay(project, "--pafot-allow-orphans")
-    assert result.ret == 1
-    counted = "pytest does not collect 3 tests with a mark of pafot (CI is set): test_it.py::Safety, *"
-    result.stdout.fnmatch_lines([counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"])
-
-
 def test_a_shared_corpus_may_have_fewer_folders_above_it_than_the_tests(saved, ci):
     deep, shared = saved.path / "a" / "b" / "c", saved.path / "all"
     deep.mkdir(parents=True)
@@ -439,9 +382,23 @@ def test_files_behind_links_are_searched_no_deeper_than_tests(saved, ci, tmp_pat
 
 
 LEFT_OUT = """
+@pafot.search(SHORT)
+def never_at_fault(run):
+    pass
+
+@pafot.search(SHORT)
+class Safety:
+    def test_it(self, run):
+        pass
+
 class SafetySuite:
     @pafot.search(SHORT)
     def test_it(self, run):
+        pass
+
+class TestIt:
+    @pafot.search(SHORT)
+    def drives(self, run):
         pass
 
 @pafot.search(SHORT)
@@ -472,14 +429,41 @@ else:
     def test_once():
         pass
 """
-DERIVED = """
-from test_left_out import SafetySuite
+IN_CONFTEST = """
+import pytest_pafot as pafot
+
+@pafot.search
+def test_in_conftest(run):
+    assert not run
+"""
+COLLECTED = """
 from shared import test_shared, Shared
 
-class TestDerived(SafetySuite):
+@pafot.search(SHORT)
+def never(run):
+    pass
+
+test_never = never
+
+@pafot.search(SHORT)
+class Base:
+    def test_it(self, run):
+        pass
+
+class TestDerived(Base):
     pass
 
 class TestShared(Shared):
+    pass
+
+@pafot.search(SHORT)
+class Helper:
+    __test__ = False
+
+class Meta(type):
+    pytestmark = pytest.mark.skip
+
+def drives(run):
     pass
 """
 SHARED = """
@@ -492,39 +476,28 @@ class Shared:
     def test_it(self, run):
         pass
 """
-IN_CONFTEST = """
-import pytest_pafot as pafot
-
-@pafot.search
-def test_in_conftest(run):
-    assert not run
-"""
 
 
-def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, ci):
+def test_marked_tests_that_pytest_leaves_out_fail_a_ci_session(project, monkeypatch):
     project.write(LEFT_OUT)
+    project.write(COLLECTED, name="test_collected")
+    project.write(SHARED, name="shared")
+    project.write("from test_it import never_at_fault, Safety\n\ndef test_other():\n    pass\n", name="test_other")
     conftest = project.path / "conftest.py"
     conftest.write_text(conftest.read_text() + IN_CONFTEST)
     no_warning = "-Wignore::pytest.PytestCollectionWarning"
-    result = replay(project, no_warning)
+    names = ("Safety", "SafetySuite::test_it", "TestConstructed::test_it", "TestEmpty", "TestIt::drives")
+    names = [f"test_it.py::{name}" for name in (*names, "never_at_fault", "test_twice")]
+    for args in ([], ["-k", "other"]):
+        result = replay(project, no_warning, *args)
+        left_out = [line.partition(": ")[0] for line in told(result)]
+        assert (result.ret, left_out) == (0, ["conftest.py::test_in_conftest", *names])
+    monkeypatch.setenv("CI", "true")
+    result = replay(project, no_warning, "--pafot-allow-orphans")
     assert result.ret == 1
-    assert [line.partition(": ")[0] for line in told(result)] == [
-        "conftest.py::test_in_conftest",
-        "test_it.py::SafetySuite::test_it",
-        "test_it.py::TestConstructed::test_it",
-        "test_it.py::TestEmpty",
-        "test_it.py::test_twice",
-    ]
+    counted = "pytest does not collect 8 tests with a mark of pafot (CI is set): conftest.py::test_in_conftest, *"
+    result.stdout.fnmatch_lines([counted, f"ERROR pafot::marked_tests_that_are_not_collected - {counted}"])
     assert replay(project, no_warning, "test_it.py::test_once").ret == 0  # a narrower choice
-
-
-def test_tests_that_others_derive_from_or_import_are_collected(project, ci):
-    project.write(LEFT_OUT.partition("@pafot.search(SHORT)\nclass")[0], name="test_left_out")
-    project.write(SHARED, name="shared")
-    project.write(DERIVED, name="test_other")
-    result = replay(project)
-    result.stdout.no_fnmatch_line("not run: *")
-    assert result.ret == 0
 
 
 @pytest.mark.parametrize("folder", ["build", ".hidden", "a/b/c/d/e/f"])

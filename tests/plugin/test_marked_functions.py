@@ -326,15 +326,6 @@ def test_skipping_every_scenario_skips_the_test(project, skip):
     assert project.files == []
 
 
-def test_rejected_scenarios_are_counted_and_found_nothing(project):
-    project.write(
-        "@pafot.search(SHORT)\ndef test_rejects(run):\n    if run.scenario.seed % 2:\n        pafot.reject()\n"
-    )
-    result = project.run(runs=12)
-    result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["*rejected*"])
-
-
 def test_reject_outside_a_search_explains_its_use():
     with pytest.raises(Rejected, match=r"discards a scenario of a @pafot.search test"):
         pafot.reject()

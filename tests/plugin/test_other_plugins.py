@@ -111,12 +111,13 @@ def test_collect_only_lists_the_items_and_like_setup_plan_simulates_nothing(proj
     project.write(COUNTED)
     project.run_once("--pafot-stop-after=1")
     before = (project.path / "runs.txt").read_text()
-    result = project.run("--collect-only", "-q")
+    result = project.run("--collect-only", "-q", "--pafot-json=pafot.json")
     result.stdout.fnmatch_lines(
         ["test_it.py::test_counted[[]search[]]", f"test_it.py::test_counted[[]saved-{project.only_id}[]]"]
     )
     assert project.run("--setup-plan").ret == pytest.ExitCode.OK
     assert (project.path / "runs.txt").read_text() == before
+    assert not (project.path / "pafot.json").exists()
 
 
 def test_another_plugin_may_deselect_what_is_no_item(project):

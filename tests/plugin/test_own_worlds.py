@@ -141,16 +141,6 @@ def test_subclass_of_a_builtin_world_is_own_world(project):
     project.run(runs=0).stdout.fnmatch_lines(["replayed 1 saved scenario: 1 still failing"])
 
 
-def test_incomplete_world_error_lists_what_is_missing(project):
-    own(project)
-    text = project.path.joinpath("test_it.py").read_text().replace("speed_limit, longest_run", "nothing, else_")
-    project.path.joinpath("test_it.py").write_text(text)
-    result = project.run()
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*or your own world with rollout, to_dict, speed_limit, longest_run, *"])
-    result.stdout.fnmatch_lines(["*which has no speed_limit, longest_run*"])
-
-
 # --- environments in wrappers
 
 

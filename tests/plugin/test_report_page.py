@@ -10,19 +10,9 @@ import pytest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.terminal import shrunk_lines
 from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.plugin.test_session_records import IS_CUT
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
-
-INTERRUPTED = """
-seen = set()
-
-@pafot.search(SHORT)
-def test_interrupted(run):
-    seen.add(run.scenario.id)
-    if len(seen) > 2:
-        raise KeyboardInterrupt
-    assert run.scenario.id == ""
-"""
 
 
 def read_page(path):
@@ -109,7 +99,7 @@ def test_unobserved_crash_is_listed_without_a_picture(project, page):
 
 
 def test_an_interrupted_session_writes_what_it_has(project, page):
-    project.write(INTERRUPTED)
+    project.write(IS_CUT)
     result = project.run("--pafot-report=report.html", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     text, findings, (search,) = read_page(page)

@@ -67,15 +67,6 @@ def test_search_command_saves_a_finding_and_writes_tests(here, monkeypatch):
     assert '@pafot.search(ads="a_planner:Planner", blame="ego")' in (here / "test_safety.py").read_text()
 
 
-@pytest.mark.processes
-def test_a_written_test_replays_what_the_search_has_saved(here):
-    assert python("pytest_pafot", "search", "a_planner:Planner", "--runs", "4", "--seed", "2")[0] == 1
-    assert command_in_a_copy("pytest_pafot", "search", "a_planner:Planner", "--write-test").code == 0
-    code, told = python("pytest", "-q", "--pafot-runs=0")
-    assert code == 1
-    assert "replayed 1 saved scenario: 1 still failing" in told
-
-
 WORLDS = """\
 import gymnasium
 import pytest_pafot as pafot

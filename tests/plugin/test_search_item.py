@@ -179,18 +179,6 @@ def test_fault(run):
     result.stdout.fnmatch_lines(["* npc at fault*"])
 
 
-def test_max_time_zero_still_makes_one_run(project):
-    project.write("@pafot.search(SHORT)\ndef test_passes(run):\n    pass\n")
-    result = project.run("--pafot-max-time=0", runs=200)
-    result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["  1 run in *", "*--pafot-max-time", "*note: cut by --pafot-max-time*"])
-
-
-def test_corpus_file_adds_its_item_to_other_arguments(saved):
-    saved.write("def test_other():\n    pass\n", name="test_other")
-    saved.run("test_other.py", saved.files[0]).assert_outcomes(failed=1, passed=1, deselected=1)
-
-
 def test_printed_fresh_base_seed_repeats_the_search(project):
     project.write("@pafot.search(SHORT)\ndef test_fails(run):\n    assert run.scenario.id == ''\n")
     output = project.run("--pafot-stop-after=1", seed=None).stdout.str()

@@ -12,23 +12,13 @@ import pytest
 
 import pytest_pafot.report.page  # noqa: F401  pytester forgets modules that a run imports; this one is patched
 from pytest_pafot.plugin.session import stale_day
+from tests.plugin.test_session_records import IS_CUT
 
 FAILS = """
 @pafot.search(SHORT, shrink_rollouts=0)  # stop_after=1
 def test_fails(run):
     assert run.duration < 1, "the text of the failure"
 """
-
-IS_CUT = """
-seen = {}
-
-@pafot.search(SHORT)
-def test_fails(run):
-    if seen.setdefault(run.scenario.id, len(seen)) > 0:
-        raise KeyboardInterrupt
-    assert not run
-"""
-"""A test file whose search is interrupted after its first finding."""
 
 
 def text_of(result):

@@ -264,11 +264,6 @@ def test_folder_in_place_of_record_file_is_named(failing):
     result.stdout.fnmatch_lines([f"  problem: --pafot-json=taken: not written: *; {told}"])
 
 
-def test_nothing_is_written_where_tests_are_only_listed(failing):
-    failing.run("--pafot-json=pafot.json", "--collect-only")
-    assert not (failing.path / "pafot.json").exists()
-
-
 @pytest.fixture
 def summary(project, monkeypatch):
     """Return the file for the summary of a step, which already has an earlier command's text."""
@@ -313,12 +308,6 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
     (line,) = [line for line in result.outlines if line.startswith("::")]
     assert "::ValueError: 50 %25 done" in line
     assert not any(each.startswith("::warning") for each in [*result.outlines, *summary.read_text().splitlines()])
-
-
-def test_session_of_other_tests_adds_no_job_summary(summary, project):
-    project.write("def test_it():\n    assert False\n")
-    project.run()
-    assert summary.read_text() == "before\n"
 
 
 def test_unwritable_job_summary_affects_nothing_else(project, failing, monkeypatch):

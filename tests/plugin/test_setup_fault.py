@@ -168,6 +168,9 @@ ten = pafot.World("highway-v0", duration=2.0, config={"observation": {"type": "K
 five = pafot.World("highway-v0", duration=2.0)
 steering = pafot.World("highway-v0", duration=2.0, config={"action": {"type": "ContinuousAction"}})
 
+class Road:
+    rollout = to_dict = print
+
 def keep(observation):
     return 0.0, 0.0
 
@@ -248,6 +251,10 @@ MESSAGES = {
         "which raises TypeError: * takes exactly one argument (0 given); its argument is a text in the reference: *"
     ],
     "world=pafot.Highway": ["; call it: Highway(...)"],
+    "world=Road()": [
+        "or your own world with rollout, to_dict, speed_limit, longest_run, ",
+        "which has no speed_limit, longest_run",
+    ],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],

@@ -17,12 +17,7 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin.messages import SCENARIO
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
-from pytest_pafot.report.session_record import (
-    FINDING,
-    NOT_WRITTEN,
-    finding_entry,
-    to_text,
-)
+from pytest_pafot.report.session_record import FINDING, NOT_WRITTEN, finding_entry, to_text
 from pytest_pafot.report.terminal import search_lines
 from pytest_pafot.world import Highway
 from tests.findings.builders import findings, plain_finding, sighting
