@@ -10,8 +10,7 @@ The twin's runs and time do not count.
 
 ``--save`` appends each search to a file of JSON lines as soon as it ends. Searches that are already in the file are not
 repeated, so the same command continues after an interruption.
-``--picture`` draws the survival curves of all defects together into a file, and those of each defect into a second
-file, whose name ends in ``-of-each``.
+``--picture`` draws the survival curves of all defects together into a file.
 
 Prints a table of all defects together, and one with a line for each defect. Medians have 95 % intervals (Brookmeyer and
 Crowley). Ratios to the default search have 95 % bootstrap intervals over seeds, resampled separately for each defect.
@@ -192,8 +191,8 @@ def number(value: float) -> str:
     return f"{value:.0f}" if 100 <= value < math.inf else f"{value:.3g}" if math.isfinite(value) else "-"
 
 
-def draw(path: str, overall: Mapping[str, Group], policies: Mapping[str, Mapping[str, Group]]) -> None:
-    """Draw all defects together, by runs and by wall clock, and each defect by runs into a second file."""
+def draw(path: str, overall: Mapping[str, Group]) -> None:
+    """Draw all defects together, by runs and by wall clock."""
     with mpl.rc_context(SETTINGS):
         figure = Figure(figsize=(8.4, 3.4), layout="constrained")
         for axes, measure in zip(panels := figure.subplots(1, 2), ("runs", "wall clock [s]"), strict=True):
@@ -202,20 +201,6 @@ def draw(path: str, overall: Mapping[str, Group], policies: Mapping[str, Mapping
             axes.set_title("all defects; band: 95 %", fontsize=9, loc="left")
         panels[0].legend(loc="lower left")
         figure.savefig(path, dpi=160)
-
-        columns = min(5, len(policies))
-        rows = math.ceil(len(policies) / columns)
-        figure = Figure(figsize=(2.2 * columns, 1.8 * rows + 0.4), layout="constrained")
-        places = list(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).flat)
-        for axes, (policy, by_arm) in zip(places, policies.items(), strict=False):
-            draw_curves(axes, by_arm, "runs")
-            axes.set_title(policy, fontsize=8, loc="left")
-        for axes in places[len(policies) :]:
-            axes.set_axis_off()
-        figure.supxlabel("runs", fontsize=9.5)
-        figure.supylabel("not found yet [%]", fontsize=9.5)
-        figure.legend(*places[0].get_legend_handles_labels(), loc="outside upper right", ncols=len(ARMS))
-        figure.savefig(Path(path).with_stem(f"{Path(path).stem}-of-each"), dpi=160)
 
 
 def draw_curves(axes: Axes, by_arm: Mapping[str, Group], measure: str) -> None:
@@ -261,7 +246,7 @@ def main() -> None:
     for name, group in of_policies.items():
         print(row_of(name, group, arms))
     if given.picture:
-        draw(given.picture, overall, of_policies)
+        draw(given.picture, overall)
 
 
 if __name__ == "__main__":

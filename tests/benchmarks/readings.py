@@ -8,18 +8,15 @@ the reader's answer.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 
 from pytest_pafot import Run
+from tests.benchmarks.command import options
 from tests.helpers.readings import load
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", nargs="+", type=int, default=[1, 2, 3, 4, 5, 6, 7])
-    arguments = parser.parse_args()
-    for number in arguments.sets:
+    for number in map(int, options(__doc__, sets=[1, 2, 3, 4, 5, 6, 7]).sets):
         counts: Counter[str] = Counter()
         for read in (each for each in load() if each.read_in == number):
             run = Run(read.trace)

@@ -186,14 +186,11 @@ def test_passage_has_entry_and_exit_times_in_zone():
     assert third is None
 
 
-@table(
-    ("start", "expected"),
-    [
-        (-10.0, 6.55 - 5.45),  # after the ego
-        (30.0, 4.55 - 3.45),  # before it
-        (15.0, 4.55 - 4.95 + 0.4),  # it is still there when the ego comes
-    ],
-)
+@table(("start", "expected"), [
+    (-10.0, 6.55 - 5.45),  # after the ego
+    (30.0, 4.55 - 3.45),  # before it
+    (15.0, 4.55 - 4.95 + 0.4),  # it is still there when the ego comes
+])  # fmt: skip
 def test_post_encroachment_time_spans_exit_to_next_entry(start, expected):
     (passage,) = passages(junction_trace((CROSSES, start)))
     assert passage.post_encroachment_time == pytest.approx(expected, abs=1 / HZ)

@@ -127,14 +127,11 @@ class TestEttc:
 
 
 class TestSafetyDistance:
-    @table(
-        ("ego", "npc", "expected"),
-        [
-            (vehicle(0, speed=20, acceleration=1), vehicle(50, speed=15, acceleration=-2), 5 * 3 + 3 * 9 / 2),
-            (vehicle(0, speed=20, acceleration=-2), vehicle(-50, speed=26), 6 * 3 + 2 * 9 / 2),  # the NPC follows
-            (vehicle(0, speed=20), vehicle(50, speed=25), -15),  # it pulls away
-        ],
-    )
+    @table(("ego", "npc", "expected"), [
+        (vehicle(0, speed=20, acceleration=1), vehicle(50, speed=15, acceleration=-2), 5 * 3 + 3 * 9 / 2),
+        (vehicle(0, speed=20, acceleration=-2), vehicle(-50, speed=26), 6 * 3 + 2 * 9 / 2),  # the NPC follows
+        (vehicle(0, speed=20), vehicle(50, speed=25), -15),  # it pulls away
+    ])  # fmt: skip
     def test_is_what_the_follower_gains_in_three_seconds(self, ego, npc, expected):
         assert of_one_npc(criticality.safety_distance, ego, npc) == pytest.approx(expected)
 
@@ -150,16 +147,13 @@ class TestSafetyDistance:
 
 
 class TestSafetyShortfall:
-    @table(
-        ("npc", "expected"),
-        [
-            (vehicle(25, speed=10), 1 / 3),  # of the safety distance of 30 m, 20 m are there
-            (vehicle(36, speed=10), 0),
-            (vehicle(6, speed=25), 0),  # none is needed
-            (vehicle(7, 4, speed=10), 0),  # in another lane
-            (vehicle(4, speed=10), 1),  # at contact
-        ],
-    )
+    @table(("npc", "expected"), [
+        (vehicle(25, speed=10), 1 / 3),  # of the safety distance of 30 m, 20 m are there
+        (vehicle(36, speed=10), 0),
+        (vehicle(6, speed=25), 0),  # none is needed
+        (vehicle(7, 4, speed=10), 0),  # in another lane
+        (vehicle(4, speed=10), 1),  # at contact
+    ])  # fmt: skip
     def test_is_the_missing_share_of_the_safety_distance(self, npc, expected):
         assert of_one_npc(safety_shortfall, vehicle(0, speed=20), npc) == pytest.approx(expected)
 
@@ -169,19 +163,16 @@ class TestSafetyShortfall:
         assert of_one_npc(safety_shortfall, vehicle(0, speed=1e-308), vehicle(36)) == 0
 
 
-@table(
-    ("extreme", "vehicles", "expected"),
-    [
-        (criticality.min_gap, (vehicle([0, 0, 0]), vehicle([30, 20, 25]), vehicle([-40, -12, -40])), 7),
-        (criticality.min_centre_distance, (vehicle([0, 0]), vehicle([30, 20]), vehicle([-11, -40])), 11),
-        (criticality.min_ttc, (vehicle([0, 0], speed=20), vehicle([25, 15], speed=10), vehicle([-90, -80])), 1),
-        (criticality.mettc, (vehicle([0, 0], speed=10), vehicle([9, 9], 4, speed=10),
-                             vehicle([30, 25], -20, heading=math.pi / 2, speed=10)), 2.5),
-        (criticality.min_safety_distance, (vehicle([0, 0], speed=20), vehicle([50, 50], speed=[15, 25])), -15),
-        (criticality.max_safety_shortfall, (vehicle([0, 0], speed=20), vehicle([25, 35], speed=10), vehicle([90, 90])),
-         1 / 3),
-    ],
-)  # fmt: skip
+@table(("extreme", "vehicles", "expected"), [
+    (criticality.min_gap, (vehicle([0, 0, 0]), vehicle([30, 20, 25]), vehicle([-40, -12, -40])), 7),
+    (criticality.min_centre_distance, (vehicle([0, 0]), vehicle([30, 20]), vehicle([-11, -40])), 11),
+    (criticality.min_ttc, (vehicle([0, 0], speed=20), vehicle([25, 15], speed=10), vehicle([-90, -80])), 1),
+    (criticality.mettc, (vehicle([0, 0], speed=10), vehicle([9, 9], 4, speed=10),
+                         vehicle([30, 25], -20, heading=math.pi / 2, speed=10)), 2.5),
+    (criticality.min_safety_distance, (vehicle([0, 0], speed=20), vehicle([50, 50], speed=[15, 25])), -15),
+    (criticality.max_safety_shortfall, (vehicle([0, 0], speed=20), vehicle([25, 35], speed=10), vehicle([90, 90])),
+     1 / 3),
+])  # fmt: skip
 def test_extremes_are_those_of_all_ticks_and_npcs(extreme, vehicles, expected):
     assert extreme(trace_of(*vehicles)) == pytest.approx(expected)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -126,26 +127,19 @@ def _joined(first, second):
     return None if not found.size else (found[0], near[found[0]])
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The plan of a vehicle: the time at which it would enter its zone at a constant speed, and changes of speed.
-
-    Attributes:
-        way: The way's name.
-        enters: The time at which it would enter the zone at its first speed [s].
-        speed: The first speed [m/s].
-        changes: Each has a start [s], an acceleration [m/s^2] and a final speed [m/s], which decides the sign.
-    """
-
+class Plan(NamedTuple):
     way: str
     enters: float
     speed: float
-    changes: tuple[tuple[float, float, float], ...] = ()
+    changes: tuple[tuple[float, float, float], ...]
 
 
 def plan(way, enters, speed, *changes):
-    """Return a :class:`Plan`."""
-    return Plan(way, float(enters), float(speed), tuple(changes))
+    """Return the plan of a vehicle on a way that would enter its zone at a time [s], at its first speed [m/s].
+
+    Each change of speed has a start [s], an acceleration [m/s^2] and a final speed [m/s], which decides the sign.
+    """
+    return Plan(way, float(enters), float(speed), changes)
 
 
 def _places(begins, plan_, ticks):

@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_pafot.model.instructions import Cell
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
-from tests.helpers.traces import scenario_of
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Lane, Outcome, Trace, X, Y
+from tests.helpers.traces import collision_at, trace_of
 
 FILE = Path(__file__).parents[1] / "attribution" / "readings.xz"
 COLUMNS, SCALES = (X, Y, HEADING, SPEED, LANE), np.array([1e3, 1e3, 1e4, 1e3, 1.0])
@@ -44,30 +43,20 @@ def unpacked(data):
     whole = np.cumsum(steps, axis=0)
     states = np.zeros((*whole.shape[:2], 7))
     states[:, :, COLUMNS] = whole / SCALES
-    ticks, npcs, npc, hz = len(states) - 1, states.shape[1] - 1, data["npc"], data["hz"]
+    npc, hz = data["npc"], data["hz"]
     speeds = states[-1, :, SPEED]
-    return Trace(
-        scenario=scenario_of(npcs),
-        executed=scenario_of(npcs),
+    speeds = {"ego_speed": speeds[0], "npc_speed": speeds[npc + 1]}
+    lanes = [
+        Lane(x=-1e5, y=y, heading=0.0, length=2e5, width=width, speed_limit=limit) for y, width, limit in data["lanes"]
+    ]
+    return trace_of(
+        *states.swapaxes(0, 1),
+        sizes=data["sizes"],
         outcome=Outcome.COLLISION,
-        states=states,
-        sizes=np.array(data["sizes"]),
-        lanes=tuple(
-            Lane(x=-1e5, y=y, heading=0.0, length=2e5, width=width, speed_limit=limit)
-            for y, width, limit in data["lanes"]
-        ),
+        lanes=tuple(lanes),
         physics_hz=hz,
         ads_hz=hz,
-        collision=Collision(
-            tick=ticks,
-            time=ticks / hz,
-            npc=npc,
-            side=data["side"],
-            cell=Cell.FRONT,
-            ego_speed=speeds[0],
-            npc_speed=speeds[npc + 1],
-            closing_speed=0.0,
-        ),
+        collision=collision_at(len(states) - 1, npc=npc, side=data["side"], physics_hz=hz, **speeds),
     )
 
 

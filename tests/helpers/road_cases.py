@@ -11,9 +11,9 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road, RoadNetwork
 
 from pytest_pafot import World
-from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, SPEED, STEERING, X, Y
+from pytest_pafot.model.trace import ALONG, HEADING, SPEED, X, Y
 from pytest_pafot.searching.space import space_on
-from tests.helpers.world_cases import STANDING, beyond, own_limits
+from tests.helpers.world_cases import beyond, bounds_of_motion, own_limits, wrapped
 
 
 class OwnEnvironment(AbstractEnv):
@@ -85,11 +85,6 @@ def space_of(world, npcs=2, traffic="paper"):
     return space_on(world.speed_limit, world.longest_run, {"npcs": npcs, "traffic": traffic}, world.road_start)
 
 
-def wrapped(angle):
-    """Return an angle in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
-
-
 def off_lanes(network, trace):
     """Return the largest distance of the NPCs' corners beyond the edges of all lanes of a network [m]."""
     some = trace.npcs[:: max(1, trace.physics_hz // 5)]
@@ -119,30 +114,15 @@ def beyond_edges(network, point):
 
 def violations(trace, world):
     """Return the limits that the NPCs break, as texts with the worst value."""
-    limits, s, dt = world.limits, trace.npcs, trace.dt
-    heading, speed, acceleration = s[..., HEADING], s[..., SPEED], s[..., ACCELERATION]
-    slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
-    course = heading[:-1] + slip
-    standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
-    jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
-    top, own = own_limits(trace, limits, world.speed_limit)
-    lateral = own["lateral_acceleration"]
-    turning = speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt
+    limits, s = world.limits, trace.npcs
+    bounds, _ = bounds_of_motion(s, limits, *own_limits(trace, limits, world.speed_limit), trace.dt)
     ticks = range(0, trace.ticks + 1, 3)
     direction, fastest = lanes_of(trace, world.road, ticks)
     beside = IN_A_GAP_MARGIN if world.env_id in WITH_GAPS else ON_LANE_MARGIN
-    bounds = {
-        "acceleration": (acceleration, -own["braking"], own["acceleration"]),
-        "jerk": (jerk, -limits.jerk, limits.jerk),
-        "speed": (speed, 0.0, top),
-        "speed in the bend": (speed[ticks] - fastest, -np.inf, 0.0),
-        "angle to the lane": (wrapped(heading[ticks] - direction), -limits.heading, limits.heading),
-        "turning of the heading": (speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt, -lateral, lateral),
-        "turning of the course": (turning, -lateral, lateral),
+    bounds |= {
+        "speed in the bend": (s[ticks, :, SPEED] - fastest, -np.inf, 0.0),
+        "angle to the lane": (wrapped(s[ticks, :, HEADING] - direction), -limits.heading, limits.heading),
         "forward motion": (np.diff(trace.track[:, 1:, ALONG], axis=0), -1e-9, np.inf),
-        "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
-        "motion follows course, x": (np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt, 0.0, 0.0),
-        "motion follows course, y": (np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt, 0.0, 0.0),
         "off the lanes": (np.array([off_lanes(world.network, trace)]), -np.inf, beside),
     }
     return beyond(bounds)

@@ -34,6 +34,7 @@ from pytest_pafot.commands import search_command
 from pytest_pafot.execution.pool import START_METHOD
 from pytest_pafot.report.session_record import FINDING, VERSION
 from pytest_pafot.world import Highway
+from tests.helpers.walks import ROOMS as CORE
 
 INTERRUPTIBLE = (
     sys.executable,
@@ -87,21 +88,6 @@ def in_a_copy(pytester, *args):
     base = tempfile.mkdtemp(prefix="runpytest-", dir=pytester.path)
     done = command_in_a_copy("pytest", f"--basetemp={base}", *args, folder=pytester.path)
     return pytest.RunResult(done.code, done.out.splitlines(), done.err.splitlines(), time.monotonic() - begun)
-
-
-CORE = (
-    "attribution",
-    "campaign",
-    "corpus",
-    "execution",
-    "findings",
-    "oracle",
-    "plugin",
-    "report",
-    "searching",
-    "world",
-)
-"""The rooms that a session imports."""
 
 
 @functools.cache

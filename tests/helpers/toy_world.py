@@ -4,7 +4,7 @@ import numpy as np
 
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Lane, Outcome, Trace
+from tests.helpers import traces
 
 
 def scenario(number):
@@ -14,17 +14,8 @@ def scenario(number):
 
 def trace_of(scenario):
     """Return a trace in which nothing moves."""
-    return Trace(
-        scenario=scenario,
-        executed=scenario,
-        outcome=Outcome.SAFE,
-        states=np.full((2, 2, 7), float(scenario.seed)),
-        sizes=np.full((2, 2), 2.0),
-        lanes=(Lane(x=0.0, y=0.0, heading=0.0, length=1000.0, width=4.0, speed_limit=30.0),),
-        physics_hz=15,
-        ads_hz=5,
-        arrivals=((0,),),
-    )
+    states = np.full((2, 2, 7), float(scenario.seed))
+    return traces.trace_of(*states, scenario=scenario, lanes=traces.straight_lanes(1), arrivals=((0,),))
 
 
 class Toy:

@@ -46,6 +46,11 @@ def changing_lanes():
     return drive
 
 
+def idm():
+    """Return highway-env's own driver."""
+    return IDMVehicle
+
+
 EGOS = (constant_speed, weaving, stopping, changing_lanes, IDMVehicle)
 
 
@@ -86,37 +91,53 @@ def random_scenario(rng: random.Random, *, lanes: int, speed_limit: float, npcs:
 def violations(trace, limits, speed_limit):
     """Return the limits that the NPCs of a trace break, as texts with the worst value.
 
-    It computes everything from positions, headings, speeds and the recorded controls. The course is the direction of
-    motion: heading plus the slip angle of highway-env's bicycle model, which is checked against the positions.
+    It computes everything from positions, headings, speeds and the recorded controls.
     """
-    s, dt = trace.npcs, trace.dt
-    x, y, heading, speed = s[..., X], s[..., Y], s[..., HEADING], s[..., SPEED]
-    acceleration = s[..., ACCELERATION]
-    slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
-    course = np.concatenate([np.zeros_like(heading[:1]), heading[:-1] + slip])
-    standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
-    jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    s = trace.npcs
+    x, y, heading = s[..., X], s[..., Y], s[..., HEADING]
     length, width = trace.sizes[1:].T
     half_width = (length * np.abs(np.sin(heading)) + width * np.abs(np.cos(heading))) / 2
-    top, own = own_limits(trace, limits, speed_limit)
-    lateral = own["lateral_acceleration"]
+    bounds, course = bounds_of_motion(s, limits, *own_limits(trace, limits, speed_limit), trace.dt)
+    turning = s[0, :, SPEED] * course[0] / trace.dt
     road_right = (len(trace.lanes) - 0.5) * LANE_WIDTH
-    bounds = {
-        "acceleration": (acceleration, -own["braking"], own["acceleration"]),
-        "jerk": (jerk, -limits.jerk, limits.jerk),
-        "speed": (speed, 0.0, top),
+    bounds |= {
+        "turning at the start": (turning, *bounds["turning of the course"][1:]),
         "heading": (heading, -limits.heading, limits.heading),
         "course": (course, -limits.heading, limits.heading),
-        "lateral acceleration of the heading": (speed[:-1] * np.diff(heading, axis=0) / dt, -lateral, lateral),
-        "lateral acceleration of the course": (speed[:-1] * np.diff(course, axis=0) / dt, -lateral, lateral),
         "forward motion": (np.diff(x, axis=0), 0.0, np.inf),
         "left corner on the road": (y - half_width, -LANE_WIDTH / 2, np.inf),
         "right corner on the road": (y + half_width, -np.inf, road_right),
         "within the road's length": (x, LENGTH / 2, trace.lanes[0].length - LENGTH / 2),
-        "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
-        "motion follows course": (np.diff(y, axis=0) - speed[:-1] * np.sin(course[1:]) * dt, 0.0, 0.0),
     }
     return beyond(bounds)
+
+
+def bounds_of_motion(s, limits, top, own, dt):
+    """Return the bounds by name for how NPCs with some states move on any road, and their courses [rad].
+
+    The course is the direction of motion: heading plus the slip angle of highway-env's bicycle model, which is checked
+    against the positions. The top speed and the own limits are from :func:`own_limits`.
+    """
+    heading, speed, acceleration = s[..., HEADING], s[..., SPEED], s[..., ACCELERATION]
+    course = heading[:-1] + np.arctan(np.tan(s[1:, :, STEERING]) / 2)
+    standing = (speed[1:] <= STANDING) | (speed[:-1] <= STANDING)
+    jerk = np.where(standing, 0.0, np.diff(acceleration, axis=0) / dt)
+    lateral = own["lateral_acceleration"]
+    return {
+        "acceleration": (acceleration, -own["braking"], own["acceleration"]),
+        "jerk": (jerk, -limits.jerk, limits.jerk),
+        "speed": (speed, 0.0, top),
+        "turning of the heading": (speed[:-1] * wrapped(np.diff(heading, axis=0)) / dt, -lateral, lateral),
+        "turning of the course": (speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt, -lateral, lateral),
+        "speed follows acceleration": (np.diff(speed, axis=0) - acceleration[1:] * dt, 0.0, 0.0),
+        "motion follows course, x": (np.diff(s[..., X], axis=0) - speed[:-1] * np.cos(course) * dt, 0.0, 0.0),
+        "motion follows course, y": (np.diff(s[..., Y], axis=0) - speed[:-1] * np.sin(course) * dt, 0.0, 0.0),
+    }, course
+
+
+def wrapped(angle):
+    """Return an angle in [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def own_limits(trace, limits, speed_limit):

@@ -68,22 +68,19 @@ class TestInstructions:
     def test_no_slot_is_minus_zero(self):
         assert math.copysign(1, crosses(slot=-0.0).slot) == 1
 
-    @table(
-        ("changes", "message"),
-        [
-            ({"zone": "o1"}, "zone: expected the entry and the exit of a way, such as \"o1>o3\", received 'o1'"),
-            ({"zone": "o1>o3>o2"}, "zone: expected the entry"),
-            ({"zone": "a" * 31 + ">b"}, "zone: expected the entry"),
-            ({"zone": "o1>o3\n"}, "zone: expected the entry"),
-            ({"act": "wave"}, "act: expected one of pass, hold, stop, late, received 'wave'"),
-            ({"slot": 0.55}, "slot: expected seconds in steps of 0.1, received 0.55; the nearest valid slot is"),
-            ({"slot": 5.1}, "slot: expected seconds, at most 5 before or after the ego, received 5.1"),
-            ({"slot": math.nan}, "slot: expected a finite number"),
-            ({"slot": "1"}, "slot: expected a finite number"),
-            ({"speed": 0}, "speed: expected m/s, more than 0, because it has to arrive, received 0.0; act"),
-            ({"speed": 8.65}, "speed: expected m/s, at least 0 and in steps of 0.1"),
-        ],
-    )
+    @table(("changes", "message"), [
+        ({"zone": "o1"}, "zone: expected the entry and the exit of a way, such as \"o1>o3\", received 'o1'"),
+        ({"zone": "o1>o3>o2"}, "zone: expected the entry"),
+        ({"zone": "a" * 31 + ">b"}, "zone: expected the entry"),
+        ({"zone": "o1>o3\n"}, "zone: expected the entry"),
+        ({"act": "wave"}, "act: expected one of pass, hold, stop, late, received 'wave'"),
+        ({"slot": 0.55}, "slot: expected seconds in steps of 0.1, received 0.55; the nearest valid slot is"),
+        ({"slot": 5.1}, "slot: expected seconds, at most 5 before or after the ego, received 5.1"),
+        ({"slot": math.nan}, "slot: expected a finite number"),
+        ({"slot": "1"}, "slot: expected a finite number"),
+        ({"speed": 0}, "speed: expected m/s, more than 0, because it has to arrive, received 0.0; act"),
+        ({"speed": 8.65}, "speed: expected m/s, at least 0 and in steps of 0.1"),
+    ])  # fmt: skip
     def test_what_is_wrong_is_refused_by_name(self, changes, message):
         with pytest.raises(ScenarioError, match="^" + re.escape(message)):
             crosses(**changes)
@@ -146,16 +143,13 @@ class TestScenarios:
         assert scenario.positions == ((one(2),),)
         assert scenario.crossings == (None, crosses(), None)
 
-    @table(
-        ("npcs", "message"),
-        [
-            ([[crosses(), crosses()]], "npcs[0][1]: expected one CrossingInstruction"),
-            ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
-            ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
-            ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction like npcs[0][0]"),
-            ([[crosses(), LaneInstruction("keep", 1)]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
-        ],
-    )
+    @table(("npcs", "message"), [
+        ([[crosses(), crosses()]], "npcs[0][1]: expected one CrossingInstruction"),
+        ([[crosses(), one()]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
+        ([[one(), crosses()]], "npcs[0][1]: expected a PositionInstruction like npcs[0][0]"),
+        ([[LaneInstruction("keep", 1), crosses()]], "npcs[0][1]: expected a LaneInstruction like npcs[0][0]"),
+        ([[crosses(), LaneInstruction("keep", 1)]], "npcs[0][1]: expected a CrossingInstruction like npcs[0][0]"),
+    ])  # fmt: skip
     def test_crossing_npc_has_one_instruction_and_nothing_else(self, npcs, message):
         with pytest.raises(ScenarioError, match=re.escape(message)):
             Scenario(npcs=npcs)
@@ -276,21 +270,18 @@ def test_npcs_of_one_lane_stay_in_order():
     assert not JUNCTION.clash(slow, crosses(zone="o3>o1", slot=0.5, speed=10.0))
 
 
-@table(
-    ("changes", "fits"),
-    [
-        ({}, True),
-        ({"zone": "o1>o4"}, False),
-        ({"slot": 5.0, "speed": 9.0}, False),  # 12.5 s to the zone, which is 90 m from the way's beginning
-        ({"slot": 5.0, "speed": 7.0}, True),
-        ({"zone": "o3>o1", "slot": -5.0, "speed": 3.0}, False),  # it should enter its zone before the run begins
-        ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0}, True),  # it enters its zone after 1 s, at the latest
-        ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "stop"}, True),
-        ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "hold"}, True),
-        ({"zone": "o3>o1", "slot": -4.2, "speed": 8.0, "act": "hold"}, False),  # 6.4 m are not enough to stop
-        ({"act": "hold"}, True),
-    ],
-)
+@table(("changes", "fits"), [
+    ({}, True),
+    ({"zone": "o1>o4"}, False),
+    ({"slot": 5.0, "speed": 9.0}, False),  # 12.5 s to the zone, which is 90 m from the way's beginning
+    ({"slot": 5.0, "speed": 7.0}, True),
+    ({"zone": "o3>o1", "slot": -5.0, "speed": 3.0}, False),  # it should enter its zone before the run begins
+    ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0}, True),  # it enters its zone after 1 s, at the latest
+    ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "stop"}, True),
+    ({"zone": "o3>o1", "slot": -4.0, "speed": 8.0, "act": "hold"}, True),
+    ({"zone": "o3>o1", "slot": -4.2, "speed": 8.0, "act": "hold"}, False),  # 6.4 m are not enough to stop
+    ({"act": "hold"}, True),
+])  # fmt: skip
 def test_npc_fits_if_it_can_start_and_act(changes, fits):
     assert JUNCTION.fits(crosses(**changes)) == fits
 

@@ -169,21 +169,18 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
 class TestRepairThatSkipsMissingCells:
     """The repair for roads on which few cells exist."""
 
-    @table(
-        ("requested", "existing", "clockwise", "executed"),
-        [
-            (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),  # the next cell that exists is a neighbour
-            (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
-            (Cell.REAR, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
-            (Cell.FRONT, {Cell.FRONT, Cell.REAR}, True, Cell.FRONT),  # to hold is no step
-            (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),  # on in its own direction
-            (Cell.FRONT_LEFT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.LEFT),
-            (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),  # a distant cell: a neighbour by the coin
-            (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, False, Cell.FRONT_LEFT),
-            (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
-            (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),
-        ],
-    )
+    @table(("requested", "existing", "clockwise", "executed"), [
+        (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),  # the next cell that exists is a neighbour
+        (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
+        (Cell.REAR, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
+        (Cell.FRONT, {Cell.FRONT, Cell.REAR}, True, Cell.FRONT),  # to hold is no step
+        (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),  # on in its own direction
+        (Cell.FRONT_LEFT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.LEFT),
+        (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),  # a distant cell: a neighbour by the coin
+        (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, False, Cell.FRONT_LEFT),
+        (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
+        (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),
+    ])  # fmt: skip
     def test_a_step_from_the_front_goes_to_the_next_cell_that_exists(self, requested, existing, clockwise, executed):
         assert repair_gene([Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True) == (executed,)
 

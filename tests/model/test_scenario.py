@@ -163,23 +163,20 @@ def test_a_scenario_in_a_message_is_its_chains_on_one_line():
     assert str(scenario) == f"<Scenario {scenario.id}: 1@25 2@8.5; 6@0>"
 
 
-@table(
-    ("fields", "message"),
-    [
-        ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
-        ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
-        ({"npcs": [[(2, 20.0)]]}, "a LaneInstruction or a CrossingInstruction, received (2, 20.0); write Position"),
-        ({"npcs": None}, "npcs: expected one chain of instructions per NPC, received None; write [["),
-        ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
-        ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
-        ({"seed": 1.5}, "seed: expected a whole number"),
-        ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
-        ({"ego_speed": -1}, "ego_speed: expected m/s, at least 0, received -1"),
-        ({"ego_speed": math.nan}, "ego_speed: expected m/s, at least 0, received nan"),
-        ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 0"),
-        ({"gene_seconds": 1e9}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0"),
-    ],
-)
+@table(("fields", "message"), [
+    ({"npcs": []}, "npcs: expected 1 to 8 NPCs, one per cell at most, received 0"),
+    ({"npcs": [[one()], []]}, "npcs[1]: expected at least one instruction, received an empty chain"),
+    ({"npcs": [[(2, 20.0)]]}, "a LaneInstruction or a CrossingInstruction, received (2, 20.0); write Position"),
+    ({"npcs": None}, "npcs: expected one chain of instructions per NPC, received None; write [["),
+    ({"seed": -1}, "seed: expected a whole number from 0 to 9223372036854775807, received -1"),
+    ({"seed": 2**63}, "seed: expected a whole number from 0 to 9223372036854775807, received 9223372036854775808"),
+    ({"seed": 1.5}, "seed: expected a whole number"),
+    ({"ego_lane": -1}, "ego_lane: expected a whole number from 0 to 1000, received -1"),
+    ({"ego_speed": -1}, "ego_speed: expected m/s, at least 0, received -1"),
+    ({"ego_speed": math.nan}, "ego_speed: expected m/s, at least 0, received nan"),
+    ({"gene_seconds": 0}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 0"),
+    ({"gene_seconds": 1e9}, "gene_seconds: expected seconds, more than 0 and at most 86400, received 1000000000.0"),
+])  # fmt: skip
 @table("make", [Scenario, Scenario.repaired])
 def test_broken_field_is_refused_by_name(make, fields, message):
     with pytest.raises(ScenarioError, match=re.escape(message)):

@@ -75,21 +75,14 @@ def test_trace_has_one_row_more_than_its_ticks():
     assert trace.times.tolist() == [tick / 15 for tick in range(31)]
     assert trace.ego.shape == (31, 7)
     assert trace.npcs.shape == (31, 1, 7)
-
-
-def test_run_without_any_tick_has_zero_duration():
-    trace = trace_of(vehicle(0.0), vehicle(50.0))
-    assert (trace.ticks, trace.duration) == (0, 0.0)
+    assert repr(trace) == f"<Trace safe after 2.0 s of {trace.scenario.id}>"
+    at_once = trace_of(vehicle(0.0), vehicle(50.0))
+    assert (at_once.ticks, at_once.duration) == (0, 0.0)
 
 
 def test_speed_limit_is_that_of_fastest_lane():
     lanes = (*straight_lanes(2, speed_limit=20.0), *straight_lanes(1, speed_limit=30.0))
     assert trace_of(vehicle(0.0), vehicle(50.0), lanes=lanes).speed_limit == 30.0
-
-
-def test_the_repr_says_how_it_ended_and_when():
-    trace = trace_of(vehicle(0.0, speed=10.0, ticks=30), vehicle(50.0, ticks=30))
-    assert repr(trace) == f"<Trace safe after 2.0 s of {trace.scenario.id}>"
 
 
 def test_outcomes_are_the_texts_that_corpus_files_have():

@@ -7,11 +7,15 @@ import math
 import pickle
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from pytest_pafot import CAR, MOTORCYCLE, TRUCK, VAN, PositionInstruction, Scenario, ScenarioError, VehicleType
+from pytest_pafot.model.vehicle_type import PAPERS, STYLES
+from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import FieldError
 from pytest_pafot.world import NpcLimits
+from tests.helpers.tables import table
 
 BUS = VehicleType(name="bus", length=12.0, width=2.5, acceleration=1.2)
 
@@ -34,20 +38,17 @@ def test_numbers_of_ready_vehicles_stay():
     ]
 
 
-@pytest.mark.parametrize(
-    ("fields", "place"),
-    [
-        ({"length": 20.1}, "length"),
-        ({"width": 3.1}, "width"),
-        ({"length": 2.0, "width": 2.1}, "length"),
-        ({"braking": 4.9}, "braking"),
-        ({"top_speed": -math.inf}, "top_speed"),
-        ({"acceleration": math.nan}, "acceleration"),
-        ({"name": ""}, "name"),
-        ({"name": "a\nb"}, "name"),
-        ({"name": "truck"}, "name"),
-    ],
-)
+@pytest.mark.parametrize(("fields", "place"), [
+    ({"length": 20.1}, "length"),
+    ({"width": 3.1}, "width"),
+    ({"length": 2.0, "width": 2.1}, "length"),
+    ({"braking": 4.9}, "braking"),
+    ({"top_speed": -math.inf}, "top_speed"),
+    ({"acceleration": math.nan}, "acceleration"),
+    ({"name": ""}, "name"),
+    ({"name": "a\nb"}, "name"),
+    ({"name": "truck"}, "name"),
+])  # fmt: skip
 def test_own_vehicle_out_of_bounds_is_refused(fields, place):
     with pytest.raises(FieldError) as caught:
         VehicleType(**{"name": "mine", "length": 6.0, "width": 2.0, **fields})
@@ -80,15 +81,12 @@ def test_plain_form_text_pickle_and_repr_are_read_back(traffic):
     assert scenario.id != of("car", TRUCK, BUS).id != of().id
 
 
-@pytest.mark.parametrize(
-    ("vehicles", "field", "received"),
-    [
-        ("truck", "vehicles", "'truck'"),
-        (["car", "lorry"], "vehicles[1]", "'lorry'"),
-        ([{"name": "bus", "length": 40.0, "width": 2.5}], "vehicles[0].length", "40.0"),
-        (["car"] * 4, "vehicles", "4"),
-    ],
-)
+@pytest.mark.parametrize(("vehicles", "field", "received"), [
+    ("truck", "vehicles", "'truck'"),
+    (["car", "lorry"], "vehicles[1]", "'lorry'"),
+    ([{"name": "bus", "length": 40.0, "width": 2.5}], "vehicles[0].length", "40.0"),
+    (["car"] * 4, "vehicles", "4"),
+])  # fmt: skip
 def test_vehicles_of_a_scenario_are_checked(vehicles, field, received):
     with pytest.raises(ScenarioError) as caught:
         replace(of(), vehicles=vehicles)
@@ -101,3 +99,18 @@ def test_an_npc_keeps_its_vehicle_when_others_are_left_out():
     assert scenario.of_npcs([2, 0]).vehicles == (MOTORCYCLE, VAN)
     assert scenario.with_vehicle(2, CAR).vehicles == (VAN, TRUCK)
     assert scenario.rechained(scenario.npcs[::-1]).vehicles == scenario.vehicles
+
+
+# Styles of traffic.
+
+
+def test_only_paper_traffic_is_not_attentive():
+    assert [style for style in STYLES if not STYLES[style].is_attentive] == [PAPERS]
+
+
+@table("given", [None, 3, True, [], ["hostile"], "fast", "", {"style": "paper"}, np.array(["paper", "x"])])
+def test_what_is_no_style_is_refused(given):
+    with pytest.raises(ScenarioError, match="traffic: expected one of paper, hostile, assertive, everyday, received"):
+        Scenario(npcs=[[PositionInstruction(2, 20.0)]], traffic=given)
+    with pytest.raises(ValueError, match="traffic: expected one of paper, hostile, assertive, everyday, received"):
+        SearchSpace(traffic=given)

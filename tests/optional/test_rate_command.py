@@ -55,9 +55,7 @@ def crashing(monkeypatch):
 def test_rate_prints_share_interval_crashes_and_seeds(capsys):
     assert rate("--ads", "constant_speed@planner", "--against", "idm_mobil", "--episodes", "10") == 0
     out, told = capsys.readouterr()
-    found = re.search(
-        r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %: ", out
-    )
+    found = re.search(r"^constant_speed@planner in highway-fast-v0: (\d) of 10 episodes crashed, [\d.]+ % \(95 %", out)
     assert int(found[1]) > 1
     assert "idm_mobil in highway-fast-v0: 0 of 10 episodes crashed, 0 % (95 %: at most 30.8 %)\n" in out
     assert "0 only with idm_mobil, 0 with both" in out
@@ -181,34 +179,24 @@ def test_fail_above_refuses_a_policy_that_failed_in_an_episode(capsys, crashing)
 def test_too_few_episodes_for_a_limit_are_refused_with_enough(capsys):
     arguments = ("--ads", "constant_speed@planner", "--fail-above", "50%", "--seed", "2")
     assert rate(*arguments, "--episodes", "5") == 2
-    assert (
-        "--episodes: expected more, received 5: even if all crash, so few do not show a share above 50%"
-        in capsys.readouterr().err
-    )
+    told = "--episodes: expected more, received 5: even if all crash, so few do not show a share above 50%"
+    assert told in capsys.readouterr().err
     assert rate(*arguments, "--episodes", "6") in (0, 1)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        *[
-            (
-                ["--fail-above", text],
-                "--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received",
-            )
-            for text in ("2", "100%", "nan", "inf", "-0.1", "2%%", "%", "two")
-        ],
-        (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
-        (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
-        (["--against", "idm_mobil"], "--against: expected a different policy than --ads"),
-        (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
-        (["--config", "{count: 3}"], "--config: expected JSON such as"),
-        (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
-        (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
-        (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
-        (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "text"), [
+    *((["--fail-above", text], "--fail-above: expected a share from 0 to less than 1, such as 2% or 0.02, received")
+      for text in ("2", "100%", "nan", "inf", "-0.1", "2%%", "%", "two")),
+    (["--world", "highway-fast-v1"], "expected a registered environment, received 'highway-fast-v1'"),
+    (["--episodes", "0"], "--episodes: expected a whole number, at least 1, received 0"),
+    (["--against", "idm_mobil"], "--against: expected a different policy than --ads"),
+    (["--ads", "idm_mobile"], "did you mean 'idm_mobil'?"),
+    (["--config", "{count: 3}"], "--config: expected JSON such as"),
+    (["--config", '{"vehicle_count": 3}'], "did you mean 'vehicles_count'?"),
+    (["--config", "[3]"], "--config: expected JSON such as '{\"vehicles_count\": 20}', received [3]"),
+    (["--workers", "0"], "--workers: expected a whole number, at least 1, received 0"),
+    (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+])  # fmt: skip
 def test_wrong_argument_is_reported_with_the_way_out(arguments, text, capsys):
     assert rate("--ads", "idm_mobil", "--episodes", "2", *arguments) == 2
     assert text in capsys.readouterr().err

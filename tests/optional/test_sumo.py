@@ -11,6 +11,7 @@ import pytest
 import pytest_pafot as pafot
 from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, SimulatorWorld, WorldError
 from tests.helpers.tables import table
+from tests.helpers.world_cases import constant_speed
 
 pytest.importorskip("sumolib", reason='needs pip install "pytest-pafot[sumo]"')
 
@@ -20,15 +21,11 @@ WORLD = pafot.sumo(duration=12.0)
 LANE = 4.0
 
 
-def keeps_its_speed():
-    return lambda seen: (0.0, 0.0)
-
-
 def test_vehicles_move_as_on_the_highway():
     told = PositionInstruction(Cell.LEFT, 20.0), PositionInstruction(Cell.FRONT_RIGHT, 25.0)
     scenario = Scenario(npcs=tuple((each,) for each in told), ego_speed=22.0, gene_seconds=12.0)
-    here = WORLD.rollout(scenario, keeps_its_speed).states
-    there = Highway(physics_hz=20, duration=12.0).rollout(scenario, keeps_its_speed).states
+    here = WORLD.rollout(scenario, constant_speed).states
+    there = Highway(physics_hz=20, duration=12.0).rollout(scenario, constant_speed).states
     assert len(here) == len(there) == 241
     assert np.abs(here - there).max() < 1e-9
 

@@ -67,15 +67,11 @@ def nudged(trace):
     return with_states(trace, lambda states: np.add.at(states, (-1, 0, X), 1.0))
 
 
-@pytest.mark.parametrize(
-    ("world", "given"),
-    [
-        (ROAD, {}),
-        (World("highway-v0", duration=4.0, hang_limit=0.3), {"ads": lambda: lambda seen: 1}),
-        (Own(), {}),
-    ],
-    ids=["Highway", "World", "of one's own"],
-)
+@pytest.mark.parametrize(("world", "given"), [
+    (ROAD, {}),
+    (World("highway-v0", duration=4.0, hang_limit=0.3), {"ads": lambda: lambda seen: 1}),
+    (Own(), {}),
+], ids=["Highway", "World", "of one's own"])  # fmt: skip
 def test_a_world_that_keeps_its_promises_passes(world, given):
     check_world(world, runs=3, **SHORT, **given)
 
@@ -174,32 +170,22 @@ def stacked(trace):
 
 BROKEN = [
     (Random, "the same scenario gives the same trace"),
-    (
-        wrong(change=lambda t: replace(t, executed=replace(t.executed, ego_speed=t.executed.ego_speed - 1.0))),
-        "the scenario as executed gives the same trace",
-    ),
+    (wrong(change=lambda t: replace(t, executed=replace(t.executed, ego_speed=t.executed.ego_speed - 1.0))),
+     "the scenario as executed gives the same trace"),
     (Throws, "a run ends in a trace, whatever the ADS does"),
-    (
-        wrong(change=lambda trace: replace(trace, outcome=Outcome.SAFE, error=None) if trace.error else trace),
-        "an ADS that raises ends its run as ads_error",
-    ),
+    (wrong(change=lambda trace: replace(trace, outcome=Outcome.SAFE, error=None) if trace.error else trace),
+     "an ADS that raises ends its run as ads_error"),
     (Harmed, "an ADS that raises does not affect the next run"),
-    (  # as it says, but its decisions may take 30 s
-        wrong(guards_ads=True, rollout=lambda self, *given: Highway(duration=4.0).rollout(*given)),
-        "an ADS that hangs ends its run as hang",
-    ),
+    (wrong(guards_ads=True, rollout=lambda self, *given: Highway(duration=4.0).rollout(*given)),
+     "an ADS that hangs ends its run as hang"),  # as it says, but its decisions may take 30 s
     (wrong(rollout=lambda self, *given: ROAD.rollout(*given).states), "rollout returns a pafot.Trace"),
     (wrong(to_dict=lambda self: {"number": object()}), "to_dict returns plain data that a file can store"),
     (wrong(from_dict=lambda data: Own(data["numbers"])), "from_dict accepts the data of to_dict"),
-    (
-        wrong(from_dict=classmethod(lambda cls, data: cls(data["number"] + 1))),
-        r"from_dict\(to_dict\(\)\) has the same data",
-    ),
+    (wrong(from_dict=classmethod(lambda cls, data: cls(data["number"] + 1))),
+     r"from_dict\(to_dict\(\)\) has the same data"),
     (Different, r"from_dict\(to_dict\(\)\) gives the same traces"),
-    (
-        wrong(change=lambda trace: replace(trace, states=trace.states[:, :-1], sizes=trace.sizes[:-1])),
-        "states contain the ego and each NPC",
-    ),
+    (wrong(change=lambda trace: replace(trace, states=trace.states[:, :-1], sizes=trace.sizes[:-1])),
+     "states contain the ego and each NPC"),
     (wrong(longest_run=3.0), "no run is longer than longest_run"),
     (wrong(limits=NpcLimits(acceleration=0.1, braking=0.1)), "the acceleration of NPCs is from"),
     (wrong(limits=NpcLimits(jerk=0.1)), "the jerk of NPCs is from"),
@@ -216,7 +202,7 @@ BROKEN = [
     (put(0, 0, SPEED, value=9), "the ego starts as fast as the scenario says"),
     (put(0, 0, ACCELERATION, value=1), "acceleration and steering of the first row are 0"),
     (wrong(change=stacked, limits=None), "no vehicles touch at the start"),
-]
+]  # fmt: skip
 
 
 @table(("broken", "promise"), BROKEN)
@@ -228,16 +214,14 @@ def test_broken_promise_of_a_world_is_named(broken, promise):
 @table("name", ["rollout", "to_dict", "speed_limit", "longest_run"])
 def test_incomplete_world_is_refused_by_the_check(name):
     parts = {each: getattr(Own, each) for each in ("rollout", "to_dict", "speed_limit", "longest_run") if each != name}
-    with pytest.raises(
-        AssertionError, match=f"^expected that a world has all that a search needs, received no {name}$"
-    ):
+    told = f"^expected that a world has all that a search needs, received no {name}$"
+    with pytest.raises(AssertionError, match=told):
         check_world(type("Lacking", (), parts)())
 
 
 def test_unsuitable_ads_is_distinguished_from_world_fault():
-    with pytest.raises(
-        AssertionError, match=r"the ADS of the check drives in this world, received .*; give a different ads="
-    ):
+    told = r"the ADS of the check drives in this world, received .*; give a different ads="
+    with pytest.raises(AssertionError, match=told):
         check_world(World("highway-v0", duration=4.0), runs=1, **SHORT)
 
 
@@ -470,25 +454,21 @@ WRONG = [
     (wrong(Resumed, lambda trace: replace(trace, actions=())), "actions has one action for each decision"),
     (traces(lambda trace: replace(trace, ads_hz=3)), "the ADS decides ads_hz times a second"),
     (traces(lambda trace: replace(trace, physics_hz=15.0)), "physics_hz and ads_hz are whole numbers"),
-    (
-        traces(lambda t: replace(t, outcome=Outcome.OFF_ROAD) if t.outcome is Outcome.SAFE else t),
-        "the outcome is off_road if the ego was in lane -1",
-    ),
+    (traces(lambda t: replace(t, outcome=Outcome.OFF_ROAD) if t.outcome is Outcome.SAFE else t),
+     "the outcome is off_road if the ego was in lane -1"),
     (traces(lambda trace: replace(trace, off_road_tick=5)), "off_road_tick is the first tick with the ego"),
     (Shared, "rollout calls ads_factory once, for a fresh ADS"),
     (Hoards, "rollout calls ads_factory once, for a fresh ADS, received an ADS of an earlier run"),
     (columns(X, lambda x: x + 2.5), "an ADS that receives a pafot.Observation.* sees the ego as in states"),
     (misled(without_instructions), "NPCs follow their instructions|the scenario as executed gives the same trace"),
-    (
-        misled(lambda scenario: replace(scenario, gene_seconds=scenario.gene_seconds / 2)),
-        "states depend only on the first instructions until scenario.gene_seconds|states of a run",
-    ),
+    (misled(lambda scenario: replace(scenario, gene_seconds=scenario.gene_seconds / 2)),
+     "states depend only on the first instructions until scenario.gene_seconds|states of a run"),
     (misled(lambda scenario: replace(scenario, ego_lane=2)), "the ego starts in scenario.ego_lane"),
     (Parked, "the ego follows its ADS"),
     (wrong(Driven, reference_drivers="careful-human"), "reference_drivers is a tuple of names"),
     (wrong(Driven, speed_limit=96.5), "speed_limit is in m/s, at most 70, received 96.5"),
     (wrong(Driven, longest_run="long"), "longest_run is a number above 0"),
-]
+]  # fmt: skip
 
 
 @table(("made", "promise"), WRONG)
@@ -579,15 +559,12 @@ def test_npcs_that_touch_end_the_run_as_invalid():
 def test_run_that_ends_too_early_says_which_box_touches_the_ego_then():
     """A simulator that stops at a contact of its own, and reports none, is told which one it was."""
     world, cells = Highway(duration=20.0), (Cell.FRONT_LEFT, Cell.REAR_LEFT)
-    trace = world.rollout(
-        Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells]), lambda: lambda seen: (0.0, 0.0)
-    )
+    scenario = Scenario(npcs=[[PositionInstruction(cell, 20.0)] for cell in cells])
+    trace = world.rollout(scenario, lambda: lambda seen: (0.0, 0.0))
     cut = replace(trace, states=trace.states[:21], outcome=Outcome.SAFE)
     on_ego = with_states(cut, lambda states: np.copyto(states[20, 2], states[20, 0]))
-    for each, ending in (
-        (cut, " s"),
-        (on_ego, "; the boxes of the ego and of NPC 1 touch then, so is it a collision?"),
-    ):
+    contact = "; the boxes of the ego and of NPC 1 touch then, so is it a collision?"
+    for each, ending in ((cut, " s"), (on_ego, contact)):
         promise, received = next((what, why) for kept, what, why in end(world, each) if not kept)
         assert promise.startswith("states of a run with the outcome safe last ")
         assert received.startswith(f"20 ticks at {trace.physics_hz} Hz, ")

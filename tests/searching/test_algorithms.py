@@ -1,4 +1,4 @@
-"""The algorithms that can be named, and those of users by class."""
+"""The algorithms that can be named and those of users by class, random search, and whole generations."""
 
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +18,7 @@ from pytest_pafot.searching import (
 )
 from pytest_pafot.searching.algorithms.av_fuzzer import AvFuzzerSearch
 from pytest_pafot.searching.algorithms.catalogue import CLASSES
-from pytest_pafot.searching.evaluation import GenerationFinished
+from pytest_pafot.searching.evaluation import GenerationFinished, NewBest
 from pytest_pafot.searching.fitness import FitnessError, resolve
 from tests.helpers.campaigns import Fresh, run_campaign
 from tests.helpers.tables import table
@@ -148,9 +148,8 @@ def test_option_offers_exactly_the_existing_algorithms():
 
 def test_custom_fitness_is_a_function_or_its_name(make_evaluation):
     assert resolve("tests.searching.test_algorithms:own_fitness") == resolve(own_fitness)
-    with pytest.raises(
-        FitnessError, match=r"fitness: expected a name in the module .*, received .*; did you mean '.*:own_fitness'"
-    ):
+    told = r"fitness: expected a name in the module .*, received .*; did you mean '.*:own_fitness'"
+    with pytest.raises(FitnessError, match=told):
         resolve("tests.searching.test_algorithms:own_fitnes")
 
 
@@ -162,3 +161,28 @@ def test_random_manoeuvres_are_drawn_in_av_fuzzer_slices():
     for scenario in scenarios:
         assert (len(scenario.npcs), scenario.genes, scenario.gene_seconds) == (3, 5, 12.0)
         assert scenario.positions == ()
+
+
+def test_a_scenario_depends_on_seed_and_number_alone():
+    search = RandomSearch(SearchSpace(most_npcs=(5,)))
+    drawn = [search.drawn(7, number) for number in range(1000)]
+    assert len(set(drawn)) == 1000
+    order = np.random.default_rng(0).permutation(1000)
+    assert [search.drawn(7, int(number)) for number in order] == [drawn[number] for number in order]
+    assert search.drawn(8, 3) not in drawn
+
+
+def test_a_new_best_is_reported_once(make_evaluation):
+    search, rng = Fresh(population=2), np.random.default_rng(1)
+    state, kinds = search.start(rng), []
+    for fitness in (1.0, 1.0, 2.0, float("nan")):
+        state, asked = search.ask(state, rng)
+        state, events = search.tell(state, [make_evaluation(s, fitness=fitness) for s in asked], rng)
+        kinds.append([type(event) for event in events])
+    news = [GenerationFinished, NewBest]
+    assert kinds == [news, [GenerationFinished], news, [GenerationFinished]]
+
+
+def test_an_empty_population_is_refused():
+    with pytest.raises(ValueError, match="population: expected a count from 1 to 10000, received 0"):
+        Fresh(population=0)

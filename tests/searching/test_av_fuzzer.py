@@ -54,6 +54,10 @@ def one(text, **fields):
     return Scenario(npcs=[[LaneInstruction(lane, float(speed)) for lane, speed in chain] for chain in pairs], **fields)
 
 
+def all_speeds(scenario):
+    return sum(gene.speed for chain in scenario.npcs for gene in chain)
+
+
 @pytest.fixture
 def landscape(make_evaluation):
     """Return a function that turns a fitness function into an evaluation of scenarios."""
@@ -215,10 +219,7 @@ class TestCourse:
         assert not any(isinstance(event, Restarted) for event in events)
 
     def test_local_search_mutates_copies_of_the_best(self, landscape):
-        def fitness(each):
-            return sum(gene.speed for chain in each.npcs for gene in chain)
-
-        events = list(run_campaign(AvFuzzerSearch(), landscape(fitness), generations=12, seed=2))
+        events = list(run_campaign(AvFuzzerSearch(), landscape(all_speeds), generations=12, seed=2))
         start = next(event for event in events if isinstance(event, LocalSearchStarted))
         assert start.generation > 2
         generations = [event for event in events if isinstance(event, GenerationFinished)]
@@ -233,10 +234,7 @@ class TestCourse:
         assert end.replaced == (end.best.fitness > end.incumbent.fitness)
 
     def test_better_local_search_result_replaces_generation_best(self, landscape):
-        def fitness(each):
-            return sum(gene.speed for chain in each.npcs for gene in chain)
-
-        search, evaluate = AvFuzzerSearch(restart_after=100), landscape(fitness)
+        search, evaluate = AvFuzzerSearch(restart_after=100), landscape(all_speeds)
         for seed in range(20):
             state, generator = search.start(rng(seed)), rng(seed)
             for _ in range(60):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Lane, Outcome, Trace, X, Y
+from pytest_pafot.model.trace import HEADING, LANE, SPEED, Collision, Outcome, X, Y
 from pytest_pafot.searching.evaluation import Evaluation, has_interaction
 from tests.helpers.tables import table
 from tests.helpers.traces import random_states, trace_of, vehicle
@@ -65,30 +65,11 @@ def test_all_genes_count_when_none_was_started(make_evaluation):
     assert make_evaluation(three, genes_started=0).depth == 3
 
 
-def trace(ego_speed=20.0, npc_speed=20.0, *, ahead=60.0, same_lane=True, seconds=10, **fields):
-    """Return an ego and an NPC at constant speeds; the NPC starts ahead of the ego by a distance [m]."""
-    times = np.arange(15 * seconds + 1) / 15
-    states = np.zeros((len(times), 2, 7))
-    states[:, 0, 0] = 1000 + ego_speed * times
-    states[:, 1, 0] = 1000 + ahead + npc_speed * times
-    states[:, 0, 3], states[:, 1, 3] = ego_speed, npc_speed
-    states[:, 0, 6], states[:, 1, 6] = 1, 1 if same_lane else 2
-    states[:, 1, 1] = 0 if same_lane else 4
-    lanes = tuple(
-        Lane(x=0.0, y=4.0 * lane, heading=0.0, length=9000.0, width=4.0, speed_limit=26.8) for lane in range(4)
-    )
+def trace(ego_speed=20.0, **fields):
+    """Return 10 s of an ego and an NPC 60 m ahead of it, which drives 20 m/s, both at constant speeds."""
+    vehicles = (vehicle(x, speed=speed, ticks=150) for x, speed in ((1000.0, ego_speed), (1060.0, 20.0)))
     scenario = Scenario(npcs=((PositionInstruction(2, 20.0), PositionInstruction(2, 5.0)),))
-    known = {"arrivals": ((3, None),), "outcome": Outcome.SAFE}
-    return Trace(
-        scenario=scenario,
-        executed=scenario,
-        states=states,
-        sizes=np.array([[5.0, 2.0], [5.0, 2.0]]),
-        lanes=lanes,
-        physics_hz=15,
-        ads_hz=5,
-        **(known | fields),
-    )
+    return trace_of(*vehicles, scenario=scenario, arrivals=((3, None),), **fields)
 
 
 def test_an_evaluation_is_read_from_a_trace():
@@ -121,7 +102,7 @@ def test_a_vehicle_is_close_if_it_would_be_touched_within_two_seconds(ahead, is_
 
 def test_a_collision_is_an_interaction():
     crash = Collision(tick=9, time=0.6, npc=0, side="left", cell=8, ego_speed=1.0, npc_speed=1.0, closing_speed=0.1)
-    assert has_interaction(trace(ahead=60.0, outcome=Outcome.COLLISION, collision=crash))
+    assert has_interaction(trace(outcome=Outcome.COLLISION, collision=crash))
 
 
 def tick_by_tick(trace):

@@ -68,16 +68,11 @@ def test_run_with_relevant_seed_matches_its_own_only(cheap_world, seed):
     assert memory.recall(replace(run.executed, seed=run.scenario.seed + 1)) is None
 
 
-def test_change_in_a_gene_not_started_is_ignored(make_evaluation):
+def test_only_a_change_in_a_started_gene_is_a_new_scenario(make_evaluation):
     crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
     evaluation = make_evaluation(crashed, genes_started=2, fitness=7.0)
-    later = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (5, 9.0)),))
-    assert remembered(evaluation).recall(later) == replace(evaluation, scenario=later, executed=later)
-
-
-def test_change_in_a_started_gene_is_new_scenario(make_evaluation):
-    crashed = Scenario(npcs=(chain((4, 1.0), (4, 2.0), (4, 3.0)),))
-    memory = remembered(make_evaluation(crashed, genes_started=2))
+    memory, later = remembered(evaluation), Scenario(npcs=(chain((4, 1.0), (4, 2.0), (5, 9.0)),))
+    assert memory.recall(later) == replace(evaluation, scenario=later, executed=later)
     assert memory.recall(Scenario(npcs=(chain((4, 1.0), (4, 2.1), (4, 3.0)),))) is None
     assert memory.recall(Scenario(npcs=(chain((4, 1.0), (3, 2.0), (4, 3.0)),))) is None
 

@@ -42,27 +42,21 @@ def maybe(strategy):
 
 signatures = st.builds(
     Signature,
-    failure=texts,
-    assertion=texts,
     outcome=st.sampled_from(Outcome),
     responsibility=one_of(Responsibility),
     mistake=maybe(one_of(Mistake)),
     fault=maybe(one_of(Fault)),
     side=maybe(one_of(Side)),
     cell=maybe(st.sampled_from(Cell)),
-    npc_manoeuvre=maybe(one_of(Manoeuvre)),
-    ego_manoeuvre=maybe(one_of(Manoeuvre)),
+    **dict.fromkeys(("failure", "assertion"), texts),
+    **dict.fromkeys(("npc_manoeuvre", "ego_manoeuvre"), maybe(one_of(Manoeuvre))),
 )
 collisions = st.builds(
     Collision,
-    tick=counts,
-    time=finite,
-    npc=counts,
     side=one_of(Side),
     cell=st.sampled_from(Cell),
-    ego_speed=finite,
-    npc_speed=finite,
-    closing_speed=finite,
+    **dict.fromkeys(("tick", "npc"), counts),
+    **dict.fromkeys(("time", "ego_speed", "npc_speed", "closing_speed"), finite),
 )
 
 
@@ -72,16 +66,12 @@ def tuples(strategy, most=2):
 
 evaluations = st.builds(
     Evaluation,
-    scenario=scenarios(),
-    executed=scenarios(),
     fitness=st.floats(),
-    failing=st.booleans(),
     outcome=st.sampled_from(Outcome),
     duration=finite,
-    genes_started=counts,
-    genes_reached=counts,
-    interaction=st.booleans(),
-    discarded=st.booleans(),
+    **dict.fromkeys(("scenario", "executed"), scenarios()),
+    **dict.fromkeys(("failing", "interaction", "discarded"), st.booleans()),
+    **dict.fromkeys(("genes_started", "genes_reached"), counts),
     kind=maybe(signatures),
     margins=tuples(st.tuples(texts, st.floats(allow_nan=False))),
     collision=maybe(collisions),

@@ -169,14 +169,11 @@ def test_restart_without_following_generation_does_not_happen(make_evaluation):
 
 def test_local_generations_are_added_after_the_last_generation(make_evaluation):
     fitness = count()
-    events = list(
-        run_campaign(
-            PafotSearch(),
-            lambda scenario: make_evaluation(scenario, fitness=float(next(fitness))),
-            generations=4,
-            seed=1,
-        )
-    )
+
+    def evaluate(scenario):
+        return make_evaluation(scenario, fitness=float(next(fitness)))
+
+    events = list(run_campaign(PafotSearch(), evaluate, generations=4, seed=1))
     finished = [(e.generation, e.local_generation) for e in of(GenerationFinished, events)]
     assert finished == [(0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2)]
     assert len(of(LocalSearchStarted, events)) == 1

@@ -2,17 +2,18 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_pafot.model.instructions import PositionInstruction
+from pytest_pafot.model.instructions import Cell, PositionInstruction, is_adjacent
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.searching.operators import mutate
-from pytest_pafot.searching.space import SearchSpace, repaired, sample
+from pytest_pafot.searching.space import PATTERNS, SearchSpace, chain_of_patterns, repaired, sample
 from tests.helpers.tables import table
 
 spaces = st.builds(SearchSpace, npcs=st.integers(1, 8), genes=st.integers(1, 8), speed_limit=st.floats(0, 40))
@@ -141,3 +142,37 @@ def test_quick_repair_equals_repair_of_the_scenario(seed, npcs, genes, repair_se
 def test_a_space_that_holds_nothing_is_refused(fields, message):
     with pytest.raises(ValueError, match=message):
         SearchSpace(**fields)
+
+
+# Dangerous patterns, and chains made from them.
+
+
+@table("pattern", PATTERNS)
+def test_pattern_is_short_ring_path_with_a_source(pattern):
+    assert 1 <= len(pattern.steps) <= 3
+    assert all(is_adjacent(before.cell, after.cell) for before, after in pairwise(pattern.steps))
+    assert "NHTSA" in pattern.source or "R157" in pattern.source
+
+
+@given(st.integers(1, 9), st.floats(0, 40), st.integers(0, 400), st.integers(0, 400), st.integers(0, 2**32))
+def test_chain_of_patterns_stays_on_ring_within_bounds(genes, ego_speed, one_step, other_step, seed):
+    bounds = min(one_step, other_step), max(one_step, other_step)
+    chain = chain_of_patterns(genes, ego_speed, bounds, np.random.default_rng(seed))
+    assert len(chain) == genes
+    assert all(is_adjacent(before.cell, after.cell) for before, after in pairwise(chain))
+    assert all(bounds[0] / 10 <= gene.speed <= bounds[1] / 10 for gene in chain)
+
+
+def test_patterns_use_both_sides_and_similar_speeds():
+    rng = np.random.default_rng(1)
+    chains = [chain_of_patterns(6, 20.0, (0, 268), rng) for _ in range(300)]
+    assert {chain[0].cell for chain in chains} == set(Cell)
+    beside = [chain[0].speed for chain in chains if chain[0].cell in (Cell.LEFT, Cell.RIGHT)]
+    assert 18.0 <= min(beside) < 19.0
+    assert 21.0 < max(beside) <= 22.0
+
+
+def test_a_leader_of_a_pattern_may_stand():
+    rng = np.random.default_rng(1)
+    first = [chain_of_patterns(1, 20.0, (0, 268), rng)[0] for _ in range(1000)]
+    assert min(gene.speed for gene in first if gene.cell is Cell.FRONT) == 0.0

@@ -16,6 +16,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import Highway, NpcLimits, World, WorldError
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
+from tests.helpers.world_cases import constant_speed
 
 
 def raises(message, error=WorldError):
@@ -24,10 +25,6 @@ def raises(message, error=WorldError):
 
 def hold(*cells, speed=20.0, **fields):
     return Scenario(npcs=[[PositionInstruction(cell, speed)] for cell in cells], **fields)
-
-
-def idle():
-    return lambda observation: (0.0, 0.0)
 
 
 @table(("options", "message"), [
@@ -52,15 +49,12 @@ def test_wrong_highway_option_is_named_with_its_bounds(options, message):
         Highway(**options)
 
 
-@table(
-    ("physics_hz", "ads_hz", "message"),
-    [
-        (20, 15, "ads_hz: expected a divisor of physics_hz=20, so that every decision lasts a whole number of ticks, "
-                 "received 15; use one of 1, 2, 4, 5, 10, 20, or physics_hz=30"),
-        (15, 30, "received 30; use one of 1, 3, 5, 15, or physics_hz=30"),
-        (7, 2, "received 2; use one of 1, 7, or physics_hz=8"),
-    ],
-)  # fmt: skip
+@table(("physics_hz", "ads_hz", "message"), [
+    (20, 15, "ads_hz: expected a divisor of physics_hz=20, so that every decision lasts a whole number of ticks, "
+             "received 15; use one of 1, 2, 4, 5, 10, 20, or physics_hz=30"),
+    (15, 30, "received 30; use one of 1, 3, 5, 15, or physics_hz=30"),
+    (7, 2, "received 2; use one of 1, 7, or physics_hz=8"),
+])  # fmt: skip
 def test_frequencies_that_do_not_divide_are_refused(physics_hz, ads_hz, message):
     with raises(message):
         Highway(physics_hz=physics_hz, ads_hz=ads_hz)
@@ -69,11 +63,6 @@ def test_frequencies_that_do_not_divide_are_refused(physics_hz, ads_hz, message)
         message = message.replace(old, new).replace("ads_hz:", "config.policy_frequency:")
     with raises(message):
         World("highway-v0", config={"simulation_frequency": physics_hz, "policy_frequency": ads_hz}).check()
-
-
-@table(("physics_hz", "ads_hz"), [(15, 15), (15, 1), (30, 10), (1000, 8), (5, 5)])
-def test_frequencies_that_divide_are_accepted(physics_hz, ads_hz):
-    assert Highway(physics_hz=physics_hz, ads_hz=ads_hz).ads_hz == ads_hz
 
 
 @table("name", ["acceleration", "braking", "jerk", "lateral_acceleration", "overspeed", "heading"])
@@ -93,68 +82,69 @@ def test_limits_that_contradict_npc_behaviour_are_refused():
         Highway(limits=NpcLimits(overspeed=2))
 
 
-@table(
-    ("env_id", "config", "message"),
-    [
-        ("highway-v0", {"lanes_count": 3_000_000}, "config.lanes_count: expected at most 20, so that "),
-        ("exit-v0", {"controlled_vehicles": 10**9}, "config.controlled_vehicles: expected at most 10, so that "),
-        ("roundabout-generic-v0", {"roundabout_radius": 10**5}, "config.roundabout_radius: expected at most 1000, "),
-        ("merge-generic-v0", {"after_merge_length": 10**6}, "config.after_merge_length: expected at most 5000, so "),
-        ("racetrack-oval-v0", {"length": 10**4}, "config.length: expected at most 2000, so that "),
-        ("intersection-v0", {"simulation_frequency": 10**9}, "config.simulation_frequency: expected a whole number "),
-        ("highway-v0", {"observation": {"type": "Kinematics", "vehicles_count": 10**9}},
-         "config.observation.vehicles_count: expected at most 1000, so that "),
-        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_step": [1e-3, 1e-3]}},
-         "config.observation.grid_step: expected a grid of at most 250000 cells, received a grid of 3025000000 cells"),
-        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [10**6, 10**6],
-                                        "stack_size": 4, "weights": [0.2, 0.6, 0.2]}},
-         "config.observation.observation_shape: expected at most 2000, so that "),
-        ("highway-v0", {"observation": {"type": "Kinematics", "vehicles_count": 1000, "features": ["x"] * 50_000}},
-         "config.observation.features: expected at most 50 entries, so that "),
-        ("highway-v0", {"observation": {"type": "OccupancyGrid", "features": "x" * 100_000}},
-         "config.observation.features: expected at most 50 entries, so that "),
-        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_step": 0.001}},
-         "config.observation.grid_step: expected a grid of at most 250000 cells, received a grid of inf cells"),
-        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_size": [[-math.inf, math.inf], [0, 1]]}},
-         "config.observation.grid_step: expected a grid of at most 250000 cells, received a grid of inf cells"),
-        ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_size": [[0, 0.1]] * 2, "grid_step": [1e-3] * 2}},
-         "config.observation.grid_step: expected at least 0.05, so that "),
-        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [84, 84], "stack_size": 4,
-                                        "weights": [0.2, 0.6, 0.2], "scaling": 1e-5}},
-         "config.observation.scaling: expected at least 0.01, so that "),
-        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [84, 84], "stack_size": 4,
-                                        "weights": [[0.1] * 5000] * 3}},
-         "config.observation.weights: expected one number for each colour, so that "),
-        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [2000, 2000],
-                                        "stack_size": 100, "weights": [0.2, 0.6, 0.2]}},
-         "config.observation: expected at most 10000000 numbers, received about 400000000; give it fewer features, "),
-        ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [500, 500, 500],
-                                        "stack_size": 1, "weights": [0.2, 0.6, 0.2]}},
-         "config.observation.observation_shape: expected at most 2 entries, so that "),
-        ("two-way-v0", {"observation": {"type": "TimeToCollision", "horizon": 1000}, "policy_frequency": 1000,
-                        "simulation_frequency": 1000}, "config.observation: expected at most 10000000 numbers, "),
-        ("highway-v0", {"observation": {"type": "TupleObservation", "observation_configs": [
-            {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}] * 20}] * 20}},
-         "config.observation: expected at most 10000000 numbers, "),
-    ])  # fmt: skip
+@table(("env_id", "config", "message"), [
+    ("highway-v0", {"lanes_count": 3_000_000}, "config.lanes_count: expected at most 20, so that "),
+    ("exit-v0", {"controlled_vehicles": 10**9}, "config.controlled_vehicles: expected at most 10, so that "),
+    ("roundabout-generic-v0", {"roundabout_radius": 10**5}, "config.roundabout_radius: expected at most 1000, "),
+    ("merge-generic-v0", {"after_merge_length": 10**6}, "config.after_merge_length: expected at most 5000, so "),
+    ("racetrack-oval-v0", {"length": 10**4}, "config.length: expected at most 2000, so that "),
+    ("intersection-v0", {"simulation_frequency": 10**9}, "config.simulation_frequency: expected a whole number "),
+    ("highway-v0", {"observation": {"type": "Kinematics", "vehicles_count": 10**9}},
+     "config.observation.vehicles_count: expected at most 1000, so that "),
+    ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_step": [1e-3, 1e-3]}},
+     "config.observation.grid_step: expected a grid of at most 250000 cells, received a grid of 3025000000 cells"),
+    ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [10**6, 10**6],
+                                    "stack_size": 4, "weights": [0.2, 0.6, 0.2]}},
+     "config.observation.observation_shape: expected at most 2000, so that "),
+    ("highway-v0", {"observation": {"type": "Kinematics", "vehicles_count": 1000, "features": ["x"] * 50_000}},
+     "config.observation.features: expected at most 50 entries, so that "),
+    ("highway-v0", {"observation": {"type": "OccupancyGrid", "features": "x" * 100_000}},
+     "config.observation.features: expected at most 50 entries, so that "),
+    ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_step": 0.001}},
+     "config.observation.grid_step: expected a grid of at most 250000 cells, received a grid of inf cells"),
+    ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_size": [[-math.inf, math.inf], [0, 1]]}},
+     "config.observation.grid_step: expected a grid of at most 250000 cells, received a grid of inf cells"),
+    ("highway-v0", {"observation": {"type": "OccupancyGrid", "grid_size": [[0, 0.1]] * 2, "grid_step": [1e-3] * 2}},
+     "config.observation.grid_step: expected at least 0.05, so that "),
+    ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [84, 84], "stack_size": 4,
+                                    "weights": [0.2, 0.6, 0.2], "scaling": 1e-5}},
+     "config.observation.scaling: expected at least 0.01, so that "),
+    ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [84, 84], "stack_size": 4,
+                                    "weights": [[0.1] * 5000] * 3}},
+     "config.observation.weights: expected one number for each colour, so that "),
+    ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [2000, 2000],
+                                    "stack_size": 100, "weights": [0.2, 0.6, 0.2]}},
+     "config.observation: expected at most 10000000 numbers, received about 400000000; give it fewer features, "),
+    ("highway-v0", {"observation": {"type": "GrayscaleObservation", "observation_shape": [500, 500, 500],
+                                    "stack_size": 1, "weights": [0.2, 0.6, 0.2]}},
+     "config.observation.observation_shape: expected at most 2 entries, so that "),
+    ("two-way-v0", {"observation": {"type": "TimeToCollision", "horizon": 1000}, "policy_frequency": 1000,
+                    "simulation_frequency": 1000}, "config.observation: expected at most 10000000 numbers, "),
+    ("highway-v0", {"observation": {"type": "TupleObservation", "observation_configs": [
+        {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}] * 20}] * 20}},
+     "config.observation: expected at most 10000000 numbers, "),
+])  # fmt: skip
 def test_very_slow_environment_is_refused_at_once(env_id, config, message):
     with raises(message):
         World(env_id, config=config).check()
 
 
-@table("observation", [
-    {"type": "Kinematics", "vehicles_count": 100, "features": ["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]},
-    {"type": "OccupancyGrid", "grid_size": [[-32, 32], [-32, 32]], "grid_step": [0.5, 0.5]},
-    {"type": "LidarObservation", "cells": 3600},
-    {"type": "TimeToCollision", "horizon": 10},
-    {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "LidarObservation"}]},
+@table("config", [
+    {"observation": {"type": "Kinematics", "vehicles_count": 100,
+                     "features": ["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]}},
+    {"observation": {"type": "OccupancyGrid", "grid_size": [[-32, 32], [-32, 32]], "grid_step": [0.5, 0.5]}},
+    {"observation": {"type": "LidarObservation", "cells": 3600}},
+    {"observation": {"type": "TimeToCollision", "horizon": 10}},
+    {"observation": {"type": "TupleObservation",
+                     "observation_configs": [{"type": "Kinematics"}, {"type": "LidarObservation"}]}},
+    {"vehicles_count": 3_000_000},  # there is no random traffic
+    # Options of other types of observations or actions have no effect.
+    {"observation": {"type": "OccupancyGrid", "vehicles_count": 15, "features_range": {"x": [-100, 100]}}},
+    {"observation": {"type": "Kinematics", "flatten": False}},
+    {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
 ])  # fmt: skip
-def test_a_large_observation_that_takes_milliseconds_is_accepted(observation):
-    World("highway-v0", config={"observation": observation}).check()
-
-
-def test_amount_of_random_traffic_in_configuration_is_ignored():
-    World("highway-v0", config={"vehicles_count": 3_000_000}).check()
+def test_large_or_unused_options_that_cost_no_time_are_accepted(config):
+    World("highway-v0", config=config).check()
 
 
 @table("env_id", ["", None, 7, "my_module:highway-v0", ":", "os:system"])
@@ -218,52 +208,41 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     assert not isinstance(meant, str) or f"did you mean {meant!r}?" in message
 
 
-@table(
-    ("config", "message"),
-    [
-        ([], "config: expected a dict of the environment's options, received []"),
-        ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count; did you mean 'lanes_count'?"),
-        ({"zebra": 3}, "config: expected options of highway-v0, received zebra; it has action, centering_position"),
-        ({1: 2}, "config: expected text as keys, received 1"),
-        ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected plain data (numbers, text"),
-        ({"observation": {"type": "Nope"}}, "raised ValueError: Unknown observation type"),
-        ({"action": {}}, "raised KeyError: 'type'"),
-        ({"lanes_count": 0}, "config: expected a configuration that the environment highway-v0 accepts, received"),
-        ({"simulation_frequency": 15.5}, "config.simulation_frequency: expected a whole number from 5 to 1000"),
-        ({"policy_frequency": 0}, "config.policy_frequency: expected a whole number from 1 to 1000, received 0"),
-        ({"duration": -1}, "config.duration: expected a number from 0.0666667 to 3600, received -1"),
-        ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
-        ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
-        ({"manual_control": True}, "config.manual_control: expected False, because the policy drives, received True"),
-        ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
-        ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
-         "config.observation: expected options of highway-env, received vehicle_count; did you mean 'v"),
-        ({"observation": {"type": "Kinematics", "normalise": False}}, "did you mean 'normalize'?"),
-        ({"observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics", "oder": ""}}},
-         "config.observation.observation_config: expected options of highway-env, received oder; did you"),
-        ({"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics", "clips": True}]}},
-         "config.observation.observation_configs[0]: expected options of highway-env, received clips; did you"),
-        ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra; there are absolute, align_to"),
-        ({"action": {"type": "DiscreteMetaAction", "target_speed": [10, 20]}},
-         "config.action: expected options of highway-env, received target_speed; did you mean 'target_speeds'?"),
-        ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
-         "config.action.action_config: expected options of highway-env, received laterl; did you mean 'l"),
-    ])  # fmt: skip
+@table(("config", "message"), [
+    ([], "config: expected a dict of the environment's options, received []"),
+    ({"lane_count": 3}, "config: expected options of highway-v0, received lane_count; did you mean 'lanes_count'?"),
+    ({"zebra": 3}, "config: expected options of highway-v0, received zebra; it has action, centering_position"),
+    ({1: 2}, "config: expected text as keys, received 1"),
+    ({"action": {"target_speeds": object}}, "config.action.target_speeds: expected plain data (numbers, text"),
+    ({"observation": {"type": "Nope"}}, "raised ValueError: Unknown observation type"),
+    ({"action": {}}, "raised KeyError: 'type'"),
+    ({"lanes_count": 0}, "config: expected a configuration that the environment highway-v0 accepts, received"),
+    ({"simulation_frequency": 15.5}, "config.simulation_frequency: expected a whole number from 5 to 1000"),
+    ({"policy_frequency": 0}, "config.policy_frequency: expected a whole number from 1 to 1000, received 0"),
+    ({"duration": -1}, "config.duration: expected a number from 0.0666667 to 3600, received -1"),
+    ({"duration": 300}, "duration: expected at most 240 s on a road of 10000 m, received 300"),
+    ({"controlled_vehicles": 2}, "config.controlled_vehicles: expected 1, the ego, received 2"),
+    ({"manual_control": True}, "config.manual_control: expected False, because the policy drives, received True"),
+    ({"collision_reward": "-1"}, "config.collision_reward: expected a number such as -1, received '-1'"),
+    ({"observation": {"type": "Kinematics", "vehicle_count": 7}},
+     "config.observation: expected options of highway-env, received vehicle_count; did you mean 'v"),
+    ({"observation": {"type": "Kinematics", "normalise": False}}, "did you mean 'normalize'?"),
+    ({"observation": {"type": "MultiAgentObservation", "observation_config": {"type": "Kinematics", "oder": ""}}},
+     "config.observation.observation_config: expected options of highway-env, received oder; did you"),
+    ({"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics", "clips": True}]}},
+     "config.observation.observation_configs[0]: expected options of highway-env, received clips; did you"),
+    ({"observation": {"type": "Kinematics", "zebra": 7}}, "received zebra; there are absolute, align_to"),
+    ({"action": {"type": "DiscreteMetaAction", "target_speed": [10, 20]}},
+     "config.action: expected options of highway-env, received target_speed; did you mean 'target_speeds'?"),
+    ({"action": {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction", "laterl": True}}},
+     "config.action.action_config: expected options of highway-env, received laterl; did you mean 'l"),
+])  # fmt: skip
 def test_wrong_configuration_is_named_with_what_was_expected(config, message):
     with raises(message):
         World("highway-v0", config=config).check()
 
 
-@table("config", [
-    {"observation": {"type": "OccupancyGrid", "vehicles_count": 15, "features_range": {"x": [-100, 100]}}},
-    {"observation": {"type": "Kinematics", "flatten": False}},
-    {"action": {"type": "ContinuousAction", "target_speeds": [0, 5, 10]}},
-])  # fmt: skip
-def test_options_of_other_observation_types_are_ignored(config):
-    World("highway-v0", config=config).check()
-
-
-def test_custom_observations_and_environments_define_own_options(monkeypatch):
+def test_custom_observations_and_environments_define_own_options(register, monkeypatch):
     class Own(highway_env.envs.HighwayEnv):
         @classmethod
         def default_config(cls):
@@ -272,13 +251,10 @@ def test_custom_observations_and_environments_define_own_options(monkeypatch):
     class Sight(observation.KinematicObservation):
         pass
 
-    gymnasium.register("own-sight-v0", entry_point=Own)
-    try:
-        World("own-sight-v0", config={"observation": {"type": "Kinematics", "seen_from": "below"}}).check()
-        monkeypatch.setattr(abstract, "observation_factory", lambda env, config: Sight(env))
-        World("highway-v0", config={"observation": {"type": "Sight", "zebra": 1}}).check()
-    finally:
-        del gymnasium.registry["own-sight-v0"]
+    register("own-sight-v0", entry_point=Own)
+    World("own-sight-v0", config={"observation": {"type": "Kinematics", "seen_from": "below"}}).check()
+    monkeypatch.setattr(abstract, "observation_factory", lambda env, config: Sight(env))
+    World("highway-v0", config={"observation": {"type": "Sight", "zebra": 1}}).check()
 
 
 def test_an_action_for_several_vehicles_has_no_ego():
@@ -287,16 +263,14 @@ def test_an_action_for_several_vehicles_has_no_ego():
         World("highway-v0", config=config).rollout(hold(1), lambda: lambda observation: (1,))
 
 
-@table(
-    ("options", "message"),
-    [
-        ({"duration": 0}, "duration: expected a number from 0.1 to 3600, received 0"),
-        ({"duration": 0.1}, "duration: expected a number from 0.2 to 3600, received 0.1"),
-        ({"duration": 3600, "config": {"simulation_frequency": 1000, "policy_frequency": 1}},
-         "duration: expected at most 400 s at 1000 ticks a second, received 3600"),
-        ({"clearance": None}, "clearance: expected a number from 0 to 50, received None"),
-        ({"headway": -0.1}, "headway: expected a number from 0 to 10, received -0.1"),
-    ])  # fmt: skip
+@table(("options", "message"), [
+    ({"duration": 0}, "duration: expected a number from 0.1 to 3600, received 0"),
+    ({"duration": 0.1}, "duration: expected a number from 0.2 to 3600, received 0.1"),
+    ({"duration": 3600, "config": {"simulation_frequency": 1000, "policy_frequency": 1}},
+     "duration: expected at most 400 s at 1000 ticks a second, received 3600"),
+    ({"clearance": None}, "clearance: expected a number from 0 to 50, received None"),
+    ({"headway": -0.1}, "headway: expected a number from 0 to 10, received -0.1"),
+])  # fmt: skip
 def test_wrong_gym_world_option_is_named_with_bounds(options, message):
     with raises(message):
         World("highway-fast-v0", **options).check()
@@ -312,27 +286,25 @@ def test_the_callers_configuration_is_neither_changed_nor_followed():
     assert set(config) == {"action", "lanes_count"}
 
 
-@table(
-    ("scenario", "message"),
-    [
-        (None, "scenario: expected a Scenario, received None"),
-        (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4; the road has 4 lanes"),
-        (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one per cell that exists around lane 0"),
-        (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
-        (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
-        (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
-    ])  # fmt: skip
+@table(("scenario", "message"), [
+    (None, "scenario: expected a Scenario, received None"),
+    (hold(1, ego_lane=4), "ego_lane: expected a lane from 0 to 3, received 4; the road has 4 lanes"),
+    (hold(*range(1, 7), ego_lane=0), "npcs: expected at most 5 NPCs, one per cell that exists around lane 0"),
+    (hold(1, ego_speed=33.5), "ego_speed: expected at most "),
+    (hold(1, gene_seconds=0.15), "gene_seconds: expected a whole number of ticks of 1/15 s, received 0.15; the"),
+    (hold(1, speed=30.5), "npcs[0][0].speed: expected at most the speed limit of "),  # less than the top speed
+])  # fmt: skip
 @table("world", [Highway(), World("highway-v0")])
 def test_unfitting_scenario_is_refused_with_its_field(world, scenario, message):
     with raises(message, ScenarioError):
-        world.rollout(scenario, idle)
+        world.rollout(scenario, constant_speed)
 
 
 def test_nearest_gene_duration_from_error_is_accepted():
     with pytest.raises(ScenarioError) as caught:
-        Highway().rollout(hold(1, gene_seconds=0.15), idle)
+        Highway().rollout(hold(1, gene_seconds=0.15), constant_speed)
     nearest = float(str(caught.value).rsplit(" ", 1)[1])
-    assert Highway().rollout(hold(1, gene_seconds=nearest), idle).ticks == round(nearest * 15)
+    assert Highway().rollout(hold(1, gene_seconds=nearest), constant_speed).ticks == round(nearest * 15)
 
 
 def test_the_worlds_are_frozen_values():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +14,7 @@ from pytest_pafot.model.trace import LANE, Outcome, Y
 from pytest_pafot.searching.operators import crossover, mutate
 from pytest_pafot.searching.space import sample, space_on
 from tests.helpers.road_cases import violations, world_of
-from tests.helpers.world_cases import TRAFFICS
+from tests.helpers.world_cases import TRAFFICS, idm
 
 LI, PI = LaneInstruction, PositionInstruction
 BENT = ("merge-v1", "roundabout-v1", "intersection-v1", "racetrack-v1")
@@ -23,10 +22,6 @@ BENT = ("merge-v1", "roundabout-v1", "intersection-v1", "racetrack-v1")
 
 def world_named(name):
     return Highway(duration=8.0) if name == "Highway" else world_of(name, duration=8.0)
-
-
-def idm():
-    return IDMVehicle
 
 
 def space_in(world, **given):

@@ -41,18 +41,9 @@ def leader(gap, speed, brakes_at=math.inf, braking=0.0):
     """Return the state, by time, of a vehicle in the ego's lane that may brake."""
 
     def state(time):
-        braked = min(max(time - brakes_at, 0.0), speed / braking if braking else 0.0)
-        return car(
-            5.0
-            + gap
-            + speed * min(time, brakes_at)
-            + (
-                speed * (time - brakes_at) - braking * braked * (time - brakes_at - braked / 2)
-                if time > brakes_at
-                else 0.0
-            ),
-            speed=speed - braking * braked,
-        )
+        since = max(time - brakes_at, 0.0)
+        braked = min(since, speed / braking) if braking else 0.0
+        return car(5.0 + gap + speed * time - braking * braked * (since - braked / 2), speed=speed - braking * braked)
 
     return state
 

@@ -164,19 +164,16 @@ class Slowing:
 FOOT, KMH = 0.3048, 1 / 3.6
 
 
-@table(
-    "flags",
-    {
-        "y to the left": {"y_is_left": True},
-        "degrees": {"degrees": True},
-        "front bumper": {"at_front": True},
-        "feet and km/h": {"metres": FOOT, "metres_per_second": KMH, "lane_width": LANE / FOOT, "speed_limit": 96.48},
-        "a compass": {"y_is_left": True, "headings": "y to x"},
-        "x to the north, a compass": {"y_is_left": True, "headings": "x to -y"},
-        "x backwards": {"y_is_left": True, "headings": "-x to y", "degrees": True},
-        "all, as SUMO states them": {"y_is_left": True, "degrees": True, "headings": "y to x", "at_front": True},
-    }.values(),
-)
+@table("flags", {
+    "y to the left": {"y_is_left": True},
+    "degrees": {"degrees": True},
+    "front bumper": {"at_front": True},
+    "feet and km/h": {"metres": FOOT, "metres_per_second": KMH, "lane_width": LANE / FOOT, "speed_limit": 96.48},
+    "a compass": {"y_is_left": True, "headings": "y to x"},
+    "x to the north, a compass": {"y_is_left": True, "headings": "x to -y"},
+    "x backwards": {"y_is_left": True, "headings": "-x to y", "degrees": True},
+    "all, as SUMO states them": {"y_is_left": True, "degrees": True, "headings": "y to x", "at_front": True},
+}.values())  # fmt: skip
 def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
     world = SimulatorWorld(type("Other", (Bicycle,), flags), duration=20.0)
     for scenario in scenarios()[1:3]:
@@ -185,14 +182,11 @@ def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
         assert there.states == pytest.approx(here.states, abs=1e-6)
 
 
-@table(
-    "begin",
-    {
-        "elsewhere": (300.0, -50.0, 0.0),
-        "to the north": (10.0, 20.0, -math.pi / 2),
-        "at an angle": (-90.0, 7.0, 2.5),
-    }.values(),
-)
+@table("begin", {
+    "elsewhere": (300.0, -50.0, 0.0),
+    "to the north": (10.0, 20.0, -math.pi / 2),
+    "at an angle": (-90.0, 7.0, 2.5),
+}.values())  # fmt: skip
 def test_straight_lanes_in_any_direction_are_the_straight_road(begin):
     x0, y0, turn = begin
 
@@ -282,17 +276,14 @@ def test_short_straight_road_ends_runs_where_it_ends():
     assert trace.states[-1, 0, 0] == pytest.approx(397.5, abs=2.0)
 
 
-@table(
-    ("lines", "found"),
-    {
-        "equal lanes": ([[(0, 0), (900, 0)], [(0, 4), (900, 4)]], ((0.0, 0.0, 0.0), 900.0)),
-        "one lane": ([[(5, 5), (5, 400)]], ((5.0, 5.0, math.pi / 2), 395.0)),
-        "other widths": ([[(0, 0), (900, 0)], [(0, 5), (900, 5)]], None),
-        "a bend": ([[(0, 0), (500, 0), (900, 1)]], None),
-        "lanes from the right": ([[(0, 4), (900, 4)], [(0, 0), (900, 0)]], None),
-        "a lane that ends": ([[(0, 0), (900, 0)], [(0, 4), (400, 4)]], None),
-    }.values(),
-)
+@table(("lines", "found"), {
+    "equal lanes": ([[(0, 0), (900, 0)], [(0, 4), (900, 4)]], ((0.0, 0.0, 0.0), 900.0)),
+    "one lane": ([[(5, 5), (5, 400)]], ((5.0, 5.0, math.pi / 2), 395.0)),
+    "other widths": ([[(0, 0), (900, 0)], [(0, 5), (900, 5)]], None),
+    "a bend": ([[(0, 0), (500, 0), (900, 1)]], None),
+    "lanes from the right": ([[(0, 4), (900, 4)], [(0, 0), (900, 0)]], None),
+    "a lane that ends": ([[(0, 0), (900, 0)], [(0, 4), (400, 4)]], None),
+}.values())  # fmt: skip
 def test_lines_are_a_straight_road_if_lanes_are_equal(lines, found):
     assert straight_along([np.array(line, dtype=float) for line in lines], LANE) == found
 
@@ -404,52 +395,32 @@ def raising(self, controls):
     raise KeyError("wheel")
 
 
-@table(
-    ("members", "message"),
-    {
-        "no ticks": ({"hz": 0}, r"Broken.hz: expected a whole number from 5"),
-        "a number as a lane": ({"lanes": (1, 2)}, r"Broken.lanes\[0\]: expected x and y of two points"),
-        "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the point before it"),
-        "a narrow lane": ({"lane_width": 0.4}, r"Broken.lane_width: expected a number from 2 to 10"),
-        "no lane there": ({"start_lane": 7}, r"Broken.start_lane: expected a whole number from 0 to 3"),
-        "odd obstacles": ({"obstacles": ((1, 2),)}, r"Broken.obstacles\[0\]: expected x, y, heading, length and width"),
-        "too few rows": ({"states": lambda self: self.cars[1:]}, r"Broken.states, tick 0: expected .* of 2 vehicles"),
-        "no numbers": (
-            {"states": lambda self: [self.cars[0], [math.nan] * 4]},
-            r"Broken.states, tick 0: expected finite numbers, received x = nan of NPC 0",
-        ),
-        "another order": (
-            {"states": lambda self: self.cars[::-1]},
-            r"Broken.states, tick 0 after start: expected x = 200.00 of the ego",
-        ),
-        "lanes as a text": ({"lanes": "four"}, r"Broken.lanes: expected a list or tuple of centre lines, or a number"),
-        "no headings": ({"headings": "north"}, r"Broken.headings: expected one of 'x to y', 'x to -y', 'y to -x'"),
-        "no mapping": (
-            {"to_dict": lambda self: [1]},
-            r"Broken.to_dict\(\): expected the arguments of the class by name",
-        ),
-        "degrees": (
-            {"states": lambda self: [(*car[:2], math.degrees(car[2]) + 90.0, car[3]) for car in self.cars]},
-            r"states, tick 0 after start: expected heading = 0.00 of the ego, .* states has .*, heading = 90,",
-        ),
-        "headings from y": (
-            {"states": lambda self: [(*car[:2], math.pi / 2 - car[2], car[3]) for car in self.cars]},
-            r"expected heading = 0.00 of the ego, .* received 1.57; .* start received .* heading = 0, .* = 1.5708,",
-        ),
-        "km/h": (
-            {"states": lambda self: [(*car[:3], car[3] * 3.6) for car in self.cars]},
-            r"expected speed = 22.00 of the ego, .* start received .* = 22, and states has .* = 79.2. pytest",
-        ),
-        "front bumper": (
-            {"states": lambda self: [(car[0] + 2.5, *car[1:]) for car in self.cars]},
-            r"expected x = 200.00 of the ego, .* received 202.50; .* received x = 200, .* states has x = 202.5,",
-        ),
-        "y to the left": (
-            {"states": lambda self: [(x, -y, heading, speed) for x, y, heading, speed in self.cars]},
-            r"expected y = 4.00 of the ego, .* start received x = 200, y = 4, .* states has x = 200, y = -4,",
-        ),
-    }.values(),
-)
+@table(("members", "message"), {
+    "no ticks": ({"hz": 0}, r"Broken.hz: expected a whole number from 5"),
+    "a number as a lane": ({"lanes": (1, 2)}, r"Broken.lanes\[0\]: expected x and y of two points"),
+    "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the point before it"),
+    "a narrow lane": ({"lane_width": 0.4}, r"Broken.lane_width: expected a number from 2 to 10"),
+    "no lane there": ({"start_lane": 7}, r"Broken.start_lane: expected a whole number from 0 to 3"),
+    "odd obstacles": ({"obstacles": ((1, 2),)}, r"Broken.obstacles\[0\]: expected x, y, heading, length and width"),
+    "too few rows": ({"states": lambda self: self.cars[1:]}, r"Broken.states, tick 0: expected .* of 2 vehicles"),
+    "no numbers": ({"states": lambda self: [self.cars[0], [math.nan] * 4]},
+                   r"Broken.states, tick 0: expected finite numbers, received x = nan of NPC 0"),
+    "another order": ({"states": lambda self: self.cars[::-1]},
+     r"Broken.states, tick 0 after start: expected x = 200.00 of the ego"),
+    "lanes as a text": ({"lanes": "four"}, r"Broken.lanes: expected a list or tuple of centre lines, or a number"),
+    "no headings": ({"headings": "north"}, r"Broken.headings: expected one of 'x to y', 'x to -y', 'y to -x'"),
+    "no mapping": ({"to_dict": lambda self: [1]}, r"Broken.to_dict\(\): expected the arguments of the class by name"),
+    "degrees": ({"states": lambda self: [(*car[:2], math.degrees(car[2]) + 90.0, car[3]) for car in self.cars]},
+                r"states, tick 0 after start: expected heading = 0.00 of the ego, .* states has .*, heading = 90,"),
+    "headings from y": ({"states": lambda self: [(*car[:2], math.pi / 2 - car[2], car[3]) for car in self.cars]},
+     r"expected heading = 0.00 of the ego, .* received 1.57; .* start received .* heading = 0, .* = 1.5708,"),
+    "km/h": ({"states": lambda self: [(*car[:3], car[3] * 3.6) for car in self.cars]},
+             r"expected speed = 22.00 of the ego, .* start received .* = 22, and states has .* = 79.2. pytest"),
+    "front bumper": ({"states": lambda self: [(car[0] + 2.5, *car[1:]) for car in self.cars]},
+     r"expected x = 200.00 of the ego, .* received 202.50; .* received x = 200, .* states has x = 202.5,"),
+    "y to the left": ({"states": lambda self: [(x, -y, heading, speed) for x, y, heading, speed in self.cars]},
+     r"expected y = 4.00 of the ego, .* start received x = 200, y = 4, .* states has x = 200, y = -4,"),
+}.values())  # fmt: skip
 def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message):
     with pytest.raises(WorldError, match=message):
         broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
@@ -499,30 +470,26 @@ def before(self, controls):
     Bicycle.step(self, controls)
 
 
-@table(
-    ("members", "received"),
-    {
-        "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; do hz, units and axes fit"),
-        "x to the north": (
-            {"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
-            r"90 degrees away from it; do hz, units and axes fit",
-        ),
-        "km/h": (
-            {"step": along(lambda _: 1 / 3.6, math.sin)},
-            r"0.41 m, 0 degrees away from it; do hz, units and axes fit",
-        ),
-        "other ticks": ({"hz": 20}, r"0 degrees away from it; do hz, units and axes fit"),
-        "old states": (
-            {"step": before, "states": lambda self: getattr(self, "last", self.cars)},
-            r"0.00 m, .* does states have what is after the step\? pytest_pafot.testing.check_world\(world\) looks",
-        ),
-    }.values(),
-)
+@table(("members", "received"), {
+    "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; do hz, units and axes fit"),
+    "x to the north": (
+        {"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
+        r"90 degrees away from it; do hz, units and axes fit",
+    ),
+    "km/h": (
+        {"step": along(lambda _: 1 / 3.6, math.sin)},
+        r"0.41 m, 0 degrees away from it; do hz, units and axes fit",
+    ),
+    "other ticks": ({"hz": 20}, r"0 degrees away from it; do hz, units and axes fit"),
+    "old states": (
+        {"step": before, "states": lambda self: getattr(self, "last", self.cars)},
+        r"0.00 m, .* does states have what is after the step\? pytest_pafot.testing.check_world\(world\) looks",
+    ),
+}.values())  # fmt: skip
 def test_vehicles_that_drive_elsewhere_than_they_head_are_refused_at_the_first_tick(members, received):
     members = {"step": along(math.cos, math.sin), **members}
-    with pytest.raises(
-        WorldError, match=rf"Broken.states, tick 1: expected that the ego drives .* m where .*{received}"
-    ):
+    told = rf"Broken.states, tick 1: expected that the ego drives .* m where .*{received}"
+    with pytest.raises(WorldError, match=told):
         broken(**members).rollout(Scenario(npcs=((PositionInstruction(2, 10.0),),)), swerving)
 
 
@@ -601,13 +568,10 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
     assert len(Counted.made) == 2
 
 
-@table(
-    ("close", "message"),
-    {
-        "raises": (raising, r"Counted.close: expected no exception, received TypeError"),
-        "hangs": (lambda self: time.sleep(60), r"Counted.close: expected a return within 0.2 s"),
-    }.values(),
-)
+@table(("close", "message"), {
+    "raises": (raising, r"Counted.close: expected no exception, received TypeError"),
+    "hangs": (lambda self: time.sleep(60), r"Counted.close: expected a return within 0.2 s"),
+}.values())  # fmt: skip
 def test_close_that_fails_is_a_warning_and_is_called_once(monkeypatch, close, message):
     monkeypatch.setattr("pytest_pafot.world.engines.simulation.CLOSING", 0.2)
     world = SimulatorWorld(partial(type("Counted", (Bicycle,), {"close": close})), duration=1.0)

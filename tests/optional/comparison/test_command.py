@@ -198,29 +198,22 @@ def test_one_algorithm_alone_is_reported_without_tests(tmp_path):
     assert "There is only one algorithm" in (tmp_path / "report.md").read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--algorithms", "pafot,genetic"], "algorithm: expected one of random, pafot, .*, received 'genetic'"),
-        (["--algorithms", ","], "--algorithms: expected one or more of random, .*, received none"),
-        (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
-        (
-            ["--algorithms", "av-fuzzer@soon"],
-            "--algorithms: expected seconds or paper after the @, as in av-fuzzer@15, received",
-        ),
-        (
-            ["--ads", "constant_speedd"],
-            "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, junctions, ppo, or "
-            "module:factory for your own policy, received 'constant_speedd'; did you mean 'constant_speed'",
-        ),
-        (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
-        (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
-        (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
-        (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
-        (["--clearance", "-1"], "clearance: expected .* received -1"),
-        (["--world", "nowhere-v0"], "nowhere-v0"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--algorithms", "pafot,genetic"], "algorithm: expected one of random, pafot, .*, received 'genetic'"),
+    (["--algorithms", ","], "--algorithms: expected one or more of random, .*, received none"),
+    (["--algorithms", "pafot,random,pafot"], "--algorithms: expected each name once, received pafot again"),
+    (["--algorithms", "av-fuzzer@soon"],
+     "--algorithms: expected seconds or paper after the @, as in av-fuzzer@15, received"),
+    (["--ads", "constant_speedd"],
+     "--ads: expected one of blind_lane_change, constant_speed, fiss, idm_mobil, junctions, ppo, or "
+     "module:factory for your own policy, received 'constant_speedd'; did you mean 'constant_speed'"),
+    (["--ads", "no_such_policy:make"], "--ads: expected a module that can be imported, received 'no_such_policy:"),
+    (["--runs", "0"], "--runs: expected a whole number, at least 1, received 0"),
+    (["--seed", "-1"], "--seed: expected a whole number, at least 0, received -1"),
+    (["--fitness", "papr"], "fitness: expected .* did you mean 'paper'"),
+    (["--clearance", "-1"], "clearance: expected .* received -1"),
+    (["--world", "nowhere-v0"], "nowhere-v0"),
+])  # fmt: skip
 def test_wrong_arguments_are_one_line_and_write_nothing(tmp_path, capsys, arguments, message):
     assert compare(tmp_path / "out", *arguments) == BAD_USE
     error = capsys.readouterr().err

@@ -125,14 +125,11 @@ def test_differing_run_is_exported_with_a_warning(tmp_path, capsys, world, asked
     assert told.endswith(f". Is this the policy of its test{asked}?\n")
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ([], "the world of the file, received ValueError: no such observation; give the policy of the test\n"),
-        (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; give the "
-         "policy of the test, and its world, or no --world if that is data\n"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("given", "expected"), [
+    ([], "the world of the file, received ValueError: no such observation; give the policy of the test\n"),
+    (["--world", f"{__name__}:wrong"], f"{__name__}:wrong, received ValueError: no such observation; give the "
+     "policy of the test, and its world, or no --world if that is data\n"),
+])  # fmt: skip
 def test_policy_that_decides_nothing_in_the_world_is_refused_with_its_error(tmp_path, capsys, given, expected):
     path, data = tmp_path / "front-2-1f3a9c.pafot.yaml", wrong().to_dict() if given else pafot.Highway().to_dict()
     path.write_text(text_of(plain_finding(world=data)))
@@ -153,19 +150,16 @@ def raising():
     return decide
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
-         "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
-        ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
-         "xosc-1.0, received 'xslx'"),
-        (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
-        ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
-        ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "a scenario in which a process died"),
-        ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "message"), [
+    ((FILE, "--to", "csv"), r"--ads: expected the policy that drives the ego in the test "
+     "test_golden.py::test_never_at_fault, such as --ads module:factory, received none; a file contains the NPCs'"),
+    ((FILE, "--to", "xslx", "--ads", "constant_speed"), "--to: expected one of commonroad, csv, mcap, xosc, "
+     "xosc-1.0, received 'xslx'"),
+    (("no-such", "--to", "csv", "--ads", "constant_speed"), "received no such file or id; `python -m"),
+    ((FILE, "--to", "csv", "--ads", "no_such_policy"), "--ads: expected one of "),
+    ((FILES / "crash.pafot.yaml", "--to", "csv", "--ads", "constant_speed"), "a scenario in which a process died"),
+    ((FILE, "--to", "csv", "--ads", "constant_speed", "--out", FILE), "export: "),
+])  # fmt: skip
 def test_impossible_export_is_refused_with_the_way_out(arguments, message, capsys):
     assert export(*arguments) == 2
     out, told = capsys.readouterr()

@@ -22,6 +22,10 @@ from tests.helpers.traces import straight_lanes, trace_of, vehicle
 pytestmark = pytest.mark.filterwarnings("ignore:Call to deprecated create function:DeprecationWarning")
 
 
+LIBRARIES = {"xosc": "scenariogeneration", "xosc-1.0": "scenariogeneration", "mcap": "foxglove"}
+"""The libraries with other names than their formats."""
+
+
 def written(exported, name, folder):
     """Return the paths of a format's files, in order."""
     paths = []
@@ -54,11 +58,7 @@ def distance(points, line):
 @pytest.mark.parametrize("exported", ["gym-merge"], indirect=True)
 @pytest.mark.parametrize("name", ["csv", "xosc", "xosc-1.0", "mcap", "commonroad"])
 def test_same_run_gives_same_files_named_by_finding(exported, name):
-    pytest.importorskip(
-        {"csv": "csv", "xosc": "scenariogeneration", "xosc-1.0": "scenariogeneration", "mcap": "foxglove"}.get(
-            name, name
-        )
-    )
+    pytest.importorskip(LIBRARIES.get(name, name))
     files = exporter(name)(*exported)
     assert files == exporter(name)(*exported)
     assert all(file.startswith(exported[0].id) for file in files)
@@ -68,10 +68,8 @@ def test_a_table_read_back_is_what_was_driven(exported, tmp_path):
     finding, trace = exported
     (path,) = written(exported, "csv", tmp_path)
     rows = list(csv.DictReader(path.read_text().splitlines()))
-    assert [row["vehicle"] for row in rows[: len(trace.sizes)]] == [
-        "ego",
-        *(f"npc{n}" for n in range(len(trace.npcs[0]))),
-    ]
+    names = ["ego", *(f"npc{n}" for n in range(len(trace.npcs[0])))]
+    assert [row["vehicle"] for row in rows[: len(names)]] == names
     read = np.array([[float(row[column]) for column in row if column not in ("time", "vehicle")] for row in rows])
     read = read.reshape(*trace.states.shape[:2], 9)
     assert np.array_equal(read[..., :7] * (1, -1, -1, 1, 1, -1, 1), trace.states)
@@ -82,11 +80,7 @@ def test_a_table_read_back_is_what_was_driven(exported, tmp_path):
 
 @pytest.mark.parametrize("name", ["csv", "xosc", "xosc-1.0", "mcap", "commonroad"])
 def test_run_ending_at_first_decision_exports_its_start(ended_at_once, name):
-    pytest.importorskip(
-        {"csv": "csv", "xosc": "scenariogeneration", "xosc-1.0": "scenariogeneration", "mcap": "foxglove"}.get(
-            name, name
-        )
-    )
+    pytest.importorskip(LIBRARIES.get(name, name))
     files = exporter(name)(*ended_at_once)
     assert all(files.values())
     if name == "xosc":
@@ -242,16 +236,11 @@ def test_foxglove_file_has_same_numbers_and_times(exported, tmp_path):
     (path,) = written(exported, "mcap", tmp_path)
     with path.open("rb") as stream:
         messages = list(reader.make_reader(stream).iter_messages())
-    by_topic = {
-        topic: [m for _, channel, m in messages if channel.topic == topic]
-        for _, channel, _ in messages
-        for topic in (channel.topic,)
-    }
-    assert {topic: len(found) for topic, found in by_topic.items()} == {
-        "/road": 1,
-        "/vehicles": trace.ticks + 1,
-        "/states": trace.ticks + 1,
-    }
+    by_topic = {}
+    for _, channel, message in messages:
+        by_topic.setdefault(channel.topic, []).append(message)
+    counts = {"/road": 1, "/vehicles": trace.ticks + 1, "/states": trace.ticks + 1}
+    assert {topic: len(found) for topic, found in by_topic.items()} == counts
     told = [json.loads(message.data) for message in by_topic["/states"]]
     names = ("x", "y", "heading", "speed", "acceleration", "steering", "lane")
     read = np.array([[[vehicle[name] for name in names] for vehicle in each["vehicles"]] for each in told])

@@ -1,5 +1,9 @@
 """Models of Stable-Baselines3; the tests need it installed, with torch, which is large."""
 
+from functools import partial
+
+import gymnasium
+import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
 
@@ -10,7 +14,10 @@ from pytest_pafot.searching.space import SearchSpace
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason='needs pip install "pytest-pafot[sb3]"')
 sb3_contrib = pytest.importorskip("sb3_contrib", reason='needs pip install "pytest-pafot[sb3]"')
 
-from tests.helpers.sb3_models import CONTINUOUS, ENV, InItsWrappers, saved_model  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize  # noqa: E402
+
+ENV = "highway-fast-v0"
+CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 
 WORLD = pafot.World(ENV, duration=10.0)
 OF_DISCRETE_ACTIONS = (
@@ -22,6 +29,59 @@ OF_CONTINUOUS_ACTIONS = (
     *(getattr(sb3_contrib, name) for name in ("TQC", "CrossQ")),
 )
 POLICIES = {"MaskablePPO": "MlpPolicy", "RecurrentPPO": "MlpLstmPolicy"}
+
+
+def saved_model(folder, cls, *, config=None, frames=1, is_normalised=False, steps=0, policy="MlpPolicy", **arguments):
+    """Save a model trained for a number of steps, and its statistics; return their files."""
+    env = DummyVecEnv([partial(gymnasium.make, ENV, config={"vehicles_count": 5, **(config or {})})])
+    env.seed(1)
+    if is_normalised:
+        env = VecNormalize(env)
+    if frames > 1:
+        env = VecFrameStack(env, frames)
+    model = cls(policy, env, seed=1, device="cpu", policy_kwargs={"net_arch": [32, 32]}, **arguments)
+    if steps:
+        model.learn(steps)
+    model.save(folder / "model.zip")
+    if is_normalised:
+        model.get_vec_normalize_env().save(folder / "statistics.pkl")
+    return folder / "model.zip", folder / "statistics.pkl" if is_normalised else None
+
+
+class Shown(gymnasium.Env):
+    """An environment that returns whatever observation it is given."""
+
+    def __init__(self, observation_space, action_space):
+        self.observation_space, self.action_space = observation_space, action_space
+        self.next = None
+
+    def reset(self, *, seed=None, options=None):
+        return self.next, {}
+
+    def step(self, action):
+        return self.next, 0.0, False, False, {}
+
+
+class InItsWrappers:
+    """An ADS that uses VecNormalize and VecFrameStack themselves, and decides by ``model.predict``."""
+
+    def __init__(self, model, world, statistics=None, frames=1):
+        self.model, self.state = model, None
+        self.shown = Shown(world.observation_space, world.action_space)
+        self.env = DummyVecEnv([lambda: self.shown])
+        if statistics is not None:
+            self.env = VecNormalize.load(str(statistics), self.env)
+            self.env.training = False
+        if frames > 1:
+            self.env = VecFrameStack(self.env, frames)
+        self.action = None
+
+    def __call__(self, observation):
+        self.shown.next = observation
+        start = np.array([self.action is None])
+        seen = self.env.reset() if self.action is None else self.env.step(self.action)[0]
+        self.action, self.state = self.model.predict(seen, self.state, start, deterministic=True)
+        return self.action[0]
 
 
 def scenarios(count):
@@ -72,10 +132,6 @@ def test_policy_with_statistics_and_frames_decides_like_wrappers(framed):
 
 
 def test_statistics_of_stacked_observations_are_recognised_by_shape(tmp_path):
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
-
-    from tests.helpers.sb3_models import Shown
-
     shown = Shown(WORLD.observation_space, WORLD.action_space)
     rng = np.random.default_rng(1)
     shown.next = rng.normal(size=(5, 5)).astype(np.float32)

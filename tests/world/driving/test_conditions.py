@@ -4,7 +4,7 @@ import importlib.util
 import re
 import sys
 import threading
-from textwrap import dedent
+from textwrap import dedent, indent
 from types import MappingProxyType
 
 import pytest
@@ -49,52 +49,24 @@ def evaluated(module, source, seen, ads="decide"):
     return rows
 
 
-@pytest.mark.parametrize(
-    ("body", "rows"),
-    [
-        (
-            """
-            if seen > 5: return 1
-            elif seen > 2: return 2
-            """,
-            ["line 4: seen > 2  (seen = 3.142) -> True", "line 3: seen > 5  (seen = 3.142) -> False"],
-        ),
-        (
-            "return seen < 3 and missing > 1 or None is None",
-            ["line 2: seen < 3 and missing > 1 or None is None  (seen = 3.142) -> True"],
-        ),
-        ("return 1 if not seen else 2", ["line 2: not seen  (seen = 3.142) -> False"]),
-        (
-            """
-            while seen > 1: seen -= 1
-            """,
-            ["line 3: seen > 1  (seen = 0.142) -> False"],
-        ),
-        (
-            """
-            for lane in range(5):
-                if lane == 2: pass
-            """,
-            ["line 4: lane == 2  (lane = 2) -> True"],
-        ),
-        ("return [each for each in (1, 2, 9, 3) if each > 5]", ["line 2: each > 5  (each = 9) -> True"]),
-        ("return any(each > seen for each in (1, 9))", ["line 2: each > seen  (each = 9, seen = 3.142) -> True"]),
-        ("return (near := round(seen)) > 2", ["line 2: (near := round(seen)) > 2  (near = 3) -> True"]),
-        ("return (lambda lane: lane < 3)(1)", ["line 2: lane < 3  (lane = 1) -> True"]),
-        (
-            """
-            match seen:
-                case float() if seen > 3: return 1
-            """,
-            ["line 4: seen > 3  (seen = 3.142) -> True"],
-        ),
-        ("while True: return 1", []),
-    ],
-    ids=["elif", "and", "ternary", "while", "for", "comprehension", "any", "walrus", "lambda", "match", "constant"],
-)
+@pytest.mark.parametrize(("body", "rows"), [
+    ("if seen > 5: return 1\nelif seen > 2: return 2",
+     ["line 3: seen > 2  (seen = 3.142) -> True", "line 2: seen > 5  (seen = 3.142) -> False"]),
+    ("return seen < 3 and missing > 1 or None is None",
+     ["line 2: seen < 3 and missing > 1 or None is None  (seen = 3.142) -> True"]),
+    ("return 1 if not seen else 2", ["line 2: not seen  (seen = 3.142) -> False"]),
+    ("while seen > 1: seen -= 1", ["line 2: seen > 1  (seen = 0.142) -> False"]),
+    ("for lane in range(5):\n    if lane == 2: pass", ["line 3: lane == 2  (lane = 2) -> True"]),
+    ("return [each for each in (1, 2, 9, 3) if each > 5]", ["line 2: each > 5  (each = 9) -> True"]),
+    ("return any(each > seen for each in (1, 9))", ["line 2: each > seen  (each = 9, seen = 3.142) -> True"]),
+    ("return (near := round(seen)) > 2", ["line 2: (near := round(seen)) > 2  (near = 3) -> True"]),
+    ("return (lambda lane: lane < 3)(1)", ["line 2: lane < 3  (lane = 1) -> True"]),
+    ("match seen:\n    case float() if seen > 3: return 1", ["line 3: seen > 3  (seen = 3.142) -> True"]),
+    ("while True: return 1", []),
+], ids=["elif", "and", "ternary", "while", "for", "comprehension", "any", "walrus", "lambda", "match", "constant"],
+)  # fmt: skip
 def test_conditions_are_told_with_their_values_the_last_one_first(module, body, rows):
-    source = "def decide(seen):\n" + "\n".join(f"    {line}" for line in dedent(body).splitlines())
-    assert recorded(module, source, 3.14159) == rows
+    assert recorded(module, f"def decide(seen):\n{indent(body, '    ')}", 3.14159) == rows
 
 
 @pytest.mark.parametrize(("value", "text"), [

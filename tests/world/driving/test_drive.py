@@ -21,12 +21,9 @@ from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, STEER
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import Case, differences
 from tests.helpers.tables import table
+from tests.world.driving.test_ads import always
 
 BEHIND = Scenario(npcs=[[PositionInstruction(6, 15.0)]], gene_seconds=8.0)
-
-
-def always(action):
-    return lambda: lambda observation: action
 
 
 def changing(seed):

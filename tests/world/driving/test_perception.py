@@ -151,10 +151,9 @@ def test_hidden_perception_inside_a_factory_is_refused(world):
     def inner():
         return pafot.Perception(Watching, noise={"speed": 1.0})()
 
+    told = r"expected a pafot\.Perception as the factory itself, received a pafot\.Perception "
     for factory in (inner, pafot.Perception(inner, latency=0.2)):
-        with pytest.raises(
-            AdsFactoryError, match=r"expected a pafot\.Perception as the factory itself, received a pafot\.Perception "
-        ):
+        with pytest.raises(AdsFactoryError, match=told):
             world.rollout(SCENARIO, factory)
 
 

@@ -201,18 +201,12 @@ def test_car_works_as_vehicle_in_highway_env_code():
 
 
 def test_own_network_has_lanes_of_highway_env():
-    own, stock = (
-        straight_network(4, 900.0, 4.0, 26.8),
-        RoadNetwork.straight_road_network(4, length=900.0, speed_limit=26.8),
-    )
-    for a, b in zip(own.lanes_list(), stock.lanes_list(), strict=True):
-        assert (a.start.tolist(), a.end.tolist(), a.width, a.speed_limit) == (
-            b.start.tolist(),
-            b.end.tolist(),
-            b.width,
-            b.speed_limit,
-        )
-        assert a.line_types == b.line_types
+    def described(network):
+        lanes = network.lanes_list()
+        return [(e.start.tolist(), e.end.tolist(), e.width, e.speed_limit, e.line_types) for e in lanes]
+
+    stock = RoadNetwork.straight_road_network(4, length=900.0, speed_limit=26.8)
+    assert described(straight_network(4, 900.0, 4.0, 26.8)) == described(stock)
 
 
 def curved():

@@ -21,16 +21,11 @@ from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
-from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import ALL_EGOS, Case, Hurried, differences
-from tests.helpers.world_cases import TRAFFICS
+from tests.helpers.world_cases import TRAFFICS, constant_speed
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(2, 15.0)], [PositionInstruction(4, 20.0)]], gene_seconds=4.0)
-
-
-def idle():
-    return lambda observation: (0.0, 0.0)
 
 
 class Own(IDMVehicle):
@@ -120,15 +115,6 @@ def test_a_model_that_drives_otherwise_is_noticed(monkeypatch):
         assert differences(case.run(), case.run_in_gym()) != []
 
 
-def test_reference_driver_drives_exactly_as_by_env_step():
-    for seed in range(5):
-        case = Case.random(seed)
-        every_tick = replace(case.world, ads_hz=case.world.physics_hz)
-        with c_library():
-            own = case.world.rollout_reference(case.scenario, "careful-human")
-            assert differences(own, every_tick.rollout_in_gym(case.scenario, REFERENCES["careful-human"])) == []
-
-
 # --- which driver drives
 
 
@@ -155,35 +141,32 @@ class OwnAttribute(IDMVehicle):
     MAX_SPEED = 30.0
 
 
-@pytest.mark.parametrize(
-    ("ads", "expected"),
-    [
-        (idle, PlannerDriver),
-        (IDMVehicle, ModelDriver),
-        (Hurried, ModelDriver),
-        (lambda: Hurried, ModelDriver),
-        (functools.partial(IDMVehicle, enable_lane_change=False), ModelDriver),
-        (functools.partial(IDMVehicle, target_speed=20.0), ObjectDriver),
-        (functools.partial(IDMVehicle, timer=0.3), ObjectDriver),
-        (in_python(IDMVehicle), ObjectDriver),
-        (OwnRules, ObjectDriver),
-        (OwnStart, ObjectDriver),
-        (OwnAttribute, ObjectDriver),
-        (LinearVehicle, ObjectDriver),
-        (AggressiveVehicle, ObjectDriver),
-        (MDPVehicle, ObjectDriver),
-        (Vehicle, ObjectDriver),
-        *((defects.make(name), ObjectDriver) for name in ("healthy", "brakes-weakly")),
-    ],
-)
+@pytest.mark.parametrize(("ads", "expected"), [
+    (constant_speed, PlannerDriver),
+    (IDMVehicle, ModelDriver),
+    (Hurried, ModelDriver),
+    (lambda: Hurried, ModelDriver),
+    (functools.partial(IDMVehicle, enable_lane_change=False), ModelDriver),
+    (functools.partial(IDMVehicle, target_speed=20.0), ObjectDriver),
+    (functools.partial(IDMVehicle, timer=0.3), ObjectDriver),
+    (in_python(IDMVehicle), ObjectDriver),
+    (OwnRules, ObjectDriver),
+    (OwnStart, ObjectDriver),
+    (OwnAttribute, ObjectDriver),
+    (LinearVehicle, ObjectDriver),
+    (AggressiveVehicle, ObjectDriver),
+    (MDPVehicle, ObjectDriver),
+    (Vehicle, ObjectDriver),
+    *((defects.make(name), ObjectDriver) for name in ("healthy", "brakes-weakly")),
+])  # fmt: skip
 def test_compiled_model_drives_whichever_class_it_equals(drivers, ads, expected):
     Highway().rollout(SCENARIO, ads)
     assert drivers == [expected]
 
 
 def test_world_says_which_classes_the_compiled_model_drives():
-    told = {ads: Highway().runs_in_kernel(ads) for ads in (IDMVehicle, Hurried, OwnRules, idle)}
-    assert told == {IDMVehicle: True, Hurried: True, OwnRules: False, idle: False}
+    told = {ads: Highway().runs_in_kernel(ads) for ads in (IDMVehicle, Hurried, OwnRules, constant_speed)}
+    assert told == {IDMVehicle: True, Hurried: True, OwnRules: False, constant_speed: False}
 
 
 @pytest.mark.parametrize("world", [Highway(), World("highway-v0")])

@@ -24,7 +24,6 @@ from pytest_pafot.world.guard import hang_guard
 from pytest_pafot.world.guard.hang_guard import AdsHang, LastResort, WorldHang, last_resort, runs_end_in
 from pytest_pafot.world.gym_environment import EnvironmentGuard
 from tests.helpers.stopped_clock import StoppedClock
-from tests.world.engines.test_own_ends import register  # noqa: F401  (a fixture)
 
 SCENARIO = Scenario(npcs=[[PositionInstruction(6, 0.0)] * 2], gene_seconds=5.0)
 LATE = 3
@@ -156,13 +155,13 @@ def test_method_of_a_wrapper_is_named_and_none_of_a_library(clock, wrapper, name
 
 
 @drivers
-def test_step_of_an_environment_that_does_not_return_is_named(clock, driven, register):  # noqa: F811
+def test_step_of_an_environment_that_does_not_return_is_named(clock, driven, register):
     register("stepping-v0", entry_point=Stepping)
     trace = driven(World("stepping-v0", duration=10.0))
     assert (trace.outcome, trace.error.message.split()[0]) == (Outcome.HANG, "Stepping.step")
 
 
-def test_innermost_method_of_the_user_is_named(clock, register):  # noqa: F811
+def test_innermost_method_of_the_user_is_named(clock, register):
     register("simulating-v0", entry_point=Simulating)
     world = World("simulating-v0", duration=10.0)
     for trace in (by_policy(world), world.rollout_in_gym(SCENARIO, idle)):

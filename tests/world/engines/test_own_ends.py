@@ -25,6 +25,7 @@ from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.guard.own_worlds import rollout_of
 from pytest_pafot.world.gym_environment import ENDS, vehicle_classes_kept
+from tests.helpers.world_cases import constant_speed
 
 IDLE, FASTER = 1, 3
 
@@ -65,14 +66,6 @@ class Fenced(gymnasium.Wrapper):
     def step(self, action):
         seen, reward, terminated, truncated, info = super().step(action)
         return seen, reward, terminated, truncated or self.unwrapped.vehicle.position[0] > 300.0, info
-
-
-@pytest.fixture
-def register(monkeypatch):
-    """Register an environment for one test."""
-    monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
-    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
-    return gymnasium.register
 
 
 def limited(env):
@@ -162,15 +155,11 @@ def idle():
     return lambda seen: IDLE
 
 
-def straight():
-    return lambda observation: (0.0, 0.0)
-
-
-@pytest.mark.parametrize("ego", [straight, lambda: IDMVehicle, lambda: Careless, lambda: ControlledVehicle])
+@pytest.mark.parametrize("ego", [constant_speed, lambda: IDMVehicle, lambda: Careless, lambda: ControlledVehicle])
 def test_every_kind_of_ego_ends_at_the_goal(register, ego):
     """Decisions are once a second, except those of the planner."""
     register("ending-v0", entry_point=Goal)
-    world = World("ending-v0", planner_hz=5 if ego is straight else None)
+    world = World("ending-v0", planner_hz=5 if ego is constant_speed else None)
     scenario = scenario_in(world)
     trace = world.rollout(scenario, ego)
     every = trace.physics_hz // trace.ads_hz
@@ -264,7 +253,7 @@ def test_a_step_may_look_ahead_in_a_copy_of_the_environment(register):
 def test_planners_have_no_step_of_the_environment_that_could_end_their_runs(register):
     register("ending-v0", entry_point=OwnStep)
     world = World("ending-v0", planner_hz=5)
-    assert world.rollout(scenario_in(world), straight).ended == ""
+    assert world.rollout(scenario_in(world), constant_speed).ended == ""
     assert world.rollout_reference(scenario_in(world), "careful-human").ended == ""
 
 
@@ -313,17 +302,13 @@ class Old(gymnasium.Wrapper):
     ("wrapper", "ticks", "error"),
     [(FailingReset, 0, "KeyError: 'start'"), (Doubtful, 5, "ValueError: "), (Old, 5, "ValueError: step: expected (o")],
 )
-@pytest.mark.parametrize("drive", ["reference", "class"])
-def test_wrappers_that_fail_beside_an_episode_end_the_run_there(wrapper, ticks, error, drive):
+def test_wrappers_that_fail_beside_an_episode_end_the_run_there(wrapper, ticks, error):
     world = World("highway-fast-v0", wrappers=[wrapper])
     scenario = scenario_in(world)
-    failed = (
-        world.rollout_reference(scenario, "careful-human")
-        if drive == "reference"
-        else world.rollout(scenario, lambda: IDMVehicle)
-    )
-    assert failed.ended.startswith(f"{wrapper.__name__} failed: {error}")
-    assert (failed.ticks, failed.outcome) == (ticks, Outcome.INVALID)
+    by_reference = world.rollout_reference(scenario, "careful-human")
+    for failed in (by_reference, world.rollout(scenario, lambda: IDMVehicle)):
+        assert failed.ended.startswith(f"{wrapper.__name__} failed: {error}")
+        assert (failed.ticks, failed.outcome) == (ticks, Outcome.INVALID)
 
 
 class Lazy(gymnasium.Wrapper):
@@ -478,7 +463,7 @@ def test_what_an_end_remembers_is_that_of_its_run_alone(register, name):
         assert world.rollout(scenario, idle).duration == 7.0
         assert world.rollout(scenario, lambda: IDMVehicle).duration == 7.0
         assert world.rollout_reference(scenario, "careful-human").duration == 7.0
-        assert planners.rollout(scenario, straight).duration == 7 / 5
+        assert planners.rollout(scenario, constant_speed).duration == 7 / 5
     assert world.rollout_in_gym(scenario, idle).duration == 7.0
 
 
@@ -503,13 +488,9 @@ def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register, given
     for seed in (1, 2, 3):
         random.seed(seed)
         np.random.seed(seed)
-        seen.append(
-            (
-                rollout_of(world)(scenario, idle).ticks,
-                world.rollout_reference(scenario, "careful-human").ticks,
-                world.take_over(trace, 10, "careful-human").ticks,
-            )
-        )
+        by_reference = world.rollout_reference(scenario, "careful-human")
+        taken = world.take_over(trace, 10, "careful-human")
+        seen.append((rollout_of(world)(scenario, idle).ticks, by_reference.ticks, taken.ticks))
         assert random.random() == random.Random(seed).random()  # given back
     assert len({*seen}) == 1
     assert len({*seen[0]}) == 1
@@ -523,7 +504,11 @@ class TwentySteps(HighwayEnvFast):
 def test_an_end_reads_the_rate_of_the_steps_after_which_it_is_asked(register):
     register("ending-v0", entry_point=TwentySteps)
     planners, others = World("ending-v0", planner_hz=5), World("ending-v0")
-    for world, ads, seconds in ((planners, straight, 4.0), (others, idle, 20.0), (others, lambda: IDMVehicle, 20.0)):
+    for world, ads, seconds in (
+        (planners, constant_speed, 4.0),
+        (others, idle, 20.0),
+        (others, lambda: IDMVehicle, 20.0),
+    ):
         scenario = scenario_in(world)
         assert world.rollout(scenario, ads).duration == pytest.approx(seconds)
         assert world.rollout_in_gym(scenario, ads).duration == pytest.approx(seconds)

@@ -23,12 +23,10 @@ def test_side_hit_is_that_of_last_tick_apart():
         trace = Highway(duration=30.0).rollout(random_scenario(rng, lanes=4, speed_limit=26.8), weaving)
         if (hit := trace.collision) is None:
             continue
+        both = [0, hit.npc + 1]
         (ego, npc), overlapping = (
-            [
-                Box(*trace.states[tick, vehicle, [X, Y, HEADING]].tolist(), *trace.sizes[vehicle].tolist())
-                for vehicle in (0, hit.npc + 1)
-            ]
-            for tick in (hit.tick - 1, hit.tick)
+            [Box(*pose, *size) for pose, size in zip(poses.tolist(), trace.sizes[both].tolist(), strict=True)]
+            for poses in trace.states[hit.tick - 1 : hit.tick + 1, both][..., [X, Y, HEADING]]
         )
         assert not overlap(ego, npc)
         assert hit.side == side_hit(ego, npc)

@@ -175,13 +175,11 @@ def test_vehicle_class_raising_in_step_is_ads_error():
 PAIR = "expected (acceleration [m/s^2], steering [rad]), two finite numbers, or a pafot.Drive, received"
 
 
-@table(
-    "action",
-    [
-        None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
-        ("1", "2"),
-        {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
-    ])  # fmt: skip
+@table("action", [
+    None, 1.0, (1.0,), (1.0, 0.0, 0.0), (math.nan, 0.0), (0.0, math.inf), ("a", 0.0), "12", b"12", {1: 0, 2: 0},
+    ("1", "2"),
+    {1, 2}, np.zeros(3), np.array([1.0, np.nan]), (None, 0.0), (1j, 0.0), (10**400, 0.0), np.zeros((2, 2)), ...,
+])  # fmt: skip
 def test_anything_but_two_finite_numbers_is_bad_action(action):
     trace = HIGHWAY.rollout(SCENARIO, failing_after(1, lambda: action, (0.0, 0.0)))
     assert trace.outcome is Outcome.ADS_ERROR

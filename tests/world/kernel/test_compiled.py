@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,34 +26,30 @@ def interpreted():
     return InterpretedWorld()
 
 
+def assert_same(interpreted, world, scenario, ego=IDMVehicle):
+    compiled = digest(world.rollout(scenario, ego))
+    with interpreted.in_place():
+        assert digest(interpreted.room.from_dict(world.to_dict()).rollout(scenario, ego)) == compiled
+
+
 @pytest.mark.parametrize("seeds", [range(12), oracle(range(12, 40))], ids=str)
 def test_interpreted_and_compiled_kernel_give_same_traces(interpreted, seeds):
     for case in map(Case.random, seeds):
-        compiled = digest(case.run())
-        with interpreted.in_place():
-            world = interpreted.room.from_dict(case.world.to_dict())
-            assert digest(replace(case, world=world).run()) == compiled
+        assert_same(interpreted, case.world, case.scenario, case.ego)
 
 
 @pytest.mark.parametrize("style", mostly_oracle(STYLES, "paper"))
 def test_interpreted_and_compiled_npcs_match_in_bends(interpreted, style):
     world = world_of("roundabout-v1", duration=6.0)
     scenario = sample(space_of(world, traffic=style), np.random.default_rng(2))
-    compiled = digest(world.rollout(scenario, IDMVehicle))
-    with interpreted.in_place():
-        again = interpreted.room.from_dict(world.to_dict())
-        assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+    assert_same(interpreted, world, scenario)
 
 
 def test_interpreted_and_compiled_npcs_cross_the_same(interpreted):
     world = world_of("intersection-v0")
     crossing = [CrossingInstruction("o1>o3", 0.5, 7.0)], [CrossingInstruction("o3>o0", 1.5, 8.0, "hold")]
-    on_grid = [PositionInstruction(2, 8.0)]
-    scenario = Scenario(npcs=[*crossing, on_grid], ego_lane=0, ego_speed=10.0)
-    compiled = digest(world.rollout(scenario, IDMVehicle))
-    with interpreted.in_place():
-        again = interpreted.room.from_dict(world.to_dict())
-        assert digest(again.rollout(scenario, IDMVehicle)) == compiled
+    scenario = Scenario(npcs=[*crossing, [PositionInstruction(2, 8.0)]], ego_lane=0, ego_speed=10.0)
+    assert_same(interpreted, world, scenario)
 
 
 def test_the_kernel_knows_highway_envs_vehicles():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 from typing import ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
 from highway_env.road.lane import StraightLane
@@ -25,7 +24,7 @@ from tests.helpers.c_library import c_library
 from tests.helpers.road_cases import ROADS, OwnEnvironment, space_of, world_of
 from tests.helpers.stages import mostly_oracle
 
-BENT = mostly_oracle(ROADS, "intersection-v0")
+BENT = mostly_oracle(ROADS, "intersection-v0", "merge-v1")
 
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "roundabout-v1", "merge-v1"))
@@ -67,29 +66,19 @@ class Own(IDMVehicle):
 def test_every_kind_of_ego_drives_as_in_steps_of_the_environment(env_id):
     """The bits are equal with the C library's functions: IDM, a class with code of its own, and the policy's actions.
 
-    The ego of lane-keeping-v0 must have a state that only its own class has.
+    IDM changes lanes, follows routes, brakes behind obstacles, and yields where the road has rules. The ego of
+    lane-keeping-v0 must have a state that only its own class has.
     """
-    world = world_of(env_id, duration=6.0)
+    world = world_of(env_id, duration=20.0)
     space = world.action_space
     actions = [*range(space.n), 1] if hasattr(space, "n") else [np.full(space.shape, 0.01, np.float32)]
-    egos = [swerves(actions)] if env_id == "lane-keeping-v0" else [IDMVehicle, Own, swerves(actions)]
+    egos = [swerves(actions)] if env_id == "lane-keeping-v0" else [*[IDMVehicle] * 3, Own, swerves(actions)]
     for seed, ads in enumerate(egos):
         scenario = sample(space_of(world), np.random.default_rng(seed))
         with c_library():
             ours, stocks = world.rollout(scenario, ads), world.rollout_in_gym(scenario, ads)
         assert (ours.outcome, ours.executed, ours.collision) == (stocks.outcome, stocks.executed, stocks.collision), ads
         assert ours.states.tobytes() == stocks.states.tobytes(), ads
-
-
-@pytest.mark.parametrize("env_id", mostly_oracle([each for each in ROADS if each != "lane-keeping-v0"], "merge-v1"))
-def test_idm_in_the_kernel_drives_as_highway_envs_own(env_id):
-    """It changes lanes, follows routes, brakes behind obstacles, and yields where the road has rules."""
-    world = world_of(env_id, duration=20.0)
-    for seed in range(3):
-        scenario = sample(space_of(world), np.random.default_rng(seed))
-        with c_library():
-            ours, stocks = world.rollout(scenario, IDMVehicle), world.rollout(scenario, Own)
-        assert ours.states.tobytes() == stocks.states.tobytes(), seed
 
 
 @pytest.mark.parametrize("env_id", BENT)
@@ -119,10 +108,9 @@ class Yielding(OwnEnvironment):
 
 
 @pytest.fixture
-def yielding():
-    gymnasium.register("Yielding-v0", Yielding)
-    yield World("Yielding-v0")
-    del gymnasium.registry["Yielding-v0"]
+def yielding(register):
+    register("Yielding-v0", Yielding)
+    return World("Yielding-v0")
 
 
 def test_ego_that_has_yielded_keeps_the_speed_limit_of_that_place(yielding):

@@ -12,12 +12,12 @@ from highway_env.vehicle.controller import ControlledVehicle
 from pytest_pafot import World
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction, ScenarioError
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import ACCELERATION, ALONG, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
+from pytest_pafot.model.trace import ACCELERATION, ALONG, LANE, SPEED, Outcome, X, Y
 from tests.helpers.crossings import clashes
-from tests.helpers.road_cases import world_of, wrapped
+from tests.helpers.road_cases import world_of
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
-from tests.helpers.world_cases import STANDING, beyond
+from tests.helpers.world_cases import beyond, bounds_of_motion, own_limits
 
 LEFT, AHEAD, RIGHT, INTO = "o1>o3", "o2>o0", "o3>o0", "o3>o1"
 """Ways at an intersection where the ego turns left from o0 to o1: three across its way, one into its lane."""
@@ -224,20 +224,19 @@ def test_npcs_that_start_too_near_in_one_lane_clash_whether_it_is_that_of_their_
 def drawn(rng, world, on_grid=0):
     """Return a random scenario whose NPCs do not clash."""
     names = sorted(world.crossings.ways)
+
+    def tenths(low, high):
+        return round(float(rng.uniform(low, high)), 1)
+
+    def crossing():
+        way, slot = names[rng.integers(len(names))], tenths(-2.5, 2.5)
+        speed = tenths(4.0, min(world.speed_limit, 10.0))
+        return CrossingInstruction(way, slot, speed, str(rng.choice(["pass"] * 3 + ["hold", "stop", "late"])))
+
     while True:
-        npcs = [
-            [
-                CrossingInstruction(
-                    names[rng.integers(len(names))],
-                    round(float(rng.uniform(-2.5, 2.5)), 1),
-                    round(float(rng.uniform(4.0, min(world.speed_limit, 10.0))), 1),
-                    str(rng.choice(["pass", "pass", "pass", "hold", "stop", "late"])),
-                )
-            ]
-            for _ in range(rng.integers(1, 4))
-        ]
+        npcs = [[crossing()] for _ in range(rng.integers(1, 4))]
         for cell in (2, 6)[:on_grid]:
-            chain = [PositionInstruction(cell, round(float(rng.uniform(0.0, 10.0)), 1)) for _ in range(3)]
+            chain = [PositionInstruction(cell, tenths(0.0, 10.0)) for _ in range(3)]
             npcs.insert(int(rng.integers(len(npcs) + 1)), chain)
         scenario = scenario_of(*npcs, world=world, seed=int(rng.integers(1000)))
         try:
@@ -277,21 +276,11 @@ def test_npcs_without_clash_never_touch_and_respect_limits(env_id, on_grid, runs
 
 def violations(trace, world):
     """Return the limits that crossing NPCs break, and how far they leave their ways."""
-    limits, dt = world.limits, trace.dt
     crossing = [npc for npc, each in enumerate(trace.scenario.crossings) if each is not None]
-    s = trace.npcs[:, crossing]
-    slip = np.arctan(np.tan(s[1:, :, STEERING]) / 2)
-    course = s[:-1, :, HEADING] + slip
-    standing = (s[1:, :, SPEED] <= STANDING) | (s[:-1, :, SPEED] <= STANDING)
-    lateral, speed = limits.lateral_acceleration, s[..., SPEED]
-    bounds = {
-        "acceleration": (s[..., ACCELERATION], -limits.braking, limits.acceleration),
-        "jerk": (np.where(standing, 0.0, np.diff(s[..., ACCELERATION], axis=0) / dt), -limits.jerk, limits.jerk),
-        "speed": (speed, 0.0, limits.overspeed * world.speed_limit),
-        "turning of the heading": (speed[:-1] * wrapped(np.diff(s[..., HEADING], axis=0)) / dt, -lateral, lateral),
-        "turning of the course": (speed[1:-1] * wrapped(np.diff(course, axis=0)) / dt, -lateral, lateral),
-        "forward motion": (np.diff(trace.on_way[:, crossing], axis=0), -1e-9, np.inf),
-    }
+    s, (top, own) = trace.npcs[:, crossing], own_limits(trace, world.limits, world.speed_limit)
+    own = {name: values[crossing] for name, values in own.items()}
+    bounds, _ = bounds_of_motion(s, world.limits, top[crossing], own, trace.dt)
+    bounds["forward motion"] = np.diff(trace.on_way[:, crossing], axis=0), -1e-9, np.inf
     for number, npc in enumerate(crossing):
         line = world.road.junction.ways[trace.zones[npc].way].line
         apart = np.hypot(s[:, number, X, None] - line.x, s[:, number, Y, None] - line.y).min(axis=1)

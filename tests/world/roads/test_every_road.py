@@ -8,12 +8,10 @@ import math
 from dataclasses import replace
 from typing import ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
 from highway_env.envs.merge_env import MergeEnv
 from highway_env.road.lane import CircularLane, StraightLane
-from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
 from pytest_pafot import criticality
@@ -28,6 +26,7 @@ from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.roads.road import StraightRoad
 from tests.helpers.road_cases import ROADS, OwnEnvironment, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle, oracle
+from tests.helpers.world_cases import idm
 
 
 def hold(world, *cells, speed=8.0, genes=1, **fields):
@@ -36,10 +35,6 @@ def hold(world, *cells, speed=8.0, genes=1, **fields):
     seconds = math.floor(world.longest_run * world.physics_hz / genes) / world.physics_hz
     fields = {"ego_lane": lane, "ego_speed": ego_speed, "gene_seconds": seconds, **fields}
     return Scenario(npcs=[[PositionInstruction(cell, speed)] * genes for cell in cells], **fields)
-
-
-def idm():
-    return IDMVehicle
 
 
 def constant():
@@ -59,29 +54,26 @@ def test_limits_hold_and_executed_chain_stays_fixed(env_id):
         assert again.states.tobytes() == trace.states.tobytes()
 
 
-@pytest.mark.parametrize(
-    ("seed", "cells", "speeds"),
-    [
-        # An NPC begins a lane change at 5 m/s and could drive 10 m/s in the bend: it must not, while turned outwards.
-        oracle(
-            65554407,
-            ([3, 2, 3, 4, 3, 4], [4, 3, 2, 3, 2, 3]),
-            ([4.5, 8.1, 6.9, 1.8, 7.7, 3.9], [2.1, 8.1, 6.9, 4.9, 7.7, 3.9]),
-        ),
-        # An NPC changes lanes where one lane's bend begins later than the other's.
-        oracle(
-            974133204,
-            ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
-            ([8.6, 7.9, 0.0, 4.7, 5.4, 4.7], [1.0, 7.2, 2.6, 3.5, 4.2, 3.0]),
-        ),
-        # A slow NPC changes to the outer lane in a bend: the lane turns away from it while it turns back.
-        (
-            748242784,
-            ([4, 5, 4, 5, 5, 6], [2, 1, 8, 1, 8, 7]),
-            ([4.9, 3.9, 3.9, 3.4, 0.2, 6.0], [2.0, 1.7, 6.9, 9.6, 8.3, 5.1]),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("seed", "cells", "speeds"), [
+    # An NPC begins a lane change at 5 m/s and could drive 10 m/s in the bend: it must not, while turned outwards.
+    oracle(
+        65554407,
+        ([3, 2, 3, 4, 3, 4], [4, 3, 2, 3, 2, 3]),
+        ([4.5, 8.1, 6.9, 1.8, 7.7, 3.9], [2.1, 8.1, 6.9, 4.9, 7.7, 3.9]),
+    ),
+    # An NPC changes lanes where one lane's bend begins later than the other's.
+    oracle(
+        974133204,
+        ([2, 2, 2, 1, 2, 3], [7, 7, 6, 5, 6, 5]),
+        ([8.6, 7.9, 0.0, 4.7, 5.4, 4.7], [1.0, 7.2, 2.6, 3.5, 4.2, 3.0]),
+    ),
+    # A slow NPC changes to the outer lane in a bend: the lane turns away from it while it turns back.
+    (
+        748242784,
+        ([4, 5, 4, 5, 5, 6], [2, 1, 8, 1, 8, 7]),
+        ([4.9, 3.9, 3.9, 3.4, 0.2, 6.0], [2.0, 1.7, 6.9, 9.6, 8.3, 5.1]),
+    ),
+])  # fmt: skip
 def test_limits_hold_where_lanes_are_changed_in_bends(seed, cells, speeds):
     world = world_of("racetrack-v1")
     chains = [
@@ -347,11 +339,9 @@ class OwnHalves(OwnCircuit):
 
 
 @pytest.fixture
-def registered(monkeypatch):
-    monkeypatch.setattr(gymnasium.envs.registration, "registry", {**gymnasium.registry})
-    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+def registered(register):
     for entry_point in (OwnCircuit, OwnDeadEnd, OwnTaper, OwnMeeting, OwnTraffic, OwnHalves, OwnRamp):
-        gymnasium.register(f"{entry_point.__name__}-v0", entry_point)
+        register(f"{entry_point.__name__}-v0", entry_point)
 
 
 @pytest.mark.usefixtures("registered")

@@ -6,7 +6,6 @@ import functools
 import math
 from typing import ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, StraightLane
@@ -14,10 +13,11 @@ from highway_env.road.lane import CircularLane, StraightLane
 from pytest_pafot import World
 from pytest_pafot.world.roads.junction import WIDER, Course, meetings_of, near_pairs
 from tests.helpers.polygons import corners, polygons_meet
-from tests.helpers.road_cases import ROADS, OwnEnvironment, world_of, wrapped
+from tests.helpers.road_cases import ROADS, OwnEnvironment, world_of
 from tests.helpers.stages import oracle
 from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, WIDTH
+from tests.helpers.world_cases import wrapped
 
 STEP = 0.5
 
@@ -31,31 +31,23 @@ def zones_of(world):
     return {zone.way: (zone.kind, zone.origin, zone.priority) for zone in world.crossings.zones}
 
 
-def test_left_turn_meets_six_ways_with_priority():
-    """The ego comes from the south, o0, and turns to the west, o1; the road from west to east has priority."""
-    assert zones_of(intersection("o1")) == {
-        "o1>o3": ("crossing", "left", "npc"),
-        "o1>o2": ("crossing", "left", "npc"),
-        "o2>o0": ("oncoming", "ahead", "npc"),
-        "o2>o1": ("merging", "ahead", "npc"),
-        "o3>o0": ("crossing", "right", "npc"),
-        "o3>o1": ("merging", "right", "npc"),
-    }
-
-
-def test_ego_straight_on_has_priority_over_oncoming_turners():
-    assert zones_of(intersection("o2")) == {
-        "o1>o2": ("merging", "left", "npc"),
-        "o1>o3": ("crossing", "left", "npc"),
+@table(("destination", "zones"), {
+    "to the left": ("o1", {
+        "o1>o3": ("crossing", "left", "npc"), "o1>o2": ("crossing", "left", "npc"),
+        "o2>o0": ("oncoming", "ahead", "npc"), "o2>o1": ("merging", "ahead", "npc"),
+        "o3>o0": ("crossing", "right", "npc"), "o3>o1": ("merging", "right", "npc"),
+    }),
+    "straight on": ("o2", {
+        "o1>o2": ("merging", "left", "npc"), "o1>o3": ("crossing", "left", "npc"),
         "o2>o3": ("oncoming", "ahead", "ego"),
-        "o3>o0": ("crossing", "right", "npc"),
-        "o3>o1": ("crossing", "right", "npc"),
+        "o3>o0": ("crossing", "right", "npc"), "o3>o1": ("crossing", "right", "npc"),
         "o3>o2": ("merging", "right", "npc"),
-    }
-
-
-def test_right_turn_meets_vehicles_entering_the_same_road():
-    assert zones_of(intersection("o3")) == {"o1>o3": ("merging", "left", "npc"), "o2>o3": ("merging", "ahead", "ego")}
+    }),
+    "to the right": ("o3", {"o1>o3": ("merging", "left", "npc"), "o2>o3": ("merging", "ahead", "ego")}),
+}.values())  # fmt: skip
+def test_ways_that_meet_the_egos_have_a_kind_an_origin_and_a_priority(destination, zones):
+    """The ego comes from the south, o0; o1 is in the west. The road from west to east has priority."""
+    assert zones_of(intersection(destination)) == zones
 
 
 def test_circulating_vehicles_have_priority_and_roundabout_zones_merge():
@@ -181,15 +173,11 @@ def test_middle_of_a_way_is_in_its_zone_and_in_the_egos_lane(destination):
 def test_ways_merge_if_they_differ_by_less_than_a_tenth_of_a_radian(angle, merges):
     """One crosses the other at a small angle, halfway along both."""
     places = np.arange(-50.0, 50.0, STEP)
-    courses = (
-        Course(
-            places * math.cos(turned),
-            places * math.sin(turned),
-            *(np.full(places.shape, value) for value in (turned, math.cos(turned), math.sin(turned))),
-        )
-        for turned in (0.0, angle)
+    directions = [(turned, math.cos(turned), math.sin(turned)) for turned in (0.0, angle)]
+    one, other = (
+        Course(places * cos, places * sin, *(np.full(places.shape, value) for value in (turned, cos, sin)))
+        for turned, cos, sin in directions
     )
-    one, other = courses
     (meeting,) = meetings_of(one, other, near_pairs(one, other))
     assert meeting.merges == merges
 
@@ -257,10 +245,9 @@ class OwnJunction(OwnEnvironment):
 
 
 @pytest.fixture
-def own_junction():
-    gymnasium.register("OwnJunction-v0", OwnJunction)
-    yield lambda origin: World("OwnJunction-v0", {"from": origin})
-    del gymnasium.registry["OwnJunction-v0"]
+def own_junction(register):
+    register("OwnJunction-v0", OwnJunction)
+    return lambda origin: World("OwnJunction-v0", {"from": origin})
 
 
 def test_joining_vehicle_yields_and_equal_roads_have_none(own_junction):
