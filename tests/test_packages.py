@@ -94,10 +94,9 @@ def test_the_version_is_one_wherever_it_stands(check):
     assert check["one_version"]() == PROJECT["version"]
 
 
-@pytest.mark.parametrize(
-    ("heading", "is_dated"),
-    [("0.1.0 - unreleased", False), ("0.0.9 - 2031-02-03", False), ("0.1.0 - 2031-02-03", True)],
-)
+@pytest.mark.parametrize(("heading", "is_dated"), [
+    ("0.1.0 - unreleased", False), ("0.0.9 - 2031-02-03", False), ("0.1.0 - 2031-02-03", True),
+])  # fmt: skip
 def test_a_release_has_its_day_in_the_changelog(check, tmp_path, monkeypatch, heading, is_dated):
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "changelog.md").write_text(f"# Changelog\n\n## {heading}\n")

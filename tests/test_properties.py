@@ -63,10 +63,6 @@ def test_no_fault_fails_if_the_ego_is_responsible(situation):
             properties.no_fault(run)
 
 
-def test_no_fault_has_no_margin_without_collision():
-    assert judged(properties.no_fault, following(1.0)) == []
-
-
 # The distance of RSS.
 
 
@@ -93,10 +89,13 @@ def test_side_by_side_it_is_the_gap_across():
     assert only(properties.rss_distance, nearer).value == pytest.approx(0.3 - 0.35)
 
 
-def test_who_is_behind_owes_the_distance_itself():
-    assert (
-        judged(properties.rss_distance, trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-6.0, OWN, speed=30.0))) == []
-    )
+@table(("holds", "trace"), [
+    (properties.no_fault, following(1.0)),  # without a collision
+    (properties.rss_distance, trace_of(vehicle(0.0, OWN, speed=20.0), vehicle(-6.0, OWN, speed=30.0))),  # by the NPC
+    (properties.rss_distance, junction_trace((CROSSES, 10.0), seconds=4.5)),  # which is not on the ego's path
+])  # fmt: skip
+def test_property_that_does_not_apply_has_no_margin(holds, trace):
+    assert judged(holds, trace) == []
 
 
 def test_the_worst_npc_at_its_tick_is_named():
@@ -296,7 +295,6 @@ def test_rules_of_another_kind_are_refused():
 
 
 def test_rss_distance_counts_only_npcs_on_ego_path():
-    assert judged(properties.rss_distance, junction_trace((CROSSES, 10.0), seconds=4.5)) == []
     made = only(properties.rss_distance, junction_trace((CROSSES, 0.0), (MERGES, 0.0)))
     assert made.npc == 1
     assert made.time >= 62 / HZ

@@ -58,16 +58,13 @@ class TestInOneLane:
         assert (RoadFrame(trace).safe_along(DISTANCES) < 2 * speed).all()
 
 
-class TestStanding:
-    """A standing vehicle is excused, unless it has only just rolled there or stops for nothing."""
-
-    @pytest.mark.parametrize(("gap", "responsible"), [(4.0, "npc"), (14.0, "both")])
-    def test_stop_close_behind_standing_vehicle_has_a_reason(self, gap, responsible):
-        """The ego creeps at 0.6 m/s and stops with 0.2 m/s^2, so nothing else is a reason to stop."""
-        ego = driven(0.0, speed=0.6, brakes=[(1.0, 0.2, 0.0)], seconds=30.0)
-        ahead, behind = driven(5.0 + 1.5 + gap, speed=0.0, seconds=30.0), driven(-100.0, speed=5.0, seconds=30.0)
-        found = rss_rule(crash(ego, behind, ahead, side="rear", cell=Cell.REAR))
-        assert found.responsibility == responsible
+@pytest.mark.parametrize(("gap", "responsible"), [(4.0, "npc"), (14.0, "both")])
+def test_stop_close_behind_standing_vehicle_has_a_reason(gap, responsible):
+    """The ego creeps at 0.6 m/s and stops with 0.2 m/s^2, so nothing else is a reason to stop."""
+    ego = driven(0.0, speed=0.6, brakes=[(1.0, 0.2, 0.0)], seconds=30.0)
+    ahead, behind = driven(5.0 + 1.5 + gap, speed=0.0, seconds=30.0), driven(-100.0, speed=5.0, seconds=30.0)
+    found = rss_rule(crash(ego, behind, ahead, side="rear", cell=Cell.REAR))
+    assert found.responsibility == responsible
 
 
 class TestCutIn:
@@ -200,13 +197,10 @@ class TestASecondChance:
         assert found.responsibility == "both"
 
 
-class TestSideBySide:
-    """The vehicle that moves sideways is responsible."""
-
-    def test_swaying_slightly_in_lane_is_no_lane_change(self):
-        ego = driven(0.0, shifts=[(1.0, 3.8, 2.0)])
-        found = rss_rule(crash(ego, driven(1.0, LEFT, shifts=[(1.0, OWN, 2.0)]), side="left", cell=Cell.LEFT))
-        assert found.responsibility == "npc"
+def test_swaying_slightly_in_lane_is_no_lane_change():
+    ego = driven(0.0, shifts=[(1.0, 3.8, 2.0)])
+    found = rss_rule(crash(ego, driven(1.0, LEFT, shifts=[(1.0, OWN, 2.0)]), side="left", cell=Cell.LEFT))
+    assert found.responsibility == "npc"
 
 
 def test_without_a_collision_nobody_is_responsible():

@@ -16,7 +16,8 @@ from tests.helpers.hostile import unlisted
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     for name, changes in (("a-111111", {}), ("b-222222", {"xfail": "issue 12", "xfail_until": date(2027, 1, 31)})):
         write(tmp_path / "test_it" / "test_x" / f"{name}.pafot.yaml", plain_finding(id=name, **changes))
     return tmp_path
@@ -69,8 +70,7 @@ def accept(*ids, until="2999-01-31"):
 LINE = 'xfail: {reason: "TICKET-7", until: 2999-01-31}'
 
 
-def test_accepting_a_failure_changes_one_listed_line(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_accepting_a_failure_changes_one_listed_line(folder, capsys):
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     before = file.read_text().replace("scenario:", "# ours\nscenario:")
     file.write_text(before)
@@ -85,7 +85,6 @@ def test_accepting_a_failure_changes_one_listed_line(folder, capsys, monkeypatch
 
 
 def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     before = file.read_bytes()
 
@@ -102,8 +101,7 @@ def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):
     assert list(file.parent.iterdir()) == sorted(file.parent.glob("*.pafot.yaml"))
 
 
-def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys):
     assert accept("a-111111", "none", "b-222222") == 1
     told = capsys.readouterr()
     assert told.out.splitlines() == [
@@ -113,8 +111,7 @@ def test_several_failures_are_accepted_despite_a_wrong_id(folder, capsys, monkey
     assert all(LINE in file.read_text() for file in folder.rglob("*.pafot.yaml"))
 
 
-def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys):
     file = folder / "test_it" / "test_x" / "a-111111.pafot.yaml"
     bare = file.read_text().replace("# xfail: {reason, until}\n", "")
     file.write_text(bare)
@@ -131,16 +128,14 @@ def test_xfail_is_appended_but_never_replaces_several_lines(folder, capsys, monk
     ("soon", "expected a day such as 2027-01-31, received 'soon'"),
     ("2026-01-31", "expected today or a later day, received 2026-01-31, which is over"),
 ])  # fmt: skip
-def test_a_day_that_is_none_or_over_is_told(folder, capsys, monkeypatch, day, told):
-    monkeypatch.chdir(folder)
+def test_a_day_that_is_none_or_over_is_told(folder, capsys, day, told):
     with pytest.raises(SystemExit, match="2"):
         accept("a-111111", until=day)
     assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("form", ["{}", "saved-{}", "test_it.py::test_x[saved-{}]", "{}.pafot.yaml"])
-def test_an_id_is_that_which_pytest_prints(folder, capsys, monkeypatch, form):
-    monkeypatch.chdir(folder)
+def test_an_id_is_that_which_pytest_prints(folder, capsys, form):
     assert accept(form.format("a-111111")) == 0
     assert capsys.readouterr().out == "test_it/test_x/a-111111.pafot.yaml: accepted until 2999-01-31: TICKET-7\n"
 
@@ -150,8 +145,7 @@ def test_an_id_is_that_which_pytest_prints(folder, capsys, monkeypatch, form):
     ("b-222", "did you mean b-222222?"),
     ("other", "`python -m pytest_pafot corpus list` lists the files"),
 ])  # fmt: skip
-def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, monkeypatch, wrong, fix):
-    monkeypatch.chdir(folder)
+def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, wrong, fix):
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))  # told only once
     assert accept(wrong) == 1
     assert capsys.readouterr().err == (
@@ -160,8 +154,7 @@ def test_an_id_that_no_file_has_is_told_with_those_like_it(folder, capsys, monke
     )
 
 
-def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_accept_refuses_ambiguous_id_but_takes_file_path(folder, capsys):
     write(folder / "test_it" / "test_y" / "a-111111.pafot.yaml", plain_finding(id="a-111111"))
     assert accept("a-111111") == 1
     assert "received an id that 2 files have; give one of the files: test_it/test_x/" in capsys.readouterr().err

@@ -18,36 +18,6 @@ from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import NASTY_TEXTS, findings, plain_finding
 from tests.helpers.tables import table
 
-FILE = """\
-pafot: 2                      # format version
-test: tests/test_safety.py::test_never_at_fault_in_a_collision
-world: {kind: highway, lanes: 4, speed_limit: 26.8, physics_hz: 15, ads_hz: 5, duration: 60.0, clearance: 3.0,
-        headway: 2.0,
-        limits: {acceleration: 5.0, braking: 8.0, jerk: 10.0, lateral_acceleration: 4.0, overspeed: 1.1, heading: 0.5},
-        hang_limit: 30.0}
-scenario:
-  seed: 7
-  ego: {lane: 1, speed: 22.0}
-  npcs:
-    - - {cell: 1, speed: 25.0}    # front-left
-      - {cell: 2, speed: 8.0}     # front
-expect: {failure: AssertionError, assertion: not run.collision, outcome: collision, time: 12.4, npc: 0, cell: 2,
-         side: front, responsibility: ego, reference_drivers: {careful-human: avoids}}
-found: {seed: 1234, generation: 17, algorithm: pafot,
-        versions: {pytest-pafot: 0.1.0, highway-env: 1.12.1, numpy: 2.4.6}}
-# xfail: {reason, until}
-"""
-
-GYM_WORLD = """\
-world: {kind: gym, env_id: own-v0,
-        config: {observation: {type: Kinematics,
-                               features: [presence, presence, presence, presence, presence, presence, presence,
-                                          presence, presence, presence, presence, presence]},
-                 action: {type: DiscreteDiscreteDiscrete}, key_0: 0, key_1: 1, key_2: 2, key_3: 3, key_4: 4, key_5: 5,
-                 key_6: 6, key_7: 7, key_8: 8, key_9: 9, key_10: 10, key_11: 11, key_12: 12, key_13: 13, key_14: 14,
-                 key_15: 15, key_16: 16, key_17: 17},
-        duration: 40.0, limits: {}}"""
-
 TRACEBACK = """\
 Traceback (most recent call last):
   File "planner.py", line 12, in plan
@@ -58,8 +28,8 @@ ZeroDivisionError: division by zero
 """
 
 
-def test_a_file_is_for_people_to_read():
-    assert text_of(plain_finding()) == FILE
+def test_a_file_is_for_people_to_read(snapshot):
+    assert text_of(plain_finding()) == snapshot
 
 
 def of(*, expect=(), scenario=(), **changes):
@@ -128,11 +98,11 @@ def test_failed_property_without_collision_names_its_worst_moment():
     ) in text_of(plain_finding(expect=expect))
 
 
-def test_wide_world_is_wrapped_between_its_entries():
+def test_wide_world_is_wrapped_between_its_entries(snapshot):
     config = {"observation": {"type": "Kinematics", "features": ["presence"] * 12}, "action": {"type": "Discrete" * 3}}
     world = {"kind": "gym", "env_id": "own-v0", "config": config | {f"key_{index}": index for index in range(18)}}
     text = text_of(plain_finding(world=world | {"duration": 40.0, "limits": {}}))
-    assert text.split("\n", 2)[2].split("\nscenario:")[0] == GYM_WORLD
+    assert text.split("\n", 2)[2].split("\nscenario:")[0] == snapshot
 
 
 @settings(max_examples=settings.default.max_examples // 2)  # PyYAML's own parser is slow

@@ -78,18 +78,14 @@ def test_zone_situation_says_when_both_reach_the_zone():
     )
 
 
-def test_that_of_a_check_is_two_seconds_before():
-    check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=7.0, npc=0)
-    failure = Failure(kind="CheckFailed", assertion="gives way", check=check)
-    then = Expect.of(passes(), failure).situation
-    assert (then.npc, then.time) == (0, 5.0)
-    assert then.npc_enters == pytest.approx(3.0, abs=0.1)
+def test_situation_of_a_check_is_two_seconds_before_also_past_the_beginning_of_the_zone():
+    def before(time):
+        check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=time, npc=0)
+        return Expect.of(passes(), Failure(kind="CheckFailed", assertion="gives way", check=check)).situation
 
-
-def test_situation_past_the_beginning_of_zone_says_so():
-    check = Check(name="gives way", value=0.1, margin=-0.9, at_least=1.0, time=11.0, npc=0)
-    then = Expect.of(passes(), Failure(kind="CheckFailed", assertion="gives way", check=check)).situation
-    assert str(then).startswith("1.0 s past the beginning of its zone at 9 m/s, with the ego ")
+    assert (before(7.0).npc, before(7.0).time) == (0, 5.0)
+    assert before(7.0).npc_enters == pytest.approx(3.0, abs=0.1)
+    assert str(before(11.0)).startswith("1.0 s past the beginning of its zone at 9 m/s, with the ego ")
 
 
 @table(("run", "comes_up"), [

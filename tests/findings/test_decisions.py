@@ -292,11 +292,9 @@ class Counting:
 SHARED = Late()
 
 
-@pytest.mark.parametrize(
-    ("factory", "clear"),
-    [(Counting, Counting.calls.clear), (lambda: SHARED.act, lambda: setattr(SHARED, "seen", []))],
-    ids=["in the class", "in a shared object"],
-)
+@pytest.mark.parametrize(("factory", "clear"), [
+    (Counting, Counting.calls.clear), (lambda: SHARED.act, lambda: setattr(SHARED, "seen", [])),
+], ids=["in the class", "in a shared object"])  # fmt: skip
 def test_a_policy_that_decides_otherwise_before_the_moment_is_not_asked(factory, clear):
     number, asides = 8, []
     clear()

@@ -7,17 +7,13 @@ from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import AdsError, Outcome
 from pytest_pafot.oracle.run import Check, Run
+from tests.findings.test_finding import run_of
 from tests.helpers import situations
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
 VERSIONS = {"pytest-pafot": "0.1.0", "numpy": "2.4.6"}
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
-
-
-def run_of(**fields):
-    ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(26.0, 4.0, speed=10.0, ticks=30)
-    return Run(trace_of(ego, npc, **fields))
 
 
 def crash(tick=30, **where):

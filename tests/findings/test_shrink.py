@@ -101,10 +101,9 @@ def test_run_begins_later_if_ego_state_suffices():
     assert written(simplest) == ("2@0",)
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "answer"),
-    [(0, 100, "0"), (3, 12, "5"), (6, 14, "10"), (6, 9, "6"), (7.3, 7.9, "7.3"), (7.7, 7.7, "7.7"), (7.5, 30, "10")],
-)
+@pytest.mark.parametrize(("low", "high", "answer"), [
+    (0, 100, "0"), (3, 12, "5"), (6, 14, "10"), (6, 9, "6"), (7.3, 7.9, "7.3"), (7.7, 7.7, "7.7"), (7.5, 30, "10"),
+])  # fmt: skip
 def test_speeds_become_round_and_then_low(low, high, answer):
     assert minimal(BUSY, has(Cell.FRONT, low, high)) == (f"2@{answer}",)
 

@@ -3,33 +3,27 @@
 import pytest
 
 
-def test_pafot_simulate_runs_a_scenario_against_any_ads(project):
+def test_pafot_simulate_runs_a_scenario_against_any_ads_and_fails_if_it_fails(project):
     project.write("""
-def test_simulates(pafot_simulate):
-    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
-    run = pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0))
-    assert isinstance(run, pafot.Run)
-    assert run.scenario == scenario
+SCENARIO = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
 
-def test_takes_another_world(pafot_simulate):
-    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
-    run = pafot_simulate(scenario, lambda: lambda observation: (0.0, 0.0), world=pafot.Highway(lanes=3, duration=1.0))
-    assert (len(run.trace.lanes), run.duration) == (3, 1.0)
-""")
-    project.run().assert_outcomes(passed=2)
-
-
-def test_pafot_simulate_fails_the_test_if_ads_fails(project):
-    project.write("""
 def broken(observation):
     return observation.ego.sped, 0.0
 
 def test_simulates(pafot_simulate):
-    scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
-    assert not pafot_simulate(scenario, lambda: broken).collision
+    run = pafot_simulate(SCENARIO, lambda: lambda observation: (0.0, 0.0))
+    assert isinstance(run, pafot.Run)
+    assert run.scenario == SCENARIO
+
+def test_takes_another_world(pafot_simulate):
+    run = pafot_simulate(SCENARIO, lambda: lambda observation: (0.0, 0.0), world=pafot.Highway(lanes=3, duration=1.0))
+    assert (len(run.trace.lanes), run.duration) == (3, 1.0)
+
+def test_fails(pafot_simulate):
+    assert not pafot_simulate(SCENARIO, lambda: broken).collision
 """)
     result = project.run()
-    result.assert_outcomes(failed=1)
+    result.assert_outcomes(passed=2, failed=1)
     result.stdout.fnmatch_lines(["the ADS failed: AttributeError: *'sped'*", "*in broken"])
 
 

@@ -196,21 +196,11 @@ class Exits:
 SCENARIO = "SCENARIO = pafot.Scenario(npcs=[[pafot.PositionInstruction(2, 15.0)]], ego_speed=20.0)\n"
 
 
-def test_simulated_scenario_is_isolated_as_well(project):
-    """Run a test with a policy that ends only other processes than that of the session, which sees it do so."""
-    test = SCENARIO + "def test_it(pafot_simulate):\n    pafot_simulate(SCENARIO, Exits)\n"
-    project.write(EXITS.replace("PID", str(os.getpid())) + test)
-    result = project.run("--pafot-isolate", runs=None)
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["*ended with exit code 0*"])
-    project.run(runs=None).assert_outcomes(passed=1)
+SIMULATED = """
+def test_exits(pafot_simulate):
+    pafot_simulate(SCENARIO, Exits)
 
-
-def test_what_a_policy_notes_in_a_simulated_scenario_is_seen_by_the_test(project):
-    project.write(
-        SCENARIO
-        + """
-def test_it(pafot_simulate):
+def test_notes(pafot_simulate):
     seen = []
     def drive(observation):
         seen.append(observation.time)
@@ -218,5 +208,12 @@ def test_it(pafot_simulate):
     run = pafot_simulate(SCENARIO, lambda: drive)
     assert len(seen) == len(set(seen)) == len(run.trace.actions)
 """
-    )
-    project.run("--pafot-isolate", runs=None).assert_outcomes(passed=1)
+
+
+def test_simulated_scenario_is_isolated_as_well_and_the_test_sees_what_its_policy_notes(project):
+    """Run a test with a policy that ends only other processes than that of the session, which sees it do so."""
+    project.write(EXITS.replace("PID", str(os.getpid())) + SCENARIO + SIMULATED)
+    result = project.run("--pafot-isolate", runs=None)
+    result.assert_outcomes(failed=1, passed=1)
+    result.stdout.fnmatch_lines(["*ended with exit code 0*"])
+    project.run(runs=None).assert_outcomes(passed=2)

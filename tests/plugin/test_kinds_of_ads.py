@@ -23,15 +23,14 @@ VEHICLES = {
 }
 
 
-class TestAVehicleClassIsItsOwnFactory:
-    def test_vehicle_class_works_in_search_and_replay(self, project, in_highway_env):
-        for given, source in VEHICLES.items():
-            project.write(textwrap.dedent(source), name=f"test_{given}")
-        result = project.run("--pafot-shrink-rollouts=5")
-        result.stdout.fnmatch_lines(["*1 new finding in 1 run*"] * len(VEHICLES))
-        assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
-        assert "flaky" not in result.stdout.str()
-        project.run(runs=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
+def test_vehicle_class_works_in_search_and_replay(project, in_highway_env):
+    for given, source in VEHICLES.items():
+        project.write(textwrap.dedent(source), name=f"test_{given}")
+    result = project.run("--pafot-shrink-rollouts=5")
+    result.stdout.fnmatch_lines(["*1 new finding in 1 run*"] * len(VEHICLES))
+    assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
+    assert "flaky" not in result.stdout.str()
+    project.run(runs=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
 
 
 RAISING = """
@@ -62,28 +61,26 @@ RAISED = {
 }
 
 
-class TestWhatAnAdsRaisesIsAFinding:
-    def test_any_exception_of_ads_is_saved_and_replayed(self, project, in_highway_env):
-        for number, statement in enumerate(RAISED):
-            source = RAISING.replace("RAISE", statement).replace("test_drive", f"test_drive_{number}")
-            project.write(source, name=f"test_{number}")
-        result = project.run(runs=2)
-        result.assert_outcomes(failed=2 * len(RAISED))
-        for number, failure in enumerate(RAISED.values()):
-            (name,) = [name for name in project.files if f"/test_drive_{number}/" in name]
-            finding = load(project.path / name)
-            shows(result, f"test_drive_{number}[saved-{finding.id}]", f"the ADS failed: {failure}*")
-            assert finding.expect.failure == failure
-            assert finding.id.startswith("ads-error-")
-        result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
-        result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
-        project.run(runs=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
+def test_any_exception_of_ads_is_saved_and_replayed(project, in_highway_env):
+    for number, statement in enumerate(RAISED):
+        source = RAISING.replace("RAISE", statement).replace("test_drive", f"test_drive_{number}")
+        project.write(source, name=f"test_{number}")
+    result = project.run(runs=2)
+    result.assert_outcomes(failed=2 * len(RAISED))
+    for number, failure in enumerate(RAISED.values()):
+        (name,) = [name for name in project.files if f"/test_drive_{number}/" in name]
+        finding = load(project.path / name)
+        shows(result, f"test_drive_{number}[saved-{finding.id}]", f"the ADS failed: {failure}*")
+        assert finding.expect.failure == failure
+        assert finding.id.startswith("ads-error-")
+    result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
+    result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
+    project.run(runs=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
 
-    def test_factory_that_ends_the_session_fails_its_search(self, project):
-        ends = "def ends():\n    pytest.exit('green', returncode=0)\n\n"
-        project.write(ends + "@pafot.search(SHORT, ads=ends)\ndef test_drive(run):\n    pass\n")
-        result = project.run()
-        result.assert_outcomes(failed=1)
-        result.stdout.fnmatch_lines(
-            ["*expected the factory of the ADS to leave the session alone, received pytest.exit*"]
-        )
+
+def test_factory_that_ends_the_session_fails_its_search(project):
+    ends = "def ends():\n    pytest.exit('green', returncode=0)\n\n"
+    project.write(ends + "@pafot.search(SHORT, ads=ends)\ndef test_drive(run):\n    pass\n")
+    result = project.run()
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*expected the factory of the ADS to leave the session alone, received pytest.exit*"])

@@ -1,7 +1,5 @@
 """Worlds that are code: the user's own and wrapped environments are searched and replayed as tests name them."""
 
-import textwrap
-
 import pytest
 
 from pytest_pafot.attribution.mistakes import avoidance
@@ -124,17 +122,15 @@ def test_world_without_plain_data_is_replayed_too(project, data):
 
 
 def test_subclass_of_a_builtin_world_is_own_world(project):
-    project.write(
-        textwrap.dedent("""
-            class Short(pafot.Highway):  # which may do anything
-                def rollout(self, scenario, ads_factory):
-                    return pafot.Highway(duration=2.0).rollout(scenario, ads_factory)
+    project.write("""
+class Short(pafot.Highway):  # which may do anything
+    def rollout(self, scenario, ads_factory):
+        return pafot.Highway(duration=2.0).rollout(scenario, ads_factory)
 
-            @pafot.search(genes=2, gene_seconds=5, npcs=1, world=Short(duration=10.0))  # stop_after=1
-            def test_fails(run):
-                assert run.duration > 5, run.duration
-            """)
-    )
+@pafot.search(genes=2, gene_seconds=5, npcs=1, world=Short(duration=10.0))  # stop_after=1
+def test_fails(run):
+    assert run.duration > 5, run.duration
+""")
     project.run(runs=20)
     finding = load(project.only_file)
     assert (finding.world["class"], finding.expect.time, finding.flaky) == ("Short", 2.0, None)

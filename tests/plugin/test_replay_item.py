@@ -88,8 +88,7 @@ def prepared():
 @pytest.mark.parametrize(("raises", "outcome"), [("1 / 0", "errors"), ("pytest.xfail('later')", "xfailed")])
 def test_accepting_a_failure_accepts_no_error_of_a_fixture(saved, raises, outcome):
     saved.accept()
-    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
-    saved.write(f"{text}\n{FIXTURE.replace('RAISE', raises)}")
+    saved.write(f"{FAILS}\n{FIXTURE.replace('RAISE', raises)}")
     saved.run(runs=0).assert_outcomes(**{outcome: 1}, skipped=1)
 
 
@@ -252,9 +251,8 @@ OTHER_WORLD = "run in the world of the file, which is not the test's: world.lane
 
 
 def test_replay_says_that_the_test_names_another_world(saved):
-    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
     saved.run("-v", runs=0).stdout.no_fnmatch_line("*in the world of*")
-    saved.write(text.replace("@pafot.search(", "@pafot.search(lanes=5, "))
+    saved.write(FAILS.replace("@pafot.search(", "@pafot.search(lanes=5, "))
     result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     assert f"replay: still failing, {OTHER_WORLD}" in " ".join(result.stdout.str().split())
@@ -266,12 +264,11 @@ def test_replay_says_that_the_test_names_another_world(saved):
 
 
 def test_replay_says_that_the_test_names_other_traffic(saved):
-    text = (saved.path / "test_it.py").read_text().partition("pafot\n\n")[2]
-    saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='everyday', "))
+    saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='everyday', "))
     shown = " ".join(saved.run(runs=0).stdout.str().split())
     named = "paper there, everyday now"
     assert f"still failing, run in the traffic of the file, which is not the test's: {named}" in shown
-    saved.write(text.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
+    saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
     assert "in the traffic of the file" not in saved.run(runs=0).stdout.str()
 
 

@@ -157,11 +157,9 @@ def test_process_stuck_in_native_code_is_a_hang(project, monkeypatch):
     result.stdout.fnmatch_lines(["*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"])
 
 
-@pytest.mark.parametrize(
-    ("act", "world"),
-    [("1 / 0", None), ("time.sleep(60)", Highway(duration=10.0, hang_limit=0.1).to_dict())],
-    ids=["the ADS raises there", "it hangs there"],
-)
+@pytest.mark.parametrize(("act", "world"), [
+    ("1 / 0", None), ("time.sleep(60)", Highway(duration=10.0, hang_limit=0.1).to_dict()),
+], ids=["the ADS raises there", "it hangs there"])  # fmt: skip
 def test_inconclusive_retry_does_not_excuse_the_scenario(project, act, world):
     write(project, act)
     project.leave_behind(OWNER, world=world)

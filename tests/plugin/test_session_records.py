@@ -164,21 +164,6 @@ def test_lost_process_is_recorded_alike(project):
     assert json.loads(texts[0])["findings"]
 
 
-@pytest.mark.processes
-def test_workers_record_the_same_text_as_one_process(project):
-    pytest.importorskip("xdist")
-    project.write(TWO)
-    texts = []
-    for args in ([], ["-n2"]):
-        project.run("--pafot-json=out/pafot.json", *args, runs=8)
-        texts.append((project.path / "out" / "pafot.json").read_text())
-        project.run("--pafot-json=again.json", *args, runs=0)
-        texts.append((project.path / "again.json").read_text())
-        project.forget()
-    assert texts[:2] == texts[2:]
-    assert len(json.loads(texts[1])["findings"]) == len(json.loads(texts[0])["findings"]) > 1
-
-
 def test_junit_properties_identify_search_finding_and_replay(failing):
     failing.run("--junitxml=junit.xml")
     find = load(failing.only_file)

@@ -106,16 +106,14 @@ class TestNothingThatWasFoundIsLost:
         project.run().stdout.fnmatch_lines(["*pafot: found*", "* failing*"])
         assert {load(project.path / name).expect.failure for name in project.files} == {"ValueError"}
 
-    @pytest.mark.parametrize("end", ["raise KeyboardInterrupt", "pytest.exit('enough')"])
-    def test_where_the_session_is_interrupted_meanwhile(self, project, end):
-        self.write(project, end)
-        result = project.run(no_reraise_ctrlc=True)
-        result.stdout.fnmatch_lines(["*pafot: found*", "*ended: interrupted"])
-        assert project.files
-
-    def test_where_the_process_dies_meanwhile(self, project):
-        self.write(project, "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
-        project.run(apart=True)
+    @pytest.mark.parametrize(("later", "options", "told"), [
+        ("raise KeyboardInterrupt", {"no_reraise_ctrlc": True}, ["*pafot: found*", "*ended: interrupted"]),
+        ("pytest.exit('enough')", {"no_reraise_ctrlc": True}, ["*pafot: found*", "*ended: interrupted"]),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", {"apart": True}, []),
+    ])  # fmt: skip
+    def test_where_the_session_or_its_process_ends_meanwhile(self, project, later, options, told):
+        self.write(project, later)
+        project.run(**options).stdout.fnmatch_lines(told)
         assert project.files
 
     def test_time_limit_before_generation_end_saves_a_finding(self, project):
@@ -123,19 +121,15 @@ class TestNothingThatWasFoundIsLost:
         project.run("--pafot-max-time=0").assert_outcomes(failed=2)
         assert len(project.files) == 1
 
-    def test_where_it_was_asserted(self, project):
+    def test_where_it_was_asserted_or_came_after_the_first_decision(self, project):
         raised = ["assert run.duration < 0", "raise AssertionError('late')", "pytest.fail('late')"]
-        for n, statement in enumerate(raised):
-            project.write(
-                f"@pafot.search(SHORT, shrink_rollouts=0)\ndef test_drive(run):\n    {statement}\n", f"test_it{n}"
-            )
+        test = "@pafot.search(SHORT, shrink_rollouts=0)\ndef test_drive(run):\n    {}\n"
+        later = BROKEN.replace("BROKEN", "return (0.0, 0.0) if observation.time < 1 else None")
+        sources = [*map(test.format, raised), later]
+        for n, source in enumerate(sources):
+            project.write(source, f"test_it{n}")
         project.run()
-        assert {name.split("/")[1] for name in project.files} == {"test_it0", "test_it1", "test_it2"}
-
-    def test_failure_after_first_decision_saves_a_finding(self, project):
-        project.write(BROKEN.replace("BROKEN", "return (0.0, 0.0) if observation.time < 1 else None"))
-        project.run().assert_outcomes(failed=2)
-        assert len(project.files) == 1
+        assert {name.split("/")[1] for name in project.files} == {f"test_it{n}" for n in range(4)}
 
 
 NEWCOMERS = """

@@ -119,10 +119,9 @@ def test_interrupted(run):
 """
 
 
-@pytest.mark.parametrize(
-    ("save", "how"),
-    [("new", "delete its files and search again with --pafot-seed=2"), ("none", "search again with --pafot-seed=2")],
-)
+@pytest.mark.parametrize(("save", "how"), [
+    ("new", "delete its files and search again with --pafot-seed=2"), ("none", "search again with --pafot-seed=2"),
+])  # fmt: skip
 @pytest.mark.parametrize("limit", [2, 4])
 def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, save, how, limit):
     source = INTERRUPTED.replace("LIMIT", str(limit)).replace("STOP", "raise KeyboardInterrupt")

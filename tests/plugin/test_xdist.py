@@ -11,6 +11,7 @@ from pytest_pafot.corpus.reader import load
 from tests.helpers.processes import begun
 from tests.helpers.sessions import set_keys
 from tests.plugin.test_report_page import read_page
+from tests.plugin.test_search_command import wait_for_a_finding
 from tests.plugin.test_session_records import TWO
 
 pytestmark = pytest.mark.processes
@@ -26,12 +27,19 @@ def short_shrinking(project, monkeypatch):
 def test_xdist_workers_give_same_results_as_one_process(project):
     project.write(TWO)
     page = project.path / "report.html"
-    project.run("--pafot-report=report.html", runs=8)
-    serial, shown = project.contents, read_page(page)[1:]
+    written = ("--pafot-report=report.html", "--pafot-json=out/pafot.json")
+    project.run(*written, runs=8)
+    serial, shown, record = project.contents, read_page(page)[1:], (project.path / "out/pafot.json").read_text()
+    project.run("--pafot-json=again.json", runs=0)
+    again = (project.path / "again.json").read_text()
+    assert len(json.loads(again)["findings"]) == len(json.loads(record)["findings"]) > 1
     assert any("shrunk: {" in text for text in serial.values())
     project.forget()
-    result = project.run("-n2", "-v", "--junitxml=junit.xml", "--pafot-report=report.html", runs=8)
+    result = project.run("-n2", "-v", "--junitxml=junit.xml", *written, runs=8)
     assert project.contents == serial
+    assert (project.path / "out/pafot.json").read_text() == record
+    project.run("-n2", "--pafot-json=again.json", runs=0)
+    assert (project.path / "again.json").read_text() == again
     result.assert_outcomes(failed=2 + len(serial))
     assert read_page(page)[1:] == shown
     assert [len(part) for part in shown] == [len(serial), 2]
@@ -148,11 +156,7 @@ def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(projec
     with begun(
         [*command, "--pafot-json=x.json", "--pafot-report=x.html"], stdout=subprocess.PIPE, text=True
     ) as session:
-        told = ""
-        while "pafot: found" not in told:
-            line = session.stdout.readline()
-            assert line, told
-            told += line
+        wait_for_a_finding(session)
         session.terminate()
         rest, _ = session.communicate(timeout=100)
     record, page = json.loads((project.path / "x.json").read_text()), (project.path / "x.html").read_text()

@@ -112,10 +112,9 @@ def test_no_duration_is_in_it():
     assert text(1.0) == text(2.0)
 
 
-@table(
-    ("thing", "names"),
-    [(Search, {each.name for each in fields(Search)} - {*NOT_WRITTEN}), (finding_entry, FINDING.keys())],
-)
+@table(("thing", "names"), [
+    (Search, {each.name for each in fields(Search)} - {*NOT_WRITTEN}), (finding_entry, FINDING.keys()),
+])  # fmt: skip
 def test_every_key_is_described_in_a_docstring(thing, names):
     told = re.findall(r"^ +(\w+(?:, \w+)*): ", thing.__doc__, re.MULTILINE)
     assert sorted(name for names in told for name in names.split(", ")) == sorted(names)

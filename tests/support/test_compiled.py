@@ -158,10 +158,9 @@ def test_interrupted_build_leaves_no_record_and_is_repeated_as_a_whole(build, pa
     assert (package / f"room/one{SUFFIX}").read_text() == "forced: True"
 
 
-@pytest.mark.parametrize(
-    ("before", "age", "is_missed"),
-    [(None, 0, True), ("a one.py\n", 9, False), ("b one.py\n", 9, True), ("b one.py\n", -9, False)],
-)
+@pytest.mark.parametrize(("before", "age", "is_missed"), [
+    (None, 0, True), ("a one.py\n", 9, False), ("b one.py\n", 9, True), ("b one.py\n", -9, False),
+])  # fmt: skip
 def test_change_of_an_old_file_is_not_missed(script, package, monkeypatch, before, age, is_missed):
     monkeypatch.setitem(script["has_to_translate_all"].__globals__, "PACKAGE", package / "room")
     made = package / "translated.txt"

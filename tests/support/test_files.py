@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pytest_pafot.support import files
-from pytest_pafot.support.files import append, open_regular, remove_unfinished, write_if_free, write_whole
+from pytest_pafot.support.files import append, open_regular, write_if_free, write_whole
 
 
 @pytest.fixture
@@ -161,8 +161,14 @@ def writer(path):
         process.kill()
 
 
-def test_temporary_file_stays_while_its_process_lives(path, writer):
+@pytest.mark.parametrize("has_locks", [True, False])
+def test_temporary_file_stays_while_its_process_lives(path, writer, monkeypatch, has_locks):
+    def no_locks(descriptor):
+        raise OSError(errno.ENOLCK, "No locks available")
+
     process, temporary = writer
+    if not has_locks:  # the id of the process in the name decides
+        monkeypatch.setattr(files, "_lock", no_locks)
     os.utime(temporary, (1.0, 1.0))
     write_if_free(path, b"content")
     assert sorted(path.parent.iterdir()) == sorted([temporary, path])
@@ -170,20 +176,6 @@ def test_temporary_file_stays_while_its_process_lives(path, writer):
     process.wait()
     write_whole(path, b"content")
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_process_id_in_the_name_decides_without_locks(path, writer, monkeypatch):
-    def no_locks(descriptor):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(files, "_lock", no_locks)
-    process, temporary = writer
-    remove_unfinished(path.parent)
-    assert temporary.exists()
-    process.kill()
-    process.wait()
-    remove_unfinished(path.parent)
-    assert not temporary.exists()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")

@@ -63,6 +63,8 @@ def test_signal_that_is_ignored_or_handled_stays_so():
     before = {signal.SIGHUP: signal.SIG_IGN, signal.SIGTERM: lambda *given: received.append(given[0])}
     first = {number: signal.signal(number, handler) for number, handler in before.items()}
     try:
+        with postponed():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
         with interrupted_by_signals():
             os.kill(os.getpid(), signal.SIGHUP)
             os.kill(os.getpid(), signal.SIGTERM)
@@ -124,15 +126,6 @@ def test_a_later_interrupt_ends_what_waits_for_ever(monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         work()
-
-
-def test_a_signal_that_is_ignored_is_not_postponed():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with postponed():
-            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_signal_ends_a_process_however_soon_it_comes_after_the_fork():
