@@ -49,12 +49,9 @@ def defined(body):
     return names
 
 
-def test_page_lists_the_rooms_in_import_order():
+def test_page_lists_the_rooms_in_import_order_and_which_libraries_they_know():
     there = {room_of(path) for path in MODULES}
     assert list(rooms_on_the_page()) == [room for room in ROOMS if room in there]
-
-
-def test_the_page_says_which_libraries_a_room_knows():
     known = {room: {library for library, homes in HOMES.items() if room in homes} for room in rooms_on_the_page()}
     assert rooms_on_the_page() == known
 

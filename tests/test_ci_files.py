@@ -24,12 +24,12 @@ def expressions(value):
     return EXPRESSION.findall(str(value))
 
 
-def test_action_has_exactly_the_tested_commands():
-    steps = action()["runs"]["steps"]
+def test_action_has_exactly_the_tested_commands_without_github_expressions():
     assert action()["runs"]["using"] == "composite"
-    assert [step["run"] for step in steps if "run" in step] == COMMANDS
-    assert all(step["shell"] == "bash" for step in steps if "run" in step)
-    assert {step["uses"] for step in steps if "uses" in step} <= OTHERS
+    assert [step["run"] for step in steps() if "run" in step] == COMMANDS
+    assert all(step["shell"] == "bash" for step in steps() if "run" in step)
+    assert not [step for step in steps() if expressions(step.get("run", ""))]
+    assert {step["uses"] for step in steps() if "uses" in step} <= OTHERS
 
 
 def test_what_is_found_is_uploaded_whatever_happened():
@@ -47,10 +47,6 @@ def test_each_input_is_described_used_and_has_default():
 
 def steps():
     return action()["runs"]["steps"]
-
-
-def test_commands_contain_no_github_expressions():
-    assert not [step for step in steps() if expressions(step.get("run", ""))]
 
 
 def test_action_sets_every_variable_the_script_reads():
@@ -77,7 +73,7 @@ def test_workflow_has_only_action_steps_with_valid_inputs(name):
 
 
 @table("name", WORKFLOWS)
-def test_job_has_timeout_and_minimal_permissions(name):
+def test_job_has_timeout_minimal_permissions_and_all_of_the_history_that_it_needs(name):
     workflow = loaded(WORKFLOWS[name])
     for job in workflow["jobs"].values():
         rights = job.get("permissions", workflow["permissions"])
@@ -85,11 +81,6 @@ def test_job_has_timeout_and_minimal_permissions(name):
         assert rights == {"contents": "write" if keeps else "read"}
         assert job["timeout-minutes"] <= 360
         assert set(job.get("needs", "").split()) <= workflow["jobs"].keys()
-
-
-@table("name", WORKFLOWS)
-def test_job_that_needs_history_fetches_all_of_it(name):
-    for job in loaded(WORKFLOWS[name])["jobs"].values():
         first, *others = job["steps"]
         needs_history = any({"base", "branch"} & step.get("with", {}).keys() for step in others)
         assert first["uses"] == "actions/checkout@v4"

@@ -55,10 +55,14 @@ def test_pytest_knows_every_option_of_a_command():
     assert used - known == set()
 
 
-def test_every_file_in_a_pytest_command_exists():
+def test_every_file_in_a_pytest_command_or_the_quick_part_exists():
     files = [word.removeprefix("@") for words in calls_of_pytest() for word in words if word.endswith((".py", ".txt"))]
+    quick = (ROOT / "tests" / "quick.txt").read_text(encoding="utf-8").splitlines()
     assert files
-    assert [name for name in files if not (ROOT / name).is_file()] == []
+    assert quick
+    assert [name for name in (*files, *quick) if not (ROOT / name).is_file()] == []
+    assert "@tests/quick.txt" in CI
+    assert "@tests/quick.txt" in NOX
 
 
 def test_every_program_and_session_that_is_named_exists():
@@ -69,14 +73,6 @@ def test_every_program_and_session_that_is_named_exists():
             assert (ROOT / words[1]).is_file()
         if words[:2] == ["nox", "-s"]:
             assert words[2] in nox_sessions()
-
-
-def test_the_quick_part_names_files_that_exist():
-    names = (ROOT / "tests" / "quick.txt").read_text(encoding="utf-8").splitlines()
-    assert names
-    assert [name for name in names if not (ROOT / name).is_file()] == []
-    assert "@tests/quick.txt" in CI
-    assert "@tests/quick.txt" in NOX
 
 
 def test_ci_and_nox_run_every_omitted_stage():

@@ -189,7 +189,7 @@ def test_two_builds_in_one_folder_are_serialized(setup, tmp_path, monkeypatch):
         assert is_free()
 
 
-def test_release_workflow_publishes_what_was_tried_and_only_on_a_tag():
+def test_release_workflow_publishes_on_a_tag_what_was_tried_by_files_that_exist():
     workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
     assert workflow[True]["push"] == {"tags": ["v*"]}  # YAML reads the key `on` as true
     jobs = workflow["jobs"]
@@ -202,10 +202,6 @@ def test_release_workflow_publishes_what_was_tried_and_only_on_a_tag():
     uploads = [step["with"]["name"] for step in steps if step.get("uses", "").startswith("actions/upload-artifact")]
     assert all(name.startswith("packages-") for name in uploads)
     assert publish["steps"][0]["with"]["pattern"] == "packages-*"
-
-
-def test_release_tries_the_installed_package_by_files_that_exist():
-    workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
     wheels = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["cibuildwheel"]
     commands = [step.get("run", "") for step in workflow["jobs"]["try"]["steps"]]
     assert "rm -r pytest_pafot setup.py" in commands

@@ -68,17 +68,15 @@ def test_a_mended_policy_is_green_and_its_saved_failure_too(repository, changed)
     assert changed({"planner.py": FAST}, {"planner.py": SOUND})[0] == 0
 
 
-def test_a_base_that_cannot_be_installed_is_an_error_that_says_so(repository, changed):  # noqa: F811
-    before = {"planner.py": SOUND, "test_safety.py": TEST, "needs.txt": "./gone\n"}
-    code, printed = changed(before, {"needs.txt": ""}, requirements="needs.txt")
-    assert code == 2, printed
-    assert "a commit that can be installed, received the error above" in printed
+@pytest.mark.parametrize(("before", "change", "inputs", "told"), [
+    ({"planner.py": SOUND, "test_safety.py": TEST, "needs.txt": "./gone\n"}, {"needs.txt": ""},
+     {"requirements": "needs.txt"}, "a commit that can be installed, received the error above"),
+    ({"test_safety.py": TEST}, {"planner.py": SOUND}, {}, "a commit whose tests can be run, received the error above"),
+])  # fmt: skip
+def test_a_base_that_cannot_be_tried_is_an_error_that_says_so(repository, changed, before, change, inputs, told):  # noqa: F811
+    code, printed = changed(before, change, **inputs)
+    assert (code, told in printed) == (2, True), printed
     assert saved(repository) == []
-
-
-def test_a_base_whose_tests_cannot_be_run_is_an_error_that_says_so(changed):
-    code, printed = changed({"test_safety.py": TEST}, {"planner.py": SOUND})
-    assert (code, "a commit whose tests can be run, received the error above" in printed) == (2, True), printed
 
 
 def test_the_first_test_has_nothing_to_be_compared_with(repository, changed):  # noqa: F811

@@ -97,13 +97,9 @@ def test_wheels_are_built_for_every_supported_python_and_one_more():
     assert project["tool"]["cibuildwheel"]["build"] == [f"cp3{minor}-*" for minor in [*supported, "14"]]
 
 
-def repeated(names):
-    return {name for name, count in Counter(names).items() if count > 1}
-
-
 def test_modules_with_equal_names_are_listed_exceptions():
-    found = repeated(path.stem for path in MODULES if path.name != "__init__.py")
-    assert found == set(OF_ONE_NAME)
+    counted = Counter(path.stem for path in MODULES if path.name != "__init__.py")
+    assert {name for name, count in counted.items() if count > 1} == set(OF_ONE_NAME)
 
 
 def test_listed_long_tests_exist():

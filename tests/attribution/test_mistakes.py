@@ -26,13 +26,10 @@ MADE = {
 }
 
 
-def made(trace):
-    return mistake(trace, rss_rule(trace))
-
-
 @table("name", MADE)
 def test_each_situation_shows_its_mistake(name):
-    assert made(TRACES[name]()) == MADE[name]
+    trace = TRACES[name]()
+    assert mistake(trace, rss_rule(trace)) == MADE[name]
 
 
 def test_mistake_exists_exactly_where_ego_has_fault():

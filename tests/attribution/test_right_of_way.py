@@ -31,11 +31,6 @@ def ignored(way="north straight", priority="npc", others=()):
     return hit(plan("west straight", 6, 8), plan(way, 6.3, 8), priority=priority, others=others)
 
 
-def placed(trace, npc_by):
-    """Return the same run with the NPC further along its way [m]."""
-    return replace(trace, on_way=trace.on_way + npc_by)
-
-
 def longer(trace, ticks):
     """Return the same run after a number of extra ticks at its first one."""
     rows = {
@@ -79,7 +74,7 @@ def test_reason_says_what_happened_before_what_was_due():
 
 
 def test_contact_outside_zone_and_ways_blames_neither_vehicle():
-    beyond = placed(ignored(), 100.0)
+    beyond = replace(ignored(), on_way=ignored().on_way + 100.0)  # the NPC is further along its way
     found = rss_rule(beyond)
     assert (found.responsibility, found.fault, found.tick) == ("none", None, beyond.ticks)
     assert found.reason == "The ego touched NPC 0 at 6.4 s, outside the zone where their ways meet."

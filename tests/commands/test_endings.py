@@ -47,50 +47,37 @@ def processes_with(mark):
     return found
 
 
-STARTING = """
-import os, signal
+HANDLED = """
+import os, signal, sys
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background job
+"""
+STARTING = f"""{HANDLED}
 if "PYTEST_PAFOT_DRIVES" in os.environ:
     os.kill(os.getpid(), signal.SIGINT)
 """
-
-
-def test_ctrl_c_while_the_process_that_drives_starts_prints_no_traceback(tmp_path):
-    (tmp_path / "sitecustomize.py").write_text(STARTING)
-    environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-m", "pytest_pafot", "search", "slow:make"]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background job
-    try:
-        ended = subprocess.run(
-            command, cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=60, check=False
-        )
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert (ended.returncode, ended.stderr.strip()) == (130, "search: interrupted")
-
-
-IMPORTING = """
-import os, signal, sys
-
+IMPORTING = f"""{HANDLED}
 class Interrupted:
     def find_spec(self, name, *_):
-        if name == {module!r}:
-            os.kill(os.getpid(), signal.{name})
+        if name == "MODULE":
+            os.kill(os.getpid(), signal.NAME)
 
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background job
 sys.meta_path.insert(0, Interrupted())
 """
 
 
-@pytest.mark.parametrize(("module", "name", "command"), [
-    ("pytest_pafot.commands.corpus_command", "SIGTERM", ["corpus", "list"]),
-    ("pytest_pafot.support.process", "SIGINT", ["corpus", "list"]),
-    ("pytest_pafot.support.process", "SIGINT", ["search", "slow:make"]),
+@pytest.mark.parametrize(("starts", "module", "name", "command"), [
+    (IMPORTING, "pytest_pafot.commands.corpus_command", "SIGTERM", ["corpus", "list"]),
+    (IMPORTING, "pytest_pafot.support.process", "SIGINT", ["corpus", "list"]),
+    (IMPORTING, "pytest_pafot.support.process", "SIGINT", ["search", "slow:make"]),
+    (STARTING, "", "SIGINT", ["search", "slow:make"]),  # in the process that drives
 ])  # fmt: skip
-def test_signal_while_a_command_is_imported_is_told(tmp_path, module, name, command):
-    (tmp_path / "sitecustomize.py").write_text(IMPORTING.format(module=module, name=name))
+def test_signal_while_a_command_starts_is_told_without_traceback(tmp_path, starts, module, name, command):
+    (tmp_path / "sitecustomize.py").write_text(starts.replace("MODULE", module).replace("NAME", name))
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    start = [sys.executable, "-m", "pytest_pafot"]
-    ended = subprocess.run([*start, *command], env=environ, capture_output=True, text=True, timeout=60, check=False)
+    started = [sys.executable, "-m", "pytest_pafot", *command]
+    given = {"cwd": tmp_path, "env": environ, "timeout": 60}
+    ended = subprocess.run(started, capture_output=True, text=True, check=False, **given)
     assert (ended.returncode, ended.stderr.strip()) == (128 + getattr(signal, name), f"{command[0]}: interrupted")
 
 

@@ -1,11 +1,5 @@
 """The next session reports and saves what a process was running when it died."""
 
-PASSES = """
-@pafot.search(SHORT)
-def test_lives(run):
-    pass
-"""
-
 
 def test_crash_that_became_an_ordinary_failure_is_labelled(failing):
     failing.leave_crash("test_it.py::test_fails")
@@ -23,14 +17,6 @@ def test_killed_session_causes_no_false_crash_of_replay(failing):
         result = failing.run(runs=0)
         result.assert_outcomes(failed=1, skipped=1)
         result.stdout.fnmatch_lines(["replay: still failing"])
-
-
-def test_crash_record_of_an_absent_test_is_reported(project):
-    project.write(PASSES)
-    project.leave_behind("test_old.py::test_dies")
-    result = project.run()
-    result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(["  problem: a process (pid *) died while test_old.py::test_dies ran*"])
 
 
 def test_an_ads_that_raises_later_has_not_ended_its_process(project):

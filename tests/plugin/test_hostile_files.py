@@ -70,7 +70,7 @@ def test_hostile_files_put_no_control_codes_into_output(saved, monkeypatch):
     assert not result.errlines
     assert obeyed(result.stdout.str()) == []
     assert r"\x1b]0;T\x07" in result.stdout.str()
-    for tag in ("xfail", "FAILED", "not run", "warning", "a process (pid"):
+    for tag in ("xfail", "FAILED", "not run", "warning", "problem: a process (pid"):
         assert tag in result.stdout.str(), tag
     for name in ("junit.xml", "summary.md", "page.html", "session.json"):
         assert obeyed((saved.path / name).read_text(encoding="utf-8")) == [], name

@@ -56,9 +56,6 @@ def drive(observation):
 """
 
 
-QUICK = ("--pafot-shrink-rollouts=0",)
-
-
 @pytest.fixture
 def isolated(project, monkeypatch):
     """Return a function that writes a project whose ADS has some source text."""
@@ -119,13 +116,13 @@ def test_ads_never_runs_in_the_session_process(isolated):
 
 def test_ads_that_ends_its_process_is_a_finding(isolated):
     project = isolated("drive", DIES)
-    result = project.run("--pafot-isolate", *QUICK, runs=12, apart=True)
+    result = project.run("--pafot-isolate", "--pafot-shrink-rollouts=0", runs=12, apart=True)
     (crash,) = [name for name in project.files if "crash-" in name]
     assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
     result.stdout.fnmatch_lines(["*ended: all runs done*"])
-    again = project.run("--pafot-isolate", *QUICK, runs=12, apart=True)
+    again = project.run("--pafot-isolate", "--pafot-shrink-rollouts=0", runs=12, apart=True)
     again.stdout.re_match_lines([rf"  \d+ runs? fails? like saved-{crash.rpartition('/')[2][:-11]}"])
     assert not project.records
 

@@ -6,11 +6,9 @@ import time
 
 import pytest
 
-import pytest_pafot.execution.runner
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import Isolated
-from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -143,18 +141,6 @@ def test_scenario_that_kills_again_records_exit_status(project, end):
     assert finding.id.startswith("crash-")
     assert finding.expect.message == f"the process that ran this scenario {how}"
     assert project.records == []
-
-
-@forks
-@pytest.mark.processes
-def test_process_stuck_in_native_code_is_a_hang(project, monkeypatch):
-    monkeypatch.setattr(pytest_pafot.execution.runner, "GRACE", 0.4)
-    write(project, "sum(range(10**12))")
-    project.leave_behind(OWNER, world=Highway(duration=10.0, hang_limit=0.1).to_dict())
-    result = replayed(project)
-    assert project.only_id.startswith("hang-")
-    assert load(project.only_file).expect.outcome is Outcome.HANG
-    result.stdout.fnmatch_lines(["*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"])
 
 
 @pytest.mark.parametrize(("act", "world"), [

@@ -264,16 +264,13 @@ def test_newcomer_errors_explain_what_to_write(project):
     missing = {}
     for n, given in enumerate(MESSAGES):
         shown = " ".join(section(result, f"test_drive_{n}").split()).replace('"', "'")
-        missing[given] = [text for text in MESSAGES[given] if not fnmatch.fnmatchcase(shown, f"*{as_pattern(text)}*")]
+        patterns = {text: text.replace("[", "[[]").replace('"', "'") for text in MESSAGES[given]}
+        missing[given] = [text for text, each in patterns.items() if not fnmatch.fnmatchcase(shown, f"*{each}*")]
     assert {given: texts for given, texts in missing.items() if texts} == {}
     outcomes = result.parseoutcomes()
     assert outcomes["failed"] + outcomes["errors"] == len(MESSAGES)
     assert "passed" not in outcomes
     assert project.files == []
-
-
-def as_pattern(text):
-    return text.replace("[", "[[]").replace('"', "'")
 
 
 def test_first_generation_error_counts_only_judged_runs():

@@ -78,15 +78,12 @@ def hanging(project):
     return write
 
 
-def one_line(result):
-    return " ".join(result.stdout.str().split())
-
-
 def named_by_the_next(project):
-    """Return the finding that the next session makes from the record, without hanging."""
-    assert project.run(runs=0, apart=True).ret == pytest.ExitCode.TESTS_FAILED
+    """Return the finding that the next session makes from the record, without hanging, and its result."""
+    result = project.run(runs=0, apart=True)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
     (path,) = [project.path / name for name in project.files if "hang-" in name]
-    return load(path)
+    return load(path), result
 
 
 def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
@@ -108,7 +105,7 @@ def test_ads_that_ignores_interrupt_ends_session_with_summary(hanging):
     text = (project.path / "junit.xml").read_text()
     assert text.count("<failure") == 1 + len(found)
     if sys.platform == "linux":
-        assert named_by_the_next(project).expect.outcome is Outcome.HANG
+        assert named_by_the_next(project)[0].expect.outcome is Outcome.HANG
 
 
 def test_native_code_hang_ends_session_with_traceback(hanging):
@@ -118,8 +115,10 @@ def test_native_code_hang_ends_session_with_traceback(hanging):
     result.stderr.fnmatch_lines(["Timeout (*", "*in hold"])
     assert project.files
     if sys.platform == "linux":
-        finding = named_by_the_next(project)
+        finding, result = named_by_the_next(project)
         assert finding.expect.message.endswith("did not answer for 0.5 s and was killed")
+        told = "*did not answer for 0.5 s and was killed*a forked process (then delete the file)*"
+        result.stdout.fnmatch_lines([told])
 
 
 def test_under_xdist_only_the_worker_ends(hanging):
@@ -128,7 +127,7 @@ def test_under_xdist_only_the_worker_ends(hanging):
     result = project.run("-n1", runs=36, seed=6, apart=True)
     assert result.parseoutcomes()["passed"] == 1
     result.stdout.fnmatch_lines(["*worker 'gw0' crashed while running 'test_it.py::test_it?search?'*"])
-    assert "a process (pid" in one_line(result)
+    assert "a process (pid" in " ".join(result.stdout.str().split())
     assert project.files
 
 

@@ -25,15 +25,6 @@ def crash():
     return view_of(junction_trace((CROSSES, 10.0), (MERGES, -60.0), hits=0, seconds=4.8))
 
 
-@cache
-def real():
-    """Return a run with two NPCs at a junction of highway-env."""
-    world = pafot.World("intersection-v0")
-    told = CrossingInstruction("o1>o3", 0.0, 8.0), CrossingInstruction("o3>o1", 1.0, 7.0)
-    scenario = Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
-    return world.rollout(scenario, lambda: lambda seen: 1)
-
-
 def test_npc_off_the_ego_way_has_no_cell_but_a_zone_and_times_of_both():
     ego, crosses, merges, ahead = mixed().vehicles
     assert ego.cells == ()
@@ -64,7 +55,10 @@ def test_zone_with_unknown_way_is_named_but_undrawn():
 
 
 def test_world_gives_ways_that_its_npcs_drive():
-    trace = real()
+    world = pafot.World("intersection-v0")
+    told = CrossingInstruction("o1>o3", 0.0, 8.0), CrossingInstruction("o3>o1", 1.0, 7.0)
+    scenario = Scenario(npcs=[[each] for each in told], ego_lane=0, ego_speed=world.crossings.ego_speed)
+    trace = world.rollout(scenario, lambda: lambda seen: 1)
     view = view_of(trace)
     for npc, vehicle in enumerate(view.vehicles[1:]):
         way, places = np.array(vehicle.zone.way), trace.states[:, npc + 1, :2]

@@ -80,15 +80,9 @@ def test_failed_addition_leaves_the_file_as_it_was(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("write", [write_whole, write_if_free])
 def test_file_is_written_with_folders_and_no_leftovers(path, write, links):
-    write(path, b"content")
+    assert bool(write(path, b"content")) == (write is write_if_free)
+    assert not write_if_free(path, b"second")  # it is free once
     assert path.read_bytes() == b"content"
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_path_that_is_free_is_taken_once(path, links):
-    assert write_if_free(path, b"first")
-    assert not write_if_free(path, b"second")
-    assert path.read_bytes() == b"first"
     assert list(path.parent.iterdir()) == [path]
 
 
