@@ -33,17 +33,9 @@ def safe_across(trace):
 
 
 ARRAYS = [
-    criticality.ettc,
-    criticality.ttc,
-    criticality.centre_distance,
-    criticality.gap,
-    criticality.safety_distance,
-    safety_shortfall,
-    criticality.longitudinal_gap,
-    gap_across,
-    safe_along,
-    safe_across,
-]
+    criticality.ettc, criticality.ttc, criticality.centre_distance, criticality.gap, criticality.safety_distance,
+    safety_shortfall, criticality.longitudinal_gap, gap_across, safe_along, safe_across,
+]  # fmt: skip
 ONE_SIDED = (criticality.ettc, safe_along, safe_across)
 SYMMETRIC = [measure for measure in ARRAYS if measure not in ONE_SIDED]
 
@@ -177,14 +169,11 @@ def test_extremes_are_those_of_all_ticks_and_npcs(extreme, vehicles, expected):
     assert extreme(trace_of(*vehicles)) == pytest.approx(expected)
 
 
-class TestHardestBrake:
-    def test_is_the_largest_deceleration_of_the_ego_alone(self):
-        ego = vehicle([0, 1, 2], speed=20, acceleration=[0, -3.5, 2])
-        npc = vehicle([50, 51, 52], speed=20, acceleration=[0, -8, 0])
-        assert criticality.hardest_brake(trace_of(ego, npc)) == 3.5
-
-    def test_is_zero_for_an_ego_that_never_brakes(self):
-        assert criticality.hardest_brake(trace_of(vehicle(0, acceleration=2), vehicle(50))) == 0
+def test_hardest_brake_is_the_largest_deceleration_of_the_ego_alone():
+    ego = vehicle([0, 1, 2], speed=20, acceleration=[0, -3.5, 2])
+    npc = vehicle([50, 51, 52], speed=20, acceleration=[0, -8, 0])
+    assert criticality.hardest_brake(trace_of(ego, npc)) == 3.5
+    assert criticality.hardest_brake(trace_of(vehicle(0, acceleration=2), vehicle(50))) == 0, "it never brakes"
 
 
 def stopping_way(speed, response, acceleration, braking, *, step=1e-3):

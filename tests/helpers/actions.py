@@ -77,16 +77,9 @@ def run_action(inputs, folder, **variables):
 
 def shell(command, folder, **variables):
     """Run a step's command and return its exit code and output."""
-    done = subprocess.run(
-        ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", command],
-        cwd=folder,
-        env=environment(**variables),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
+    bash = ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", command]
+    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    done = subprocess.run(bash, cwd=folder, env=environment(**variables), **streams, text=True, check=False)
     return done.returncode, done.stdout
 
 

@@ -27,17 +27,9 @@ def scenario_of(npcs=1, *, genes=6, gene_seconds=10.0):
 
 def straight_lanes(count=4, *, heading=0.0, width=LANE_WIDTH, speed_limit=26.8):
     """Return parallel lanes, from the left, whose centre lines are at y = 0, 4, 8 ... for heading 0."""
-    return tuple(
-        Lane(
-            x=-np.sin(heading) * width * index,
-            y=np.cos(heading) * width * index,
-            heading=heading,
-            length=10_000.0,
-            width=width,
-            speed_limit=speed_limit,
-        )
-        for index in range(count)
-    )
+    common = {"heading": heading, "length": 10_000.0, "width": width, "speed_limit": speed_limit}
+    across = [width * index for index in range(count)]
+    return tuple(Lane(x=-np.sin(heading) * each, y=np.cos(heading) * each, **common) for each in across)
 
 
 def vehicle(x, y=0.0, *, heading=0.0, speed=0.0, acceleration=0.0, lane=None, ticks=None):
@@ -77,15 +69,9 @@ def trace_of(ego, *npcs, sizes=None, scenario=None, outcome=Outcome.SAFE, physic
 def collision_at(tick, *, npc=0, cell=Cell.FRONT, side="front", physics_hz=15, ego_speed=20.0, npc_speed=10.0):
     """Return a collision, by default with the ego's front."""
     return Collision(
-        tick=tick,
-        time=tick / physics_hz,
-        npc=npc,
-        side=side,
-        cell=cell,
-        ego_speed=ego_speed,
-        npc_speed=npc_speed,
-        closing_speed=abs(ego_speed - npc_speed),
-    )
+        tick=tick, time=tick / physics_hz, npc=npc, side=side, cell=cell,
+        ego_speed=ego_speed, npc_speed=npc_speed, closing_speed=abs(ego_speed - npc_speed),
+    )  # fmt: skip
 
 
 def random_states(rng, rows, vehicles, *, spread=25.0):

@@ -166,33 +166,31 @@ def test_first_gene_gives_every_npc_nearest_free_cell(requested, existing, seed)
     assert repair_gene(None, executed, existing, [not coin for coin in coins]) == executed
 
 
-class TestRepairThatSkipsMissingCells:
-    """The repair for roads on which few cells exist."""
+@table(("requested", "existing", "clockwise", "executed"), [
+    (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),  # the next cell that exists is a neighbour
+    (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
+    (Cell.REAR, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
+    (Cell.FRONT, {Cell.FRONT, Cell.REAR}, True, Cell.FRONT),  # to hold is no step
+    (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),  # on in its own direction
+    (Cell.FRONT_LEFT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.LEFT),
+    (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),  # a distant cell: a neighbour by the coin
+    (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, False, Cell.FRONT_LEFT),
+    (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
+    (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),
+])  # fmt: skip
+def test_skipping_repair_goes_on_to_the_next_cell_that_exists(requested, existing, clockwise, executed):
+    assert repair_gene([Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True) == (executed,)
 
-    @table(("requested", "existing", "clockwise", "executed"), [
-        (Cell.FRONT_LEFT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),  # the next cell that exists is a neighbour
-        (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
-        (Cell.REAR, {Cell.FRONT, Cell.REAR}, True, Cell.REAR),
-        (Cell.FRONT, {Cell.FRONT, Cell.REAR}, True, Cell.FRONT),  # to hold is no step
-        (Cell.FRONT_RIGHT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.RIGHT),  # on in its own direction
-        (Cell.FRONT_LEFT, {Cell.FRONT, Cell.RIGHT, Cell.LEFT}, True, Cell.LEFT),
-        (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, True, Cell.RIGHT),  # a distant cell: a neighbour by the coin
-        (Cell.REAR, {*Cell} - {Cell.FRONT_RIGHT}, False, Cell.FRONT_LEFT),
-        (Cell.FRONT_RIGHT, {Cell.FRONT}, True, Cell.FRONT),  # nothing else exists
-        (Cell.FRONT_RIGHT, set(), True, Cell.FRONT),
-    ])  # fmt: skip
-    def test_a_step_from_the_front_goes_to_the_next_cell_that_exists(self, requested, existing, clockwise, executed):
-        assert repair_gene([Cell.FRONT], [requested], frozenset(existing), [clockwise], skipping=True) == (executed,)
 
-    @given(
-        st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),
-        st.data(),
-        st.frozensets(st.sampled_from(Cell)),
-        st.booleans(),
-    )
-    def test_the_result_is_distinct_and_a_fixed_point(self, previous, data, existing, clockwise):
-        requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
-        executed = repair_gene(previous, requested, existing, [clockwise] * len(previous), skipping=True)
-        assert len(set(executed)) == len(executed)
-        assert repair_gene(previous, executed, existing, [clockwise] * len(previous), skipping=True) == executed
-        assert all(cell in existing or cell == before for cell, before in zip(executed, previous, strict=True))
+@given(
+    st.lists(st.sampled_from(Cell), min_size=1, max_size=4, unique=True),
+    st.data(),
+    st.frozensets(st.sampled_from(Cell)),
+    st.booleans(),
+)
+def test_result_of_the_skipping_repair_is_distinct_and_a_fixed_point(previous, data, existing, clockwise):
+    requested = [data.draw(st.sampled_from(Cell)) for _ in previous]
+    executed = repair_gene(previous, requested, existing, [clockwise] * len(previous), skipping=True)
+    assert len(set(executed)) == len(executed)
+    assert repair_gene(previous, executed, existing, [clockwise] * len(previous), skipping=True) == executed
+    assert all(cell in existing or cell == before for cell, before in zip(executed, previous, strict=True))

@@ -16,17 +16,8 @@ from tests.helpers.traces import scenario_of, straight_lanes, trace_of, vehicle
 
 def made(states, sizes, **fields):
     scenario = scenario_of(1)
-    return Trace(
-        scenario=scenario,
-        executed=scenario,
-        outcome=Outcome.SAFE,
-        states=states,
-        sizes=sizes,
-        lanes=straight_lanes(),
-        physics_hz=15,
-        ads_hz=5,
-        **fields,
-    )
+    fields |= {"outcome": Outcome.SAFE, "lanes": straight_lanes(), "physics_hz": 15, "ads_hz": 5}
+    return Trace(scenario=scenario, executed=scenario, states=states, sizes=sizes, **fields)
 
 
 def test_column_constants_follow_the_order_of_array():

@@ -249,8 +249,6 @@ class InLanes(Own):
 
 
 class KeepsLanes(InLanes):
-    """NPCs keep their lanes, whatever their Lane-Instructions say."""
-
     def told(self, scenario):
         return with_lanes(scenario, {"left": "keep", "right": "keep"})
 
@@ -405,8 +403,6 @@ def at_one_speed(scenario):
 
 
 class Parked(Driven):
-    """The ego keeps its speed, whatever its ADS says."""
-
     def rollout(self, scenario, ads_factory):
         def ignored():
             ads = ads_factory()

@@ -52,8 +52,6 @@ class Late(Toy):
 
 
 class Delayed(Toy):
-    """It obeys some ticks later."""
-
     ticks = 1
 
     def start(self, vehicles, seed):
@@ -93,8 +91,6 @@ class Lagging(Toy):
 
 
 class Worn(Toy):
-    """Its brakes become hot, and are so in the next run."""
-
     heat = 0.0
 
     def gas(self, control):
@@ -109,8 +105,6 @@ class Rested(Worn):
 
 
 class Own(Toy):
-    """It has a generator of its own, which no start seeds."""
-
     def __init__(self):
         self.wind = np.random.default_rng(0)
 
@@ -136,8 +130,6 @@ class Substeps(Toy):
 
 
 class Resized(Toy):
-    """It takes vehicles for longer or shorter than they are."""
-
     def start(self, vehicles, seed):
         super().start([self.size(each) for each in vehicles], seed)
 
@@ -237,8 +229,6 @@ def test_right_simulator_passes_the_experiments(base, members):
 
 
 class Backwards(Toy):
-    """Its brakes push a vehicle that stands a little backwards."""
-
     def step(self, controls):
         super().step(controls)
         for car in self.cars:

@@ -16,17 +16,9 @@ from tests.helpers.traces import ring_distance
 
 def _evaluation(scenario=None, **fields):
     scenario = scenario or Scenario(npcs=((PositionInstruction(4, 10.0),),))
-    known = {
-        "scenario": scenario,
-        "executed": scenario,
-        "fitness": 0.0,
-        "failing": False,
-        "outcome": Outcome.SAFE,
-        "duration": 60.0,
-        "genes_started": sum(map(len, scenario.npcs)),
-        "genes_reached": sum(map(len, scenario.npcs)),
-        "interaction": True,
-    }
+    known = dict.fromkeys(("scenario", "executed"), scenario)
+    known |= dict.fromkeys(("genes_started", "genes_reached"), sum(map(len, scenario.npcs)))
+    known |= {"fitness": 0.0, "failing": False, "outcome": Outcome.SAFE, "duration": 60.0, "interaction": True}
     return Evaluation(**(known | fields))
 
 

@@ -39,8 +39,6 @@ class Own(GenerationalSearch):
 
 
 class Structural:
-    """An algorithm without a base class."""
-
     name = "structural"
     fitness = "paper"
     instructions = ("lanes",)

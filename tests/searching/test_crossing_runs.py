@@ -67,9 +67,6 @@ def test_npc_caused_collision_is_rated_by_earlier_run():
 
 @pytest.mark.parametrize(("enters", "expected"), [(8.5, True), (10.0, True), (13.0, False), (3.0, False)])
 def test_who_is_about_to_share_a_zone_interacts(enters, expected):
-    assert has_interaction(run_of(enters)) is expected
-
-
-def test_an_evaluation_tells_of_an_npc_that_crosses():
-    evaluation = Evaluation.of(run_of(12.0, 8.5), fitness=0.5, failing=False)
-    assert evaluation.interaction
+    for run in (run_of(enters), run_of(20.0, enters)):
+        assert has_interaction(run) is expected
+        assert Evaluation.of(run, fitness=0.5, failing=False).interaction is expected

@@ -94,8 +94,6 @@ def test_set_is_stored_in_one_fixed_order():
 
 @dataclass(frozen=True)
 class Steps:
-    """The state of a user's own algorithm."""
-
     size: float
     number: int
     found: Mapping[str, tuple[Cell, ...]]

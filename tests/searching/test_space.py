@@ -70,16 +70,12 @@ def some_genes(space):
     return range(1, max(map(space.genes_of, space.gene_durations)) + 1) if space.gene_durations else ()
 
 
-def test_wide_space_draws_all_npc_counts_and_durations():
+def test_wide_space_draws_all_npc_counts_durations_and_starts():
     rng = np.random.default_rng(6)
     space = SearchSpace(ego_lanes=(0, 1), most_npcs=(2, 3), gene_durations=(4.0, 7.0))
     drawn = [sample(space, rng) for _ in range(200)]
     assert {(each.ego_lane, len(each.npcs)) for each in drawn} == {(0, 1), (0, 2), (1, 1), (1, 2), (1, 3)}
     assert {(each.gene_seconds, each.genes) for each in drawn} == {(4.0, 15), (7.0, 9)}
-
-
-def test_a_wide_space_draws_all_of_its_starts():
-    rng = np.random.default_rng(6)
     space = SearchSpace(ego_lanes=(0, 2), ego_speeds=(12.0, 12.3))
     starts = {(each.ego_lane, each.ego_speed) for each in (sample(space, rng) for _ in range(200))}
     assert starts == {(lane, speed) for lane in (0, 2) for speed in (12.0, 12.1, 12.2, 12.3)}

@@ -86,12 +86,8 @@ def test_fields_that_are_missing_have_their_defaults():
 
 
 def test_reading_and_writing_leave_the_data_unchanged():
-    data = {
-        "kind": "gym",
-        "env_id": "highway-v0",
-        "config": {"centering_position": [0.1, 0.2]},
-        "limits": {"jerk": 5.0},
-    }
+    data = {"kind": "gym", "env_id": "highway-v0"}
+    data |= {"config": {"centering_position": [0.1, 0.2]}, "limits": {"jerk": 5.0}}
     text = json.dumps(data)
     world = from_dict(data)
     world.to_dict()["config"]["centering_position"].append(3)

@@ -524,8 +524,6 @@ def test_ego_whose_class_needs_more_arguments_is_refused(register):
 
 
 class Loaded(HighwayEnv):
-    """A straight road whose reset makes an ego of a class of its own."""
-
     def _create_vehicles(self):
         super()._create_vehicles()
         own = type("Truck", (type(self.vehicle),), {"load": lambda self: 1.0})

@@ -182,17 +182,9 @@ def crossing(time, ego, *, kind="crossing", priority="npc", distance, speed, ego
     """Return a vehicle at a constant speed before its zone; ``ego`` is how far the ego has driven until then [m]."""
     zone = Zone(way="a>b", kind=kind, origin="left", ego=(0.0, 10.0), npc=(0.0, 10.0), priority=priority)
     return CrossingVehicle(
-        id=0,
-        zone=zone,
-        distance=distance - speed * time,
-        ego_distance=ego_distance - ego,
-        ahead=ahead,
-        right=-5.0,
-        heading=math.pi / 2,
-        speed=speed,
-        length=5.0,
-        width=2.0,
-    )
+        id=0, zone=zone, distance=distance - speed * time, ego_distance=ego_distance - ego, ahead=ahead, right=-5.0,
+        heading=math.pi / 2, speed=speed, length=5.0, width=2.0,
+    )  # fmt: skip
 
 
 def drive_up(driver, *, seconds=20.0, hz=HZ, second=None, **other):

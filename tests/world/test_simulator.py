@@ -472,19 +472,12 @@ def before(self, controls):
 
 @table(("members", "received"), {
     "a compass": ({"step": along(math.sin, math.cos)}, r"90 degrees away from it; do hz, units and axes fit"),
-    "x to the north": (
-        {"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
-        r"90 degrees away from it; do hz, units and axes fit",
-    ),
-    "km/h": (
-        {"step": along(lambda _: 1 / 3.6, math.sin)},
-        r"0.41 m, 0 degrees away from it; do hz, units and axes fit",
-    ),
+    "x to the north": ({"step": along(math.cos, lambda turn: -math.sin(turn)), "headings": "y to x", "y_is_left": True},
+                       r"90 degrees away from it; do hz, units and axes fit"),
+    "km/h": ({"step": along(lambda _: 1 / 3.6, math.sin)}, r"0.41 m, 0 degrees away from it; do hz, units and axes"),
     "other ticks": ({"hz": 20}, r"0 degrees away from it; do hz, units and axes fit"),
-    "old states": (
-        {"step": before, "states": lambda self: getattr(self, "last", self.cars)},
-        r"0.00 m, .* does states have what is after the step\? pytest_pafot.testing.check_world\(world\) looks",
-    ),
+    "old states": ({"step": before, "states": lambda self: getattr(self, "last", self.cars)},
+                   r"0.00 m, .* does states have what is after the step\? pytest_pafot.testing.check_world\(world\) "),
 }.values())  # fmt: skip
 def test_vehicles_that_drive_elsewhere_than_they_head_are_refused_at_the_first_tick(members, received):
     members = {"step": along(math.cos, math.sin), **members}

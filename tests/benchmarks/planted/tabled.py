@@ -57,14 +57,12 @@ class Tabled(Driver):
             return [self.lane + 1]
         return []
 
-    def clear(self, o, cars, k):
-        v = o.ego.speed
-        for c in cars:
-            if self.inside(c, k):
-                d = v - c.v if c.dx > 0 else c.v + 1 - v
-                if c.gap < (8 + 1.4 * v if c.dx > 0 else 14 + 1.3 * c.v) + 4 * max(d, 0):
-                    return False
-        return True
+    def concerns(self, o, c, k):
+        return self.inside(c, k)
+
+    def room(self, v, c):
+        d = v - c.v if c.dx > 0 else c.v + 1 - v
+        return c.gap >= (8 + 1.4 * v if c.dx > 0 else 14 + 1.3 * c.v) + 4 * max(d, 0)
 
     def look_up(self, v, c):
         closing = v - c.v - 0.7 * min(c.a, 0.0)  # the closing speed soon

@@ -11,24 +11,17 @@ from functools import partial
 
 from highway_env.vehicle.controller import ControlledVehicle
 
-from tests.benchmarks.planted.policy import WIDE, Planted, braking_needed, clip
+from pytest_pafot.world import VehicleState
+from tests.benchmarks.planted.policy import WIDE, Car, Planted, braking_needed, clip
 
 TICKS = 3  # ticks of 1/15 s from one decision to the next
 PERIOD = TICKS / 15.0
 
 
-class Other:
-    """The data about another vehicle: `dx` ahead, `v` along the road, `w` sideways, `a` its acceleration."""
-
-    __slots__ = ("a", "dx", "gap", "key", "reach", "turned", "v", "w", "y")
-
-    def __init__(self, key, vehicle, x, a):
-        sin, cos = math.sin(vehicle.heading), math.cos(vehicle.heading)
-        self.key, self.a, self.turned = key, a, vehicle.heading
-        self.dx, self.y = float(vehicle.position[0]) - x, float(vehicle.position[1])
-        self.v, self.w = vehicle.speed * cos, vehicle.speed * sin
-        self.gap = abs(self.dx) - vehicle.LENGTH
-        self.reach = (vehicle.LENGTH * abs(sin) + vehicle.WIDTH * cos) / 2
+def state_of(vehicle):
+    """Return the state of a vehicle as planners see it; the lane does not matter here."""
+    x, y = map(float, vehicle.position)
+    return VehicleState(x, y, vehicle.heading, vehicle.speed, 0, vehicle.LENGTH, vehicle.WIDTH)
 
 
 class Pilot(ControlledVehicle):
@@ -65,11 +58,11 @@ class Pilot(ControlledVehicle):
         return float(clip(2.0 * (clip(heading, -0.25, 0.25) - self.heading) * 5 / v, -0.2, 0.2))
 
     def look(self):
-        x, before = float(self.position[0]), self.speeds
+        ego, before = state_of(self), self.speeds
         vehicles = [other for other in self.road.vehicles if other is not self]
         self.speeds = {key: other.speed for key, other in enumerate(vehicles)}
         return [
-            Other(key, other, x, (other.speed - before.get(key, other.speed)) / PERIOD)
+            Car(key, state_of(other), ego, (other.speed - before.get(key, other.speed)) / PERIOD)
             for key, other in enumerate(vehicles)
         ]
 

@@ -12,10 +12,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import Highway, World
+from pytest_pafot import World
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
+from tests.optional.export import test_export_command as export
 
 pytestmark = pytest.mark.processes
 
@@ -301,14 +302,8 @@ def test_the_help_needs_no_library():
     assert "--algorithms" in done.stdout
 
 
-class Road:
-    """A world of the user's own, which is code."""
-
+class Road(export.Road):
     speed_limit, longest_run = 20.0, 10.0
-    rollout = staticmethod(Highway().rollout)
-
-    def to_dict(self):
-        return {}
 
 
 def wrapped():

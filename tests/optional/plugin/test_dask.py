@@ -5,15 +5,15 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from pytest_pafot.execution.dask_cluster import connected
-from pytest_pafot.execution.runner import ExecutionError, Job
-from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
-from tests.helpers.toy_world import Toy, scenario
+from pytest_pafot.execution.runner import ExecutionError
+from tests.helpers.toy_world import scenario
+from tests.optional.test_dask_cluster import job_of
 from tests.plugin.test_workers import summary
 
 pytestmark = pytest.mark.processes
@@ -93,13 +93,7 @@ def test_dask_worker_may_die_and_another_join(cluster, tmp_path):
         return lambda number: time.sleep(0.01)
 
     scenarios = [scenario(number) for number in range(60)]
-    job = Job(
-        world=base_world(Toy()),
-        policy=Policy(make),
-        records=tmp_path,
-        owner="test_it.py::test_it",
-        root=Path(__file__).parents[2],
-    )
+    job = replace(job_of(tmp_path, make), root=Path(__file__).parents[2])
     with connected(cluster.scheduler_address, print) as pool_of:
         pool = pool_of(job)
         pool.expect(scenarios)

@@ -29,8 +29,6 @@ EVERYTHING = {"range": 40.0, "latency": 0.5, "noise": {"position": 0.5, "speed":
 
 
 class Watching:
-    """An ADS that drives like a second planner, and stores its observations."""
-
     def __init__(self):
         self.shown = []
         self._drive = changing_lanes()

@@ -20,6 +20,7 @@ from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.engines import run as egos
 from pytest_pafot.world.engines.run import VehiclesOfRun
+from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import ModelDriver, PlannerDriver
 from tests.helpers.c_library import c_library
 from tests.helpers.run_cases import ALL_EGOS, Case, Hurried, differences
@@ -174,3 +175,13 @@ def test_reference_drivers_get_through_as_planners(world, drivers):
     trace = world.rollout_reference(SCENARIO, "careful-human")
     assert trace.outcome is Outcome.SAFE
     assert drivers == [PlannerDriver]
+
+
+def test_record_has_no_room_for_ticks_beyond_the_run():
+    """The kernel writes without looking at each index, so one look must keep it within its buffer."""
+    world, scenario = Highway(), Scenario.repaired([[PositionInstruction(2, 20.0)]], seed=1, ego_lane=1, ego_speed=20.0)
+    run = VehiclesOfRun(world.rules, scenario, Body(5.0, 2.0), lambda: world.stock_road)
+    for _ in range(world.rules.ticks(scenario)):
+        run.loop.moved()
+    with pytest.raises(IndexError, match="expected room for tick"):
+        run.loop.moved()

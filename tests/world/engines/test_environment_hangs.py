@@ -76,8 +76,6 @@ class Seeing(gymnasium.ObservationWrapper):
 
 
 class Planting(gymnasium.Wrapper):
-    """It hangs in a function that highway-env calls."""
-
     def step(self, action):
         self.unwrapped.observation_type.observe = lambda: Slow.clock.sleep(NEVER)
         return self.env.step(action)

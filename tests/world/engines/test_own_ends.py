@@ -258,8 +258,6 @@ def test_planners_have_no_step_of_the_environment_that_could_end_their_runs(regi
 
 
 class Failing(Fenced):
-    """It fails where it should end the episode."""
-
     def step(self, action):
         seen, reward, terminated, truncated, info = super().step(action)
         return seen, reward, terminated, bool(truncated and info["fence"]), info
@@ -283,8 +281,6 @@ class FailingReset(Fenced):
 
 
 class Doubtful(gymnasium.Wrapper):
-    """Its step does not say whether the episode is over."""
-
     def step(self, action):
         seen, reward, terminated, truncated, info = super().step(action)
         return seen, reward, np.array([terminated, truncated]), truncated, info
@@ -380,8 +376,6 @@ def test_a_policy_has_no_episodes_that_a_step_of_the_older_gym_ends_by_its_info(
 
 
 class Wrong(HighwayEnvFast):
-    """Its end has an error, which shows after 60 m."""
-
     def _is_terminated(self):
         return self.vehicle.position[0] > 260.0 and self.config["goal"]
 

@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.model.trace import HEADING, X, Y
+from pytest_pafot.world import Highway
 from pytest_pafot.world.kernel.bodies import Box, overlap, separation, side_hit
 from tests.helpers import polygons
 from tests.helpers.tables import table
+from tests.helpers.world_cases import random_scenario
 
 angles = st.floats(-math.pi, math.pi)
 boxes = st.builds(Box, st.floats(-10, 10), st.floats(-6, 6), angles, st.floats(0.5, 12), st.floats(0.5, 3))
@@ -115,3 +118,24 @@ def test_side_hit_is_relative_to_ego_heading(other, side, turn):
     x, y = 300.0 + other.x * cos_t - other.y * sin_t, 4.0 + other.x * sin_t + other.y * cos_t
     turned = Box(x, y, other.heading + turn, other.length, other.width)
     assert side_hit(ego, turned) == side
+
+
+def weaving():
+    return lambda observation: (0.0, 0.04 if int(observation.time / 3) % 2 else -0.04)
+
+
+def test_side_hit_is_that_of_last_tick_apart():
+    rng, differ = random.Random(5), 0
+    for _ in range(160):
+        trace = Highway(duration=30.0).rollout(random_scenario(rng, lanes=4, speed_limit=26.8), weaving)
+        if (hit := trace.collision) is None:
+            continue
+        both = [0, hit.npc + 1]
+        (ego, npc), overlapping = (
+            [Box(*pose, *size) for pose, size in zip(poses.tolist(), trace.sizes[both].tolist(), strict=True)]
+            for poses in trace.states[hit.tick - 1 : hit.tick + 1, both][..., [X, Y, HEADING]]
+        )
+        assert not overlap(ego, npc)
+        assert hit.side == side_hit(ego, npc)
+        differ += side_hit(*overlapping) != hit.side
+    assert differ, "the tick of the contact would tell the same"

@@ -280,8 +280,6 @@ class OwnCircuit(OwnEnvironment):
 
 
 class OwnDeadEnd(OwnCircuit):
-    """A user's environment whose road ends in front of the ego."""
-
     def _reset(self):
         self.open([("a", "b", StraightLane([0, 0], [30, 40], speed_limit=12))], [27.0, 36.0], math.atan2(4, 3))
 
@@ -321,8 +319,6 @@ class OwnMeeting(OwnCircuit):
 
 
 class OwnTraffic(OwnMeeting):
-    """The same environment with a changed step."""
-
     def step(self, action):
         return super().step(action)
 
