@@ -62,9 +62,7 @@ def test_a_change_that_renames_the_test_leaves_no_files_without_a_test(repositor
 
 
 def test_a_mended_policy_is_green_and_its_saved_failure_too(repository, changed):  # noqa: F811
-    before = {"planner.py": FAST, "test_safety.py": TEST}
-    code, _ = changed(before, {"planner.py": f"{FAST}\n"})
-    assert code == 0
+    assert changed({"planner.py": FAST, "test_safety.py": TEST}, {"planner.py": f"{FAST}\n"})[0] == 0
     assert changed({"planner.py": FAST}, {"planner.py": SOUND})[0] == 0
 
 
