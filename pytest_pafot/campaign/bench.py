@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, refusals
 from pytest_pafot.campaign.results import Driver, Examiner, Result, fingerprint, signature_of
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Isolated, Runner
+from pytest_pafot.execution.runner import Here, LostRun
 from pytest_pafot.findings.finding import disagreement, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.verdict import Signature, Verdict
@@ -23,7 +24,6 @@ from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import UNFIT, let_through, runs_end_in
 
 JUDGED_OTHERWISE = "the same run was judged otherwise when it was made again"
@@ -38,9 +38,9 @@ class Bench:
     """
 
     harness: Harness
-    runner: Runner
+    runner: Here
     record: CrashRecord
-    reference: Runner | None = None  # the runner of the reference
+    reference: Here | None = None  # the runner of the reference
     driver: Driver | None = None  # how other processes drive chunks; None if they cannot
     examiner: Examiner  # examines the runs of the search that no other process has examined
     clock: Callable[[], float] = monotonic  # returns the seconds since some fixed moment
@@ -58,28 +58,42 @@ class Bench:
         """The number of decisions that the ADS has made so far in further runs, except to confirm findings."""
         return self.decisions_beside + self.runner.decisions - self.confirm_decisions
 
-    def result(self, scenario: Scenario, known: Collection[Signature]) -> Result:
-        """Return the result of the next scenario of a search, of which another process may have made the run.
+    def results(
+        self,
+        scenarios: Iterable[Scenario],
+        known: Callable[[], Collection[Signature]],
+        skips: Callable[[Scenario], bool],
+    ) -> Iterator[Result | LostRun]:
+        """Yield the results of scenarios in their order; other processes may have made the runs.
 
-        If it fails in a way that is not ``known``, the reference is run in the scenario, too.
+        If one fails in a way that is not ``known`` by then, the reference is run in the scenario, too. For ``skips``
+        see :meth:`.Here.results`.
 
         Raises:
-            ProcessLostError, RequestError, OutOfTime: as for :meth:`run`.
+            RequestError, OutOfTime: as for :meth:`run`.
         """
+        __tracebackhide__ = True
+        runs = self.runner.results(scenarios, skips)
+        while (result := self._next(runs, known)) is not None:
+            yield result
+
+    def _next(self, runs: Iterator[Any], known: Callable[[], Collection[Signature]]) -> Result | LostRun | None:
         __tracebackhide__ = True
         with self._recorded():
             with refusals():
-                made = self.runner.made(scenario)
-            result: Result = made if isinstance(made, Result) else self.examiner(made, known)
+                made = next(runs, None)
+            if made is None or isinstance(made, ProcessLostError):
+                return made
+            result: Result = made if isinstance(made, Result) else self.examiner(made, known())
             if result.kind == "failed" and self.reference is not None:
-                result = result.beside(self.harness.judge_reference(self.reference, scenario))
+                result = result.beside(self.harness.judge_reference(self.reference, result.evaluation.scenario))
         self.record.clear()
         return result
 
-    def run(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Run:
+    def run(self, scenario: Scenario, *, most: int | None = None) -> Run:
         """Run a scenario. The caller must call :meth:`finish` next, which also clears the crash record.
 
-        For ``announced`` and ``most`` see :meth:`pytest_pafot.execution.runner.Runner.run`.
+        For ``most`` see :meth:`.Here.once`.
 
         Raises:
             ProcessLostError: if the run was in another process, and that process died or hung.
@@ -88,7 +102,7 @@ class Bench:
         """
         __tracebackhide__ = True
         with self._recorded(), refusals():
-            trace = self.runner.run(scenario, announced=announced, most=most)
+            trace = self.runner.once(scenario, most=most)
         self.asked += min(len(trace.actions), most or sys.maxsize)
         return self.harness.run_of(trace)
 
@@ -131,14 +145,8 @@ class Bench:
         # highway-env is imported before the run, in which a test's own functions are in the place of Python's.
         from pytest_pafot.world.engines import gym_replay  # noqa: F401, PLC0415  (slow to import)
 
-        policy = self.harness.policy
         with self._recorded(), refusals():
-            if isinstance(self.runner, Isolated):
-                trace = self.runner.in_gym(scenario)
-            else:
-                self.record.write(scenario)
-                trace = GENERATORS.run(world.rollout_in_gym, scenario, policy.factory)
-        self.runner.decisions += len(trace.actions)
+            trace = self.runner.once(scenario, "rollout_in_gym")
         self.asked += len(trace.actions)
         self.record.clear()
         return Run(trace)

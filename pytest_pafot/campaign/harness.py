@@ -20,7 +20,7 @@ from pytest_pafot.attribution.responses import AT_FAULT
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Cluster, ExecutionError, Job, Runner, runner_for
+from pytest_pafot.execution.runner import Cluster, ExecutionError, Here, Job, runner_for
 from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure, Verdict, severity_of
@@ -508,7 +508,7 @@ class Harness:
         """Return the verdict on a trace that was made in ``world``."""
         return self.judge(self.run_of(trace, world))
 
-    def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Runner | None:
+    def reference_runner(self, job: Job, record: CrashRecord, *, isolate: bool) -> Here | None:
         """Return the runner that drives the reference; None if the search has no reference.
 
         With ``isolate`` the reference runs in a separate process, like the ADS.
@@ -519,13 +519,13 @@ class Harness:
             job = replace(job, policy=self.against.policy, reference=self.against.shown)
             return runner_for(job, record, isolate=isolate)
 
-    def judge_reference(self, runner: Runner, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
+    def judge_reference(self, runner: Here, scenario: Scenario, world: BaseWorld | None = None) -> Verdict:
         """Return the verdict on the reference in a scenario. A reference that raises, hangs or dies has failed."""
         __tracebackhide__ = True
         return self.run_reference(runner, scenario, world)[1]
 
     def run_reference(
-        self, runner: Runner, scenario: Scenario, world: BaseWorld | None = None
+        self, runner: Here, scenario: Scenario, world: BaseWorld | None = None
     ) -> tuple[Run | None, Verdict]:
         """Return the run of the reference in a scenario, None if its process died or hung, and the verdict on it.
 
@@ -535,7 +535,7 @@ class Harness:
         __tracebackhide__ = True
         try:
             with refusals("the reference"):
-                trace = runner.run(scenario)
+                trace = runner.once(scenario)
         except ProcessLostError as error:
             return None, Verdict(kind="failed", failure=Failure(kind=PROCESS_CRASH, message=error.end), is_ads=True)
         except RequestError as error:

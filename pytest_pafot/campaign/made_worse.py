@@ -10,23 +10,21 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import tee
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Paired, Phase, Refining, SearchEvent
-from pytest_pafot.campaign.results import State
+from pytest_pafot.campaign.results import Result, State
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Whole
+from pytest_pafot.execution.runner import LostRun
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.model.scenario import Scenario, rng_of
+from pytest_pafot.findings.verdict import PASSES
+from pytest_pafot.model.scenario import rng_of
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
-
-AHEAD = 64
-"""The number of random scenarios that other processes receive in advance."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -59,36 +57,32 @@ class MadeWorse:
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
         drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(self.most))
-        runner = self.bench.runner
-        with runner, suppress(OutOfTime):
-            while ahead := list(islice(drawn, AHEAD)):
-                runner.announce(map(Whole, ahead))
-                for scenario in ahead:
-                    yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
-                    with runs_end_in(self.end - self.state.clock()):
-                        new, old = yield from self._fail(scenario)
-                    self.paired = self.paired.with_run(new=new, old=old)
-                    if self.paired.is_worse is not None:
-                        break
+        scenarios, ahead = tee(drawn)
+        bench, fatal = self.bench, self.state.fatal
+        results = bench.results(ahead, lambda: self.state.known, fatal.__contains__)
+        with bench.runner, suppress(OutOfTime):
+            for scenario in scenarios:
+                yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
+                with runs_end_in(self.end - self.state.clock()):
+                    new = old = False
+                    if scenario not in fatal:
+                        new, old = yield from self._fail(next(results))
+                self.paired = self.paired.with_run(new=new, old=old)
                 if self.paired.is_worse is not None:
                     break
         # What no time was left to decide counts.
         if self.paired.is_worse is False:
             yield from self._dismiss(self.store.findings.values())
 
-    def _fail(self, scenario: Scenario) -> Generator[SearchEvent, None, tuple[bool, bool]]:
+    def _fail(self, result: Result | LostRun) -> Generator[SearchEvent, None, tuple[bool, bool]]:
         """Return whether only the new policy fails in a scenario, and whether only the reference does."""
         __tracebackhide__ = True
         bench = self.bench
-        if scenario in self.state.fatal or bench.reference is None:
-            return False, False
-        try:
-            verdict = bench.finish(bench.run(scenario, announced=True))
-        except ProcessLostError as error:
-            return (yield from lose(error, self.state, bench, self.store)).kind == "failed", False
-        if not verdict.passes:
-            return verdict.failed, False
-        reference = bench.harness.judge_reference(bench.reference, scenario)
+        if isinstance(result, ProcessLostError):
+            result = yield from lose(result, self.state, bench, self.store)
+        if bench.reference is None or result.kind not in PASSES:
+            return result.kind == "failed", False
+        reference = bench.harness.judge_reference(bench.reference, result.evaluation.scenario)
         bench.record.clear()
         return False, reference.failed
 

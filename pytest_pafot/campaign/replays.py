@@ -25,8 +25,8 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import (
     NOT_TRIED_HERE,
     ExecutionError,
+    Here,
     LostRun,
-    Runner,
     expectation,
     forks,
     judged_apart,
@@ -198,7 +198,7 @@ class Replays:
             space, job = build_space(harness.request, harness.world), harness.job(owner=owner)
             with harness.recording(job) as record, refusals(), runner_for(job, record, isolate=isolate) as runner:
                 for number in range(PROBES):
-                    probe = harness.run_of(runner.run(sample(space, rng_of(number))))
+                    probe = harness.run_of(runner.once(sample(space, rng_of(number))))
                     judged = harness.judge(probe)
                     if judged.kind not in UNJUDGED and cause_of(probe, judged) != cause:
                         return
@@ -246,7 +246,7 @@ class Replays:
                 self._check_reference(runner, world, verdict.failure)
             return run, verdict
 
-    def _check_reference(self, runner: Runner, world: BaseWorld, failure: Failure) -> None:
+    def _check_reference(self, runner: Here, world: BaseWorld, failure: Failure) -> None:
         """Check that the reference failed by the scenario of a replay, and not because it no longer drives at all.
 
         Otherwise each replay that passes would be called fixed.
@@ -425,7 +425,7 @@ class Replays:
         ):
             for number in range(1, RUNS + 1):
                 scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, number)
-                run = finding.expect.known_of(harness.run_of(runner.run(scenario), world))
+                run = finding.expect.known_of(harness.run_of(runner.once(scenario), world))
                 verdict = harness.judge(run)
                 failing += verdict.failed
                 if not (shown.fails and shown.is_same):

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import filterfalse
 from typing import Any
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.results import Counts, Result, State
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Chunk, LostRun
+from pytest_pafot.execution.runner import Apart, Chunk, LostRun
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching.algorithms.catalogue import RandomSearch
 from pytest_pafot.searching.evaluation import CampaignFinished, CampaignStarted, EndReason, Evaluated, Evaluation, Event
@@ -31,10 +30,6 @@ WORTH_SECONDS = 0.3
 CHUNKS_AHEAD = 8
 """The number of chunks for each process that are given before the first of them is counted: runs differ in length, and
 nobody should wait for a long one."""
-
-AHEAD, AHEAD_ELSEWHERE = 4, 128
-"""The number of scenarios that each process gets in advance, and that all workers of a cluster get, where the session
-has to draw them."""
 
 FIRST = 16
 """The number of runs at the beginning that must not all end in the same exception, which would be the set-up's."""
@@ -69,8 +64,12 @@ class Bred(Plan):
     """
 
     def __init__(self, bench: Bench, algorithm: Algorithm[Any], **limits: Any) -> None:
-        super().__init__(algorithm, **limits)
         self.bench = bench
+        super().__init__(algorithm, **limits)
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._results: Iterator[Result | LostRun] = iter(())  # of the rest of the generation
 
     def next(self, state: State) -> Done:
         """Return what became of the next scenario.
@@ -85,15 +84,16 @@ class Bred(Plan):
         recalled = self.recalled()
         if recalled is not None:
             return recalled
-        if ahead := list(filterfalse(state.fatal.__contains__, self.ahead())):
-            self.bench.runner.announce(ahead)
-        scenario = self.scenario()
-        if scenario in state.fatal:
+        if self.scenario() in state.fatal:
             return None
-        try:
-            return self.bench.result(scenario, state.known)
-        except ProcessLostError as error:
-            return error
+        if (result := next(self._results, None)) is not None:
+            return result
+
+        def skips(scenario: Scenario) -> bool:
+            return scenario in state.fatal or self._cache.recall(scenario) is not None
+
+        self._results = self.bench.results(self.ahead(), lambda: state.known, skips)
+        return next(self._results)
 
 
 def chunk_size(run_seconds: float, left: int, workers: int) -> int:
@@ -123,7 +123,7 @@ class Numbers:
     bench: Bench
     number: int = 0  # of the next scenario to be counted
     _given: int = 0  # the first number that no other process has
-    _announced: int = 0  # the first number whose scenario was not announced
+    _results: Iterator[Result | LostRun] = field(default_factory=lambda: iter(()))  # that no process drives by itself
     _driven: dict[Chunk, _Driven] = field(default_factory=dict)  # in the order of their numbers
     _early: deque[Early] = field(default_factory=deque)  # what failed in later chunks, as it is heard
     _alone: int = 0  # the end of the chunk in which a process died: its scenarios are run one by one
@@ -132,7 +132,8 @@ class Numbers:
     def __post_init__(self) -> None:
         if self.bench.driver is not None:
             self.bench.driver.drawn = partial(self.algorithm.drawn, self.seed)
-            self.bench.runner.end()  # processes that were started before cannot draw
+            if isinstance(self.bench.runner, Apart):
+                self.bench.runner.end()  # processes that were started before cannot draw
 
     @property
     def started(self) -> CampaignStarted:
@@ -178,15 +179,18 @@ class Numbers:
             return self._early.popleft()
         if message is not None:
             return message
-        scenario = self.scenario()
-        if scenario in state.fatal:
+        if self.scenario() in state.fatal:
             return None
-        self._announce(state.fatal)
-        try:
-            return self.bench.result(scenario, state.known)
-        except ProcessLostError as error:
+        result = next(self._results, None)
+        if result is None:
+            # Where processes drive by themselves, this run alone, whose time is measured, or the rest of a chunk.
+            end = self._end if self.bench.driver is None else max(self._alone, self.number + 1)
+            drawn = (self.algorithm.drawn(self.seed, number) for number in range(self.number, end))
+            self._results = self.bench.results(drawn, lambda: state.known, state.fatal.__contains__)
+            result = next(self._results)
+        if isinstance(result, ProcessLostError):
             self._suspect = None  # The scenario that killed the process of its chunk has run again, and did so.
-            return error
+        return result
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
         """Take the evaluation of the next scenario; return what happens."""
@@ -198,7 +202,7 @@ class Numbers:
         """Count scenarios that were run."""
         self.number += runs
         self._given = max(self._given, self.number)
-        if self._suspect is not None and self.number >= self._alone:
+        if self._suspect is not None and self.number >= self._alone and isinstance(self.bench.runner, Apart):
             self.bench.runner.recovered.append(self._suspect)
             self._suspect = None
 
@@ -210,42 +214,29 @@ class Numbers:
 
     def _give(self, state: State) -> None:
         """Let other processes draw and drive the next numbers by themselves, if that is worth it."""
-        bench, settings = self.bench, self.bench.harness.request.settings
-        run_seconds, workers = bench.runner.run_seconds, settings.workers
-        left = self._end - self._given
-        if bench.driver is None or not run_seconds or (workers == 1 and not settings.isolate):
+        runner, workers = self.bench.runner, self.bench.harness.request.settings.workers
+        if self.bench.driver is None or not isinstance(runner, Apart) or not runner.run_seconds:
             return
-        if not self._driven and left * run_seconds < WORTH_SECONDS and not bench.runner.in_use:
+        run_seconds, left = runner.run_seconds, self._end - self._given
+        if not self._driven and left * run_seconds < WORTH_SECONDS and not runner.in_use:
             return
         known = frozenset(state.known)
         while left > 0 and len(self._driven) < CHUNKS_AHEAD * workers:
             size = chunk_size(run_seconds, left, workers)
             chunk = Chunk(self._given, self._given + size, known, frozenset(state.fatal))
-            if not bench.runner.drive(chunk):
+            if not runner.drive(chunk):
                 return
             self._driven[chunk] = _Driven(deque(), chunk.first)
             self._given, left = chunk.end, left - size
-
-    def _announce(self, fatal: Set[Scenario]) -> None:
-        """Let other processes make the next runs that no process drives by itself, if they make any."""
-        bench, settings = self.bench, self.bench.harness.request.settings
-        if self.number < self._alone or bench.driver is not None:  # this run alone, whose time is measured
-            ahead = max(self._alone - self.number, 1)
-        else:
-            ahead = AHEAD_ELSEWHERE if bench.runner.is_elsewhere else AHEAD * settings.workers
-        # Half of them are left to be run when the next ones are announced, so nobody waits.
-        if self.number + ahead // 2 >= self._announced:
-            first, self._announced = max(self._announced, self.number), min(self.number + ahead, self._end)
-            drawn = (self.algorithm.drawn(self.seed, number) for number in range(first, self._announced))
-            bench.runner.announce(filterfalse(fatal.__contains__, drawn), more=True)
 
     def _message(self) -> Result | Counts | None:
         """Return the next message of the process that drives the next number; None if the session must run it.
 
         Return None as well as soon as something has failed in a later chunk.
         """
-        runner = self.bench.runner
-        chunk = next(iter(self._driven), None)
+        runner, chunk = self.bench.runner, next(iter(self._driven), None)
+        if not isinstance(runner, Apart):
+            return None
         head = None if chunk is None or chunk.first > self.number else self._driven[chunk]
         # Messages on other chunks come in between, and are stored until their turn.
         while heard := runner.hear(waits=head is not None and not head.said and not self._early):

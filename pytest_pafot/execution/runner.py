@@ -1,7 +1,7 @@
-"""Who runs scenarios: this process, others that are started from it, or a process for a single run.
+"""Who runs scenarios: this process, :class:`Here`, or others that it starts, :class:`Apart`.
 
-The :class:`Runner` of a search receives the next scenarios in advance and returns one run after the other. Whether
-another process makes them depends on the duration of a run. It affects only the time of the search, not its results.
+Both are asked for the ``results`` of one scenario after the other, or to drive one scenario ``once``. Who makes a run
+affects only the time of the search, not its results.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ import tempfile
 import threading
 import traceback
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from itertools import islice
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Self, TypeAlias, cast
+from typing import Any, Self, TypeAlias
 
 from pytest_pafot.execution.crash_records import CrashRecord, left_by
 from pytest_pafot.execution.pool import FAREWELL, GRACE, IGNORED, START_METHOD, ProcessLostError, WorkerPool
@@ -182,6 +184,9 @@ ScenarioPool: TypeAlias = WorkerPool[Any, Any]
 """Its tasks are scenarios, also :class:`Whole`, with an :data:`Answer`, or a :class:`Chunk`, of which it says
 several :data:`Timed`."""
 
+Drive: TypeAlias = Callable[[Scenario, Callable[..., Any]], Any]
+"""A function that drives a scenario with the policies of a factory."""
+
 Cluster: TypeAlias = Callable[[Any], Any]
 """A function that makes pools of the workers on other machines, like a :data:`ScenarioPool`, for a :class:`Job`."""
 
@@ -205,6 +210,8 @@ class Job:
     """A function that returns what a process sends of a run instead of its trace; None if it sends the trace."""
     drive: Callable[[Chunk, Job, CrashRecord, Callable[[Timed], object]], None] | None = None
     """A function that drives a chunk in a process, with this job and its crash record; None if there is none."""
+    own: Drive | None = None
+    """A function that drives scenarios in the place of the world; None if the world does."""
     remark: str = ""
     """What the note on the use of processes says in addition."""
     reference: str = ""
@@ -233,7 +240,8 @@ class Job:
         with capture_output() as output:
             job = made()
             started = monotonic()
-            trace = rollout_of(job.world, method)(scenario, job.policy.factory)
+            run = rollout_of(job.world, method) if job.own is None else partial(GENERATORS.run, job.own)
+            trace = run(scenario, job.policy.factory)
             seconds = monotonic() - started
         return trace, output, seconds
 
@@ -365,7 +373,7 @@ def runner_for(
     isolate: bool = False,
     cluster: Cluster | None = None,
     clock: Callable[[], float] = monotonic,
-) -> Runner:
+) -> Here:
     """Return the runner of a job.
 
     Args:
@@ -374,14 +382,16 @@ def runner_for(
         workers: the largest number of other processes; with 1, all runs are made in this process, unless ``isolate`` is
             set.
         isolate: True if the ADS must never run in this process.
-        cluster: workers that make the announced runs, and with ``isolate`` all runs; None for those of this machine.
+        cluster: workers that make the runs of which :meth:`Here.results` is asked, and with ``isolate`` all runs; None
+            for those of this machine.
         clock: a monotonic clock [s].
 
     Raises:
         WorldError: if the world cannot be used.
     """
-    kind = Isolated if isolate else Runner
-    return kind(job, record, workers=workers, cluster=cluster, clock=clock)
+    if workers == 1 and not isolate and cluster is None:
+        return Here(job, record)
+    return Apart(job, record, workers=workers, is_only=isolate, cluster=cluster, clock=clock)
 
 
 DEAR = 0.010
@@ -397,37 +407,25 @@ The first run is slower, because it loads libraries. If it was slow, processes a
 turn out to be fast, the processes are ended.
 """
 
+AHEAD, AHEAD_ELSEWHERE = 4, 128
+"""The number of scenarios that each process gets in advance, and that all workers of a cluster get."""
 
-class Runner:
-    """A runner, which returns runs that other processes made in advance, and makes all other runs in this process.
 
-    Other processes are started if runs turn out to be slow. With one worker, no process is ever started. If there is a
-    cluster, its workers make all announced runs.
+class Here:
+    """A runner that makes all runs in this process.
 
-    The end of a ``with`` statement ends the processes that the runner has started, at once after an exception, and
-    drops the announced scenarios. The runner can still be used after that, also in a second ``with`` statement.
+    A runner is used in a ``with`` statement, and can still be used after it, also in a second one.
     """
 
-    def __init__(
-        self, job: Job, record: CrashRecord, *, workers: int, cluster: Cluster | None, clock: Callable[[], float]
-    ) -> None:
+    is_elsewhere = False
+    """True if workers on other machines make the runs of :meth:`results`."""
+
+    def __init__(self, job: Job, record: CrashRecord) -> None:
         self.job = job
         self.decisions = 0
-        """The number of decisions of the ADS for which :meth:`run` has asked."""
-        self.announced: dict[Scenario | Whole, None] = {}
-        """The announced runs that were not requested yet, in order."""
-        self.recovered: list[LostRun] = []
-        """The deaths of processes of earlier pools, and in chunks, in scenarios that ran to their end later."""
+        """The number of decisions of the ADS for which :meth:`once` has asked."""
         self._record = record
-        self._workers = workers
-        self._cluster = cluster
-        self._clock = clock
         self._held = ExitStack()
-        self._pool: ScenarioPool | None = None
-        self._failure = ""
-        self._is_measured = self._drives = False
-        self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
-        self._warm_seconds = 0.0
 
     def __enter__(self) -> Self:
         self._held.enter_context(GENERATORS.held(may_share=not self.is_elsewhere))  # clients have threads
@@ -435,16 +433,15 @@ class Runner:
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self._held.close()
-        self.announce(())
-        if self._pool is not None:
-            self._pool.close(at_once=kind is not None)
 
-    def run(self, scenario: Scenario, *, announced: bool = False, most: int | None = None) -> Trace:
-        """Return the trace of a run of a scenario; its crash record stays on disk, as for :meth:`made`.
+    def once(self, scenario: Scenario, drive: str | Drive = "rollout", *, most: int | None = None) -> Any:
+        """Drive a scenario, and return the trace of the run, or what the function ``drive`` returns.
+
+        The crash record of the scenario stays on disk, because the judgement of the run may end the process, too.
 
         Args:
             scenario: the scenario to run.
-            announced: True if the :class:`Whole` run may have been announced, so that another process may have made it.
+            drive: a method of the world that makes runs, by its name, or a function that drives a scenario.
             most: the number of decisions after which the run is of no interest, and ends with an error of the ADS. A
                 run in a different process has more decisions.
 
@@ -454,40 +451,177 @@ class Runner:
             Exception: any exception of the world or the factory.
         """
         __tracebackhide__ = True
-        trace: Trace = self._made(Whole(scenario), scenario, announced=announced, most=most)
-        self.decisions += min(len(trace.actions), most or sys.maxsize)  # the same for any number of processes
-        return trace
-
-    def made(self, scenario: Scenario) -> Any:
-        """Return what the process has sent that made an announced run of a scenario, or the trace of its run.
-
-        The crash record of a trace's scenario stays on disk, because the judgement of the run may end the process, too.
-
-        Raises:
-            Exception: as for :meth:`run`.
-        """
-        __tracebackhide__ = True
-        return self._made(scenario, scenario, announced=True)
-
-    def _made(self, task: Scenario | Whole, scenario: Scenario, *, announced: bool, most: int | None = None) -> Any:
-        __tracebackhide__ = True
-        made = self._collect(task, announced=announced)
-        if made is not None and not isinstance(made, Trace):
-            return made
-        self._record.write(scenario, reference=self.job.reference)
-        if made is None:
-            factory = self.job.policy.factory
-            started = self._clock()
-            made = rollout_of(self.job.world)(scenario, factory if most is None else ending_after(factory, most))
-            if self._is_measured:
-                self._is_measured = False
-                self._learn(self._clock() - started)
+        made = self._once(scenario, drive, most)
+        if isinstance(made, Trace):
+            self.decisions += min(len(made.actions), most or sys.maxsize)  # the same for any number of processes
         return made
 
+    def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
+        """Yield what a process has made of each scenario, see ``Job.read``, or the trace of its run, in their order.
+
+        The crash record of a trace's scenario stays on disk, as with :meth:`once`.
+
+        Args:
+            scenarios: the scenarios, which are drawn as late as possible.
+            skips: says in the turn of a scenario whether it need not be run after all.
+
+        Yields:
+            what was made, or the ``ProcessLostError`` of a process that died or hung.
+
+        Raises:
+            Exception: as for :meth:`once`.
+        """
+        __tracebackhide__ = True
+        for scenario in scenarios:
+            if not skips(scenario):
+                yield self._once(scenario)
+
+    def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
+        """Let other processes make runs for which :meth:`once` will be asked, in their order.
+
+        Earlier ones for which it was not asked are dropped, unless these are ``more`` of them.
+        """
+
     @property
-    def is_elsewhere(self) -> bool:
-        """True if workers on other machines make the announced runs."""
-        return self._cluster is not None
+    def notes(self) -> list[str]:
+        """Notes on the use of processes if the user requested them; complete after the processes have ended."""
+        return []
+
+    @property
+    def in_use(self) -> int:
+        """The number of processes in use; 0 if none are, or if they are on other machines."""
+        return 0
+
+    @property
+    def run_seconds(self) -> float:
+        """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if it is not known."""
+        return 0.0
+
+    def _once(self, scenario: Scenario, drive: str | Drive = "rollout", most: int | None = None) -> Any:
+        """Drive a scenario in this process, with its crash record on disk."""
+        __tracebackhide__ = True
+        self._record.write(scenario, reference=self.job.reference)
+        factory = self.job.policy.factory
+        run = rollout_of(self.job.world, drive) if isinstance(drive, str) else partial(GENERATORS.run, drive)
+        return run(scenario, factory if most is None else ending_after(factory, most))
+
+
+class Apart(Here):
+    """A runner that makes runs in other processes: workers, isolated ones, or those of a cluster.
+
+    Unless only other processes may drive, they make the runs that are known in advance, and this process all others.
+    Workers are started if runs turn out to be slow. The end of a ``with`` statement ends the processes, at once after
+    an exception.
+
+    Args:
+        job, record: as for :class:`Here`.
+        workers: the largest number of processes.
+        is_only: True if the ADS must never run in this process. So no run is repeated here, and exceptions of the other
+            process are raised.
+        cluster: workers on other machines, or None.
+        clock: a monotonic clock [s].
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        record: CrashRecord,
+        *,
+        workers: int = 1,
+        is_only: bool = True,
+        cluster: Cluster | None = None,
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        super().__init__(job, record)
+        self.is_elsewhere = cluster is not None
+        self._workers = workers
+        self._is_only = is_only
+        self._cluster = cluster
+        self._clock = clock
+        self._expected: dict[Scenario | Whole, None] = {}  # runs known in advance that were not asked for, in order
+        self.recovered: list[LostRun] = []
+        """The deaths of processes of earlier pools, and in chunks, in scenarios that ran to their end later."""
+        self._pool: ScenarioPool | None = None
+        self._failure = ""
+        self._is_measured = self._drives = False
+        self._runs = self._runs_before = 0  # all runs, and the runs before processes were started
+        self._warm_seconds = 0.0
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        super().__exit__(kind, *rest)
+        self.expect(())
+        if self._pool is not None:
+            self._pool.close(at_once=kind is not None)
+
+    def results(self, scenarios: Iterable[Scenario], skips: Callable[[Scenario], bool]) -> Iterator[Any]:
+        """Yield what processes have made of scenarios, as :meth:`Here.results` does; they are some scenarios ahead."""
+        __tracebackhide__ = True
+        coming, most = iter(scenarios), AHEAD_ELSEWHERE if self.is_elsewhere else AHEAD * self._workers
+        ahead = deque[Scenario]()
+        while True:
+            # Half of them are left to be run when the next ones are given, so nobody waits.
+            if len(ahead) <= most // 2:
+                more = list(islice(coming, most - len(ahead)))
+                self._give(each for each in more if not skips(each))
+                ahead += more
+            if not ahead:
+                return
+            scenario = ahead.popleft()
+            if skips(scenario):
+                self._expected.pop(scenario, None)
+                continue
+            try:
+                made = self._made(scenario)
+            except ProcessLostError as lost:
+                made = lost
+            yield made
+
+    def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
+        """Let other processes make runs, if they are in use."""
+        if not more:
+            self._expected = {}
+            if self._pool is not None:
+                self._pool.expect(())
+        self._give(map(Whole, scenarios))
+
+    def _give(self, tasks: Iterable[Scenario | Whole]) -> None:
+        """Give tasks to processes, or note them until there are any."""
+        if self._pool is None:
+            if self.is_elsewhere or self._workers > 1:
+                self._expected.update(dict.fromkeys(tasks))
+            return
+        for task in tasks:  # a task starts as soon as it is drawn
+            self._expected[task] = None
+            self._pool.add_all([task])
+
+    def _once(self, scenario: Scenario, drive: str | Drive = "rollout", most: int | None = None) -> Any:
+        __tracebackhide__ = True
+        if not self._is_only:
+            return self._made(scenario, Whole(scenario), most) if drive == "rollout" else super()._once(scenario, drive)
+        if isinstance(drive, str):
+            return self._made(scenario, Whole(scenario, drive))
+        # Only a process that is forked now has the function. That it died counts even if a second one did not.
+        with pool_for(replace(self.job, own=drive), 1) as pool:
+            answer = pool.fetch(scenario)
+        if pool.failure:
+            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+        return made_apart(pool.recovered[0] if pool.recovered else answer)
+
+    def _made(self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None) -> Any:
+        """Return what another process sends of a task, by default a scenario, or the trace of a run in this process."""
+        __tracebackhide__ = True
+        made = self._collect(task or scenario)
+        if made is not None and not isinstance(made, Trace):
+            return made
+        if made is not None:
+            self._record.write(scenario, reference=self.job.reference)
+            return made
+        started = self._clock()
+        made = super()._once(scenario, most=most)
+        if self._is_measured:
+            self._is_measured = False
+            self._learn(self._clock() - started)
+        return made
 
     @property
     def notes(self) -> list[str]:
@@ -496,12 +630,14 @@ class Runner:
             return [f"{flag('workers')} is 1: {self._failure}"]
         if self.is_elsewhere and self._pool is not None:
             return list(getattr(self._pool, "notes"))  # noqa: B009
+        if self._is_only:
+            return [lost.recovery for lost in self.deaths]
         option = flag("workers", self._workers)
         if self._runs_before:
             used = f"{option}: in use after {plural(self._runs_before, 'run')} of this process{self.job.remark}"
             if self._pool is not None and self._pool.failure:
                 used = f"{flag('workers')}: this process ran the scenarios; no other one could: {self._pool.failure}"
-            return [used, *self._retried]
+            return [used, *(lost.recovery for lost in self.deaths)]
         if self._workers == 1 or self._runs <= WARM_RUNS:
             return []
         mean, dear = 1000 * self._warm_seconds / (self._runs - 1), 1000 * DEAR
@@ -516,22 +652,6 @@ class Runner:
     def run_seconds(self) -> float:
         """The mean time of the runs so far, without the first one, which loads libraries [s]; 0 if there is none."""
         return self._warm_seconds / (self._runs - 1) if self._runs > 1 else 0.0
-
-    def announce(self, tasks: Iterable[Scenario | Whole], *, more: bool = False) -> None:
-        """Announce the next runs in the order in which they will be requested.
-
-        Other processes start to make them if they are in use. Earlier ones that were not requested are dropped,
-        unless these are ``more`` of them.
-        """
-        if not more:
-            self.announced = {}
-        if self._pool is None:
-            if self.is_elsewhere or self._workers > 1:
-                self.announced.update(dict.fromkeys(tasks))
-        elif more:
-            self._pool.add_all(self._noted(tasks))
-        else:
-            self._pool.expect(self._noted(tasks))
 
     def drive(self, task: Chunk) -> bool:
         """Let a process drive a chunk by itself; return False if none can."""
@@ -555,26 +675,27 @@ class Runner:
             self._pool = None
 
     @property
-    def _retried(self) -> list[str]:
-        """Notes on processes that died in runs that later succeeded."""
-        return [lost.recovery for lost in (*self.recovered, *([] if self._pool is None else self._pool.recovered))]
+    def deaths(self) -> list[LostRun]:
+        """The deaths of processes in scenarios that ran to their end later."""
+        return [*self.recovered, *([] if self._pool is None else self._pool.recovered)]
 
-    def _noted(self, tasks: Iterable[Scenario | Whole]) -> Iterator[Scenario | Whole]:
-        for task in tasks:
-            self.announced[task] = None
-            yield task
+    def _collect(self, task: Scenario | Whole) -> Any:
+        """Return what became of a run in another process; None if it must be made in this one.
 
-    def _collect(self, task: Scenario | Whole, *, announced: bool) -> Any:
-        """Return what became of an announced run; None if it must be made in this process.
-
-        Each run can be collected once. Without ``announced`` the result is always None.
+        No run is repeated in this process if only other ones may drive. So if a worker on another machine raises, for
+        example because it lacks a package, the result is an ``ExecutionError``.
         """
         __tracebackhide__ = True
-        if not announced or task not in self.announced:
+        if self._is_only:
+            answer = self._fetched(task)
+            if isinstance(answer, tuple) and getattr(task, "method", "rollout") == "rollout":
+                self.count(1, answer[2])
+            return made_apart(answer)
+        if task not in self._expected:
             return None
         if self.is_elsewhere and self._pool is None:
             self._begin()
-        del self.announced[task]
+        del self._expected[task]
         self._is_measured = self._pool is None
         if self._pool is None:
             return None
@@ -583,8 +704,25 @@ class Runner:
             self._learn(answer[2])
         return made_from(answer)
 
+    def _fetched(self, task: Scenario | Whole) -> Answer:
+        __tracebackhide__ = True
+        try:
+            pool = self._pool or self._begin()
+        except ExecutionError as error:
+            raise ExecutionError(f"{flag('isolate')}: {error}") from None
+        answer: Answer = pool.fetch(task)
+        if pool.failure:
+            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+        if self.is_elsewhere and isinstance(answer, Exception) and not isinstance(answer, ProcessLostError):
+            raise ExecutionError(
+                f"{flag('isolate')}: expected workers that can make every run, received from one of them "
+                f"{type(answer).__name__}: {answer}; install what the run needs on the workers, or search without "
+                f"{flag('isolate')}, so that this process makes such runs"
+            )
+        return answer
+
     def count(self, runs: int, seconds: float) -> None:
-        """Count runs and the time that they took [s]."""
+        """Count runs of other processes and the time that they took [s]."""
         self._warm_seconds += seconds if self._runs else 0.0
         self._runs += runs
 
@@ -608,118 +746,8 @@ class Runner:
         cluster = self._cluster
         pool: ScenarioPool = pool_for(self.job, self._workers) if cluster is None else cluster(self.job)
         self._pool = pool
-        pool.expect(self.announced)
+        pool.expect(self._expected)
         return pool
-
-
-class Isolated(Runner):
-    """A runner that makes all runs in other processes, so that the ADS is never called in this one."""
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes on processes that died in runs that later succeeded, and on a cluster that made all runs."""
-        return super().notes if self.is_elsewhere else self._retried
-
-    def _collect(self, task: Scenario | Whole, *, announced: bool) -> Any:
-        """Return what a different process sends of a run, and raise the exceptions of that process.
-
-        No run is repeated in this process. So if a worker on another machine raises, for example because it
-        lacks a package, the result is an ``ExecutionError``.
-        """
-        __tracebackhide__ = True
-        answer = self._fetched(task)
-        if isinstance(answer, tuple):
-            self.count(1, answer[2])
-        return made_apart(answer)
-
-    def in_gym(self, scenario: Scenario) -> Trace:
-        """Return the run of a scenario with ``env.step`` of highway-env's own environment, from a different process.
-
-        It is one of the processes that make the other runs, so that no more policies drive at once than there are
-        workers.
-        """
-        __tracebackhide__ = True
-        return cast("Trace", made_apart(self._fetched(Whole(scenario, "rollout_in_gym"))))
-
-    def _fetched(self, task: Any) -> Answer:
-        __tracebackhide__ = True
-        pool = self._begun()
-        answer = pool.fetch(task)
-        if pool.failure:
-            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-        if self.is_elsewhere and isinstance(answer, Exception) and not isinstance(answer, ProcessLostError):
-            raise ExecutionError(
-                f"{flag('isolate')}: expected workers that can make every run, received from one of them "
-                f"{type(answer).__name__}: {answer}; install what the run needs on the workers, or search without "
-                f"{flag('isolate')}, so that this process makes such runs"
-            )
-        return answer
-
-    def _begun(self) -> ScenarioPool:
-        try:
-            return self._pool or self._begin()
-        except ExecutionError as error:
-            raise ExecutionError(f"{flag('isolate')}: {error}") from None
-
-
-# Runs in a separate process, for scenarios in which the run or its evaluation may end this process.
-
-
-Drive = Callable[[Scenario, Callable[..., Any]], Any]
-"""A function that drives a scenario with the policies of a factory."""
-
-
-@dataclass(frozen=True, slots=True)
-class _OtherRuns(BaseWorld):
-    """A stand-in for a world, with a different ``rollout``, which guards the ADS. It can do nothing else."""
-
-    world: BaseWorld
-    drive: Drive
-
-    @property
-    def hang_limit(self) -> float:
-        """The limit of the world [s]."""
-        return self.world.hang_limit
-
-    @property
-    def speed_limit(self) -> float:
-        """The limit of the world [m/s]."""
-        return self.world.speed_limit
-
-    @property
-    def longest_run(self) -> float:
-        """The longest duration of a run in the world [s]."""
-        return self.world.longest_run
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the world as plain data."""
-        return self.world.to_dict()
-
-    def rollout(self, scenario: Scenario, ads_factory: Callable[..., Any]) -> Any:
-        """Call the function in the place of the world's ``rollout``."""
-        __tracebackhide__ = True
-        return self.drive(scenario, ads_factory)
-
-
-def once_apart(job: Job, scenario: Scenario, drive: Drive | None = None) -> Any:
-    """Return what a function makes of a scenario in a process of its own, by default the trace of its run.
-
-    Args:
-        job: everything that a run needs.
-        scenario: the scenario.
-        drive: is called there with the scenario and the policy's factory. Only a forked process has it.
-
-    Raises:
-        ProcessLostError: if the process died or hung, even if a second one did not.
-        ExecutionError: if no other process can be started.
-        Exception: any exception of the process.
-    """
-    __tracebackhide__ = True
-    with pool_for(job if drive is None else replace(job, world=_OtherRuns(job.world, drive)), 1) as pool:
-        answer = pool.fetch(scenario)
-    if pool.failure:
-        raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-    return made_apart(pool.recovered[0] if pool.recovered else answer)
 
 
 def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object]) -> Trace:
@@ -729,7 +757,8 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
     have. Its output and its exceptions are ignored, because the session evaluates the run again.
 
     Raises:
-        Exception: as for :func:`once_apart`.
+        ProcessLostError: if the process died or hung, even if a second one did not.
+        Exception: as for :meth:`Here.once`.
     """
     __tracebackhide__ = True
 
@@ -739,7 +768,11 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
             judge(trace)
         return trace
 
-    return cast("Trace", once_apart(job, scenario, drive if forks() else None))
+    with job.crash_record() as record, Apart(job, record) as runner:
+        trace: Trace = runner.once(scenario, drive if forks() else "rollout")
+    if runner.deaths:
+        raise runner.deaths[0]
+    return trace
 
 
 def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
@@ -757,10 +790,11 @@ def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
     if forks() and isolates():
         with tempfile.TemporaryDirectory(prefix="pafot-") as records:
             job = Job(world=base, policy=Policy(ads), records=Path(records, "records"), owner="test")
-            try:
-                once_apart(job, scenario)
-            except ProcessLostError:
-                raise
-            except Exception:  # noqa: BLE001, S110  (this process raises it)
-                pass
+            with job.crash_record() as record, Apart(job, record) as runner:
+                try:
+                    runner.once(scenario, rollout_of(base))
+                except ProcessLostError:
+                    raise
+                except Exception:  # noqa: BLE001, S110  (this process raises it)
+                    pass
     return base.run_of(rollout_of(base)(scenario, ads))

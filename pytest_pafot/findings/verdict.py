@@ -245,6 +245,10 @@ def _kebab(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text)[:MAX_SLUG].strip("-")
 
 
+PASSES = ("passed", "npc", "avoidable", "unpreventable")
+"""The kinds of verdicts on runs in which the test passes, or of which ``blame`` excludes the failure."""
+
+
 @total_ordering
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Severity:
@@ -387,7 +391,7 @@ class Verdict:
     @property
     def passes(self) -> bool:
         """True if the test passes in the run, or if ``blame`` excludes the run's failure."""
-        return self.kind in ("passed", "npc", "avoidable", "unpreventable")
+        return self.kind in PASSES
 
     @property
     def discarded(self) -> bool:

@@ -285,7 +285,6 @@ class Plan:
         self._cache.forget()
         self._told: list[tuple[Evaluation, bool]] = []  # with True if an earlier run shows it
         self._asked: tuple[Scenario, ...] = ()
-        self._is_announced = False
         if not self.is_over:
             self._rng = rng_of(self.started.seed, self._state.generation, self._state.local_generation)
             self._state, self._asked = self.algorithm.ask(self._state, self._rng)
@@ -319,15 +318,14 @@ class Plan:
         """Return the evaluation of the next scenario if an earlier run shows it; None if it has to be simulated."""
         return self._cache.recall(self.scenario())
 
-    def ahead(self) -> Iterator[Scenario]:
-        """Yield the scenarios of the generation that no earlier run shows, at its beginning; later none.
+    def ahead(self) -> list[Scenario]:
+        """Return the next scenarios of the generation that no earlier run shows.
 
         They can be simulated in advance: most of them will be asked for, in this order.
         """
-        if not self._is_announced:
-            self._is_announced = True
-            unknown = (each for each in dict.fromkeys(self._asked) if self._cache.recall(each) is None)
-            yield from (each for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False))
+        coming = dict.fromkeys(self._asked[len(self._told) :])
+        unknown = (each for each in coming if self._cache.recall(each) is None)
+        return [each for each, _ in zip(unknown, range(self._last_run - self.sums.simulated), strict=False)]
 
     def take(self, evaluation: Evaluation, *, reused: bool = False) -> Sequence[Event]:
         """Take the evaluation of the next scenario, and let the algorithm learn from a whole generation.

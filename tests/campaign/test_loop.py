@@ -85,6 +85,15 @@ class Bench:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
+    def results(self, scenarios, known, skips):
+        for scenario in scenarios:
+            if not skips(scenario):
+                try:
+                    result = self.result(scenario, known())
+                except ProcessLostError as lost:
+                    result = lost
+                yield result
+
     def result(self, scenario, known):
         run, verdict = self.simulate(scenario), self.verdicts(next(self.numbers))
         kind = signature_of(run, verdict)
@@ -114,7 +123,6 @@ def searched(
     state, store = State(fatal=set(fatal)), Store()
     state.shown = dict(shown)
     bench = Bench(verdicts, run, has_reference=has_reference)
-    bench.runner = SimpleNamespace(announce=list)
     scenarios = Bred(bench, Fresh(SPACE, population=population), generations=generations, seed=1)
     for _ in search(scenarios, state, bench, store, watch or Watch()):
         pass

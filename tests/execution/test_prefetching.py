@@ -23,6 +23,9 @@ class Pool:
     def expect(self, scenarios):
         self.expected = list(scenarios)
 
+    def add_all(self, scenarios):
+        self.expected += scenarios
+
     def fetch(self, scenario):
         self.fetched.append(scenario.seed)
         self.expected.remove(scenario)
@@ -66,8 +69,7 @@ def runner_of(tmp_path, monkeypatch):
 
 def asked(runner, scenarios=SCENARIOS):
     """Return the numbers of the runs, in order."""
-    runner.announce(scenarios)
-    return [runner.made(each).scenario.seed for each in scenarios]
+    return [made.scenario.seed for made in runner.results(scenarios, lambda scenario: False)]
 
 
 class TestProcesses:
@@ -94,10 +96,10 @@ class TestProcesses:
     def test_processes_end_if_only_first_run_was_expensive(self, runner_of):
         world, pool = World(1.5), Pool(seconds=0.005)
         with runner_of(world, pool) as runner:
-            runner.announce(SCENARIOS)
-            runner.made(SCENARIOS[0])
+            made = runner.results(SCENARIOS, lambda scenario: False)
+            next(made)
             world.seconds = 0.005
-            assert [runner.made(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+            assert [each.scenario for each in made] == SCENARIOS[1:]
         assert (pool.fetched, pool.closed) == ([1, 2], True)
         assert world.ran == [0, 3, 4, 5, 6, 7]
         assert runner.notes == ["--pafot-workers=2: not in use, since a run took 5.0 ms, and it pays off from 10 ms on"]
@@ -105,10 +107,10 @@ class TestProcesses:
     def test_processes_start_later_if_runs_become_expensive(self, runner_of):
         world, pool = World(0.005), Pool()
         runner = runner_of(world, pool)
-        runner.announce(SCENARIOS)
-        runner.made(SCENARIOS[0])
+        made = runner.results(SCENARIOS, lambda scenario: False)
+        next(made)
         world.seconds = 0.02
-        assert [runner.made(each).scenario for each in SCENARIOS[1:]] == SCENARIOS[1:]
+        assert [each.scenario for each in made] == SCENARIOS[1:]
         assert world.ran == [0, 1]
 
     def test_one_worker_is_this_process_and_says_nothing(self, runner_of):
@@ -118,20 +120,29 @@ class TestProcesses:
         assert world.ran == list(range(8))
         assert runner.notes == []
 
-    def test_unannounced_runs_stay_in_this_process_unmeasured(self, runner_of):
+    def test_runs_that_nobody_expects_stay_in_this_process_unmeasured(self, runner_of):
         world = World(1.0)
         runner = runner_of(world)
         for each in SCENARIOS:
-            runner.made(each)
+            runner.once(each)
         assert world.ran == list(range(8))
 
-    def test_fresh_runs_are_made_in_this_process(self, runner_of):
+    def test_another_run_of_a_scenario_is_made_in_this_process(self, runner_of):
         world, pool = World(0.02), Pool()
         runner = runner_of(world, pool)
         asked(runner)
-        runner.announce(SCENARIOS)
-        runner.run(SCENARIOS[5])
+        next(runner.results(SCENARIOS, lambda scenario: False))
+        runner.once(SCENARIOS[5])
         assert world.ran == [0, 5]
+
+    @pytest.mark.parametrize("workers", [1, 2])
+    def test_scenario_that_turns_out_to_be_needless_is_left_out(self, runner_of, workers):
+        world, needless = World(0.02), set()
+        made = []
+        for each in runner_of(world, Pool(), workers).results(SCENARIOS, needless.__contains__):
+            made.append(each.scenario.seed)
+            needless |= {SCENARIOS[3], SCENARIOS[4]}
+        assert made == [0, 1, 2, 5, 6, 7]
 
     def test_run_impossible_in_other_processes_is_made_here(self, runner_of):
         world, pool = World(0.02), Pool({4: ValueError()})
@@ -143,12 +154,11 @@ class TestProcesses:
         asked(runner_of(World(0.02), Pool(answers)))
         assert capsys.readouterr().out == "run 1\nrun 2\nrun 3\nrun 4\nrun 5\nrun 6\nrun 7\n"
 
-    def test_scenario_of_a_lost_process_raises_an_error(self, runner_of):
+    def test_lost_process_takes_the_place_of_its_result(self, runner_of):
         lost = ProcessLostError(SCENARIOS[3], pid=7, how="ended with exit code 9")
-        runner = runner_of(World(0.02), Pool({3: lost}))
-        with pytest.raises(ProcessLostError, match=r"pid 7\) that ran .* ended with exit code 9") as raised:
-            asked(runner)
-        assert raised.value is lost
+        made = list(runner_of(World(0.02), Pool({3: lost})).results(SCENARIOS, lambda scenario: False))
+        assert made[3] is lost
+        assert [each.scenario for each in made if each is not lost] == [*SCENARIOS[:3], *SCENARIOS[4:]]
 
     def test_unpicklable_factory_keeps_all_runs_in_process(self, runner_of, monkeypatch):
         def refuse(job, size):
@@ -179,8 +189,8 @@ class TestProcesses:
         world = World(0.02)
         with runner_of(world, Pool()) as runner:
             asked(runner)
-            runner.announce(SCENARIOS)
-        runner.run(SCENARIOS[7])
+            runner.expect(SCENARIOS)
+        runner.once(SCENARIOS[7])
         assert world.ran == [0, 7]
 
     def test_notes_mention_used_processes_and_recovered_runs(self, runner_of):

@@ -67,9 +67,8 @@ def runner_of(job_of):
 
 def test_call_depth_from_search_to_run_is_limited(runner_of):
     with runner_of(Planner) as runner:
-        runner.announce(SCENARIOS[:4])
         for scenario in SCENARIOS[:4]:
-            runner.run(scenario, announced=True)
+            runner.once(scenario)
     names = callers[-1]
     here = names.index("test_call_depth_from_search_to_run_is_limited")
     assert here - names.index("drive") + 1 <= FRAMES, names[: here + 1]
@@ -77,7 +76,7 @@ def test_call_depth_from_search_to_run_is_limited(runner_of):
 
 def test_crash_record_stays_written_during_the_verdict(runner_of, tmp_path):
     runner = runner_of(Planner)
-    runner.run(SCENARIOS[3])
+    runner.once(SCENARIOS[3])
     (path,) = tmp_path.iterdir()
     assert SCENARIOS[3].canonical() in path.read_text()
     assert leftovers(tmp_path) == ()
@@ -89,13 +88,13 @@ def test_isolated_runs_raise_the_exception_of_the_factory(runner_of):
         raise LookupError("no such planner")
 
     with runner_of(factory, isolate=True) as runner, pytest.raises(LookupError, match="no such planner"):
-        runner.run(SCENARIOS[0])
+        runner.once(SCENARIOS[0])
 
 
 def test_isolated_runs_refuse_an_unpicklable_factory(runner_of, monkeypatch):
     monkeypatch.setattr(runner, "METHOD", "spawn")
     with pytest.raises(ExecutionError, match=r"^--pafot-isolate: expected an ADS factory .* pickled"):
-        runner_of(lambda: None, isolate=True).run(SCENARIOS[0])
+        runner_of(lambda: None, isolate=True).once(SCENARIOS[0])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -105,7 +104,7 @@ def test_isolated_runs_are_refused_where_no_process_starts(runner_of, monkeypatc
 
     monkeypatch.setattr(os, "fork", refuse)
     with pytest.raises(ExecutionError, match=r"--pafot-isolate: expected processes .*temporarily unavailable"):
-        runner_of(Planner, isolate=True).run(SCENARIOS[0])
+        runner_of(Planner, isolate=True).once(SCENARIOS[0])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -113,16 +112,16 @@ def test_isolated_runs_start_new_processes_after_closing(runner_of):
     runner = runner_of(Planner, isolate=True)
     for _ in range(2):
         with runner:
-            assert runner.run(SCENARIOS[0]).scenario == SCENARIOS[0]
+            assert runner.once(SCENARIOS[0]).scenario == SCENARIOS[0]
     assert callers == []
 
 
 def test_run_ends_after_the_decisions_that_are_of_interest(runner_of):
     runner = runner_of(Planner)
-    cut, asked = runner.run(SCENARIOS[0], most=4), runner.decisions
+    cut, asked = runner.once(SCENARIOS[0], most=4), runner.decisions
     assert len(cut.actions) == asked == len(callers) == 4
-    whole = runner.run(SCENARIOS[0], most=100)
-    assert whole.states.tobytes() == runner.run(SCENARIOS[0]).states.tobytes()
+    whole = runner.once(SCENARIOS[0], most=100)
+    assert whole.states.tobytes() == runner.once(SCENARIOS[0]).states.tobytes()
 
 
 def test_run_that_ends_early_closes_what_the_ads_opened_in_it(runner_of):
@@ -133,5 +132,5 @@ def test_run_that_ends_early_closes_what_the_ads_opened_in_it(runner_of):
             self.close = lambda: closed.append(len(self.callers))
             return super().__call__(observation)
 
-    runner_of(OpensAtItsFirstDecision).run(SCENARIOS[0], most=4)
+    runner_of(OpensAtItsFirstDecision).once(SCENARIOS[0], most=4)
     assert closed == [4]

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_pafot.execution import runner
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import ExecutionError, Job, judged_apart, once_apart
+from pytest_pafot.execution.runner import Apart, ExecutionError, Job, judged_apart
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
@@ -78,4 +78,6 @@ def test_without_forking_the_ads_must_be_one_that_can_be_pickled(job_of, no_fork
 
 @needs_fork
 def test_what_a_function_makes_of_a_scenario_in_a_forked_process_comes_back(job_of):
-    assert once_apart(job_of(idle), ONE, lambda scenario, ads: (scenario.seed, os.getpid() != HERE)) == (1, True)
+    job = job_of(idle)
+    with job.crash_record() as record, Apart(job, record) as apart:
+        assert apart.once(ONE, lambda scenario, ads: (scenario.seed, os.getpid() != HERE)) == (1, True)

@@ -199,9 +199,9 @@ def test_isolated_run_impossible_on_workers_is_refused(tmp_path, monkeypatch):
     dask_cluster._kept.cache_clear()
     job = job_of(tmp_path)
     isolated = runner_for(job, job.crash_record(), isolate=True, cluster=partial(DaskPool, Inline()))
-    assert isolated.run(SCENARIOS[0]) is not None
+    assert isolated.once(SCENARIOS[0]) is not None
     with pytest.raises(ExecutionError, match=r"--pafot-isolate: .*LookupError: my-env-v0 is not registered; install"):
-        isolated.run(SCENARIOS[1])
+        isolated.once(SCENARIOS[1])
 
 
 def test_what_cannot_travel_is_refused(tmp_path):

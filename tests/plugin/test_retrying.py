@@ -8,7 +8,7 @@ import pytest
 
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.execution.crash_records import CrashRecord
-from pytest_pafot.execution.runner import Isolated
+from pytest_pafot.execution.runner import Apart
 from pytest_pafot.world import Highway
 
 forks = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -96,8 +96,13 @@ def test_no_record_of_the_session_stands_while_another_process_drives_in_highway
     standing, seen = [], []
     monkeypatch.setattr(CrashRecord, "write", lambda self, *scenarios, **_: standing.append(self))
     monkeypatch.setattr(CrashRecord, "clear", lambda _: standing.clear())
-    in_gym = Isolated.in_gym
-    monkeypatch.setattr(Isolated, "in_gym", lambda *given: seen.append(len(standing)) or in_gym(*given))
+    fetched = Apart._fetched
+
+    def fetch(self, task):
+        seen.extend([len(standing)] * (getattr(task, "method", "") == "rollout_in_gym"))
+        return fetched(self, task)
+
+    monkeypatch.setattr(Apart, "_fetched", fetch)
     write(project, "None", TEST.replace("pass", "assert not run.collision"))
     project.run("--pafot-isolate", runs=12)
     assert seen

@@ -16,7 +16,7 @@ from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import refusals
 from pytest_pafot.campaign.refine.simplest import check_limits
 from pytest_pafot.campaign.results import State
-from pytest_pafot.execution.runner import once_apart, runner_for
+from pytest_pafot.execution.runner import runner_for
 from pytest_pafot.findings.decisions import (
     PARTS,
     Moment,
@@ -189,13 +189,10 @@ def _decided_aside(
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
-        with refusals():
-            if isolate:  # the other process notes what is decided in a copy
-                aside = cast("Aside", once_apart(job, scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1]))
-                return aside
-            with runner_for(job, record, isolate=False) as runner:
-                runner.run(scenario)
-                return aside
+        # If policies are isolated, another process notes what is decided, in a copy.
+        with refusals(), runner_for(job, record, isolate=isolate) as runner:
+            aside = cast("Aside", runner.once(scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1]))
+            return aside
     except RequestError:
         return None
     finally:

@@ -14,7 +14,6 @@ from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.results import State, signature_of
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
-from pytest_pafot.execution.runner import Whole
 from pytest_pafot.findings.finding import RUNS, FailureRate, of_failure, with_other_seed
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
 from pytest_pafot.findings.sighting import Seen
@@ -38,7 +37,7 @@ def showing(
         return None
     try:
         bench.harness.world.check_fits(scenario)
-        run = bench.run(scenario, announced=True, most=most)
+        run = bench.run(scenario, most=most)
         if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
             bench.record.clear()
             return None
@@ -83,7 +82,7 @@ def announce(ahead: Ahead, state: State, bench: Bench) -> None:
         with suppress(ScenarioError):
             bench.harness.world.check_fits(each)
             fitting.append(each)
-    bench.runner.announce([Whole(each) for each in fitting if each not in state.fatal], more=ahead.more)
+    bench.runner.expect((each for each in fitting if each not in state.fatal), more=ahead.more)
 
 
 def check_limits(bench: Bench) -> None:
