@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, refusals
-from pytest_pafot.campaign.results import Driver, Examiner, Result, fingerprint, signature_of
+from pytest_pafot.campaign.results import Driver, Examiner, Result, State, fingerprint, signature_of
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Here, LostRun
@@ -59,32 +59,29 @@ class Bench:
         return self.decisions_beside + self.runner.decisions - self.confirm_decisions
 
     def results(
-        self,
-        scenarios: Iterable[Scenario],
-        known: Callable[[], Collection[Signature]],
-        skips: Callable[[Scenario], bool],
+        self, scenarios: Iterable[Scenario], state: State, skips: Callable[[Scenario], bool]
     ) -> Iterator[Result | LostRun]:
         """Yield the results of scenarios in their order; other processes may have made the runs.
 
-        If one fails in a way that is not ``known`` by then, the reference is run in the scenario, too. For ``skips``
-        see :meth:`.Here.results`.
+        If one fails in a way that is not known by then, the reference is run in the scenario, too. For ``skips`` see
+        :meth:`.Here.results`.
 
         Raises:
             RequestError, OutOfTime: as for :meth:`run`.
         """
         __tracebackhide__ = True
         runs = self.runner.results(scenarios, skips)
-        while (result := self._next(runs, known)) is not None:
+        while (result := self._next(runs, state)) is not None:
             yield result
 
-    def _next(self, runs: Iterator[Any], known: Callable[[], Collection[Signature]]) -> Result | LostRun | None:
+    def _next(self, runs: Iterator[Any], state: State) -> Result | LostRun | None:
         __tracebackhide__ = True
         with self._recorded():
             with refusals():
                 made = next(runs, None)
             if made is None or isinstance(made, ProcessLostError):
                 return made
-            result: Result = made if isinstance(made, Result) else self.examiner(made, known())
+            result: Result = made if isinstance(made, Result) else self.examiner(made, state.known)
             if result.kind == "failed" and self.reference is not None:
                 result = result.beside(self.harness.judge_reference(self.reference, result.evaluation.scenario))
         self.record.clear()

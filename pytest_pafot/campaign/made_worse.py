@@ -59,7 +59,7 @@ class MadeWorse:
         drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(self.most))
         scenarios, ahead = tee(drawn)
         bench, fatal = self.bench, self.state.fatal
-        results = bench.results(ahead, lambda: self.state.known, fatal.__contains__)
+        results = bench.results(ahead, self.state, fatal.__contains__)
         with bench.runner, suppress(OutOfTime):
             for scenario in scenarios:
                 yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")

@@ -92,7 +92,7 @@ class Bred(Plan):
         def skips(scenario: Scenario) -> bool:
             return scenario in state.fatal or self._cache.recall(scenario) is not None
 
-        self._results = self.bench.results(self.ahead(), lambda: state.known, skips)
+        self._results = self.bench.results(self.ahead(), state, skips)
         return next(self._results)
 
 
@@ -185,8 +185,8 @@ class Numbers:
         if result is None:
             # Where processes drive by themselves, this run alone, whose time is measured, or the rest of a chunk.
             end = self._end if self.bench.driver is None else max(self._alone, self.number + 1)
-            drawn = (self.algorithm.drawn(self.seed, number) for number in range(self.number, end))
-            self._results = self.bench.results(drawn, lambda: state.known, state.fatal.__contains__)
+            drawn = map(partial(self.algorithm.drawn, self.seed), range(self.number, end))
+            self._results = self.bench.results(drawn, state, state.fatal.__contains__)
             result = next(self._results)
         if isinstance(result, ProcessLostError):
             self._suspect = None  # The scenario that killed the process of its chunk has run again, and did so.
@@ -208,6 +208,7 @@ class Numbers:
 
     def finished(self, reason: EndReason, seconds: float) -> Iterator[Event]:
         """Yield the last event."""
+        self._results = iter(())
         yield CampaignFinished(
             reason=reason, generations=0, evaluated=self.number, simulated=self.number, best=None, seconds=seconds
         )

@@ -85,11 +85,11 @@ class Bench:
     numbers: Iterator[int] = field(default_factory=count)
     has_reference: bool = False
 
-    def results(self, scenarios, known, skips):
+    def results(self, scenarios, state, skips):
         for scenario in scenarios:
             if not skips(scenario):
                 try:
-                    result = self.result(scenario, known())
+                    result = self.result(scenario, state.known)
                 except ProcessLostError as lost:
                     result = lost
                 yield result

@@ -189,9 +189,11 @@ def _decided_aside(
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
-        # If policies are isolated, another process notes what is decided, in a copy.
         with refusals(), runner_for(job, record, isolate=isolate) as runner:
-            aside = cast("Aside", runner.once(scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1]))
+            if isolate:  # the other process notes what is decided in a copy
+                aside = cast("Aside", runner.once(scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1]))
+            else:
+                runner.once(scenario)
             return aside
     except RequestError:
         return None

@@ -82,7 +82,7 @@ def announce(ahead: Ahead, state: State, bench: Bench) -> None:
         with suppress(ScenarioError):
             bench.harness.world.check_fits(each)
             fitting.append(each)
-    bench.runner.expect((each for each in fitting if each not in state.fatal), more=ahead.more)
+    bench.runner.expect([each for each in fitting if each not in state.fatal], more=ahead.more)
 
 
 def check_limits(bench: Bench) -> None:
