@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from itertools import islice
+from itertools import filterfalse, islice
 from logging.handlers import QueueHandler
 from pathlib import Path
 from queue import SimpleQueue
@@ -472,9 +472,8 @@ class Here:
             Exception: as for :meth:`once`.
         """
         __tracebackhide__ = True
-        for scenario in scenarios:
-            if not skips(scenario):
-                yield self._once(scenario)
+        for scenario in filterfalse(skips, scenarios):
+            yield self._once(scenario)
 
     def expect(self, scenarios: Iterable[Scenario], *, more: bool = False) -> None:
         """Let other processes make runs for which :meth:`once` will be asked, in their order.
