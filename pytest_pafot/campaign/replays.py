@@ -421,6 +421,7 @@ class Replays:
         shown, failing = _by_chance(finding, now, *now.ran), 0
         with (
             harness.recording(job) as record,
+            refusals(),
             runner_for(job, record, isolate=self.is_apart(saved, owner)) as runner,
         ):
             for number in range(1, RUNS + 1):

@@ -404,7 +404,10 @@ class SearchSession:
         state, bench = self.state, self.bench
         if state.first_skipped is None or state.counts.kinds["skipped"] < state.runs:
             return None
-        verdict = bench.finish(bench.run(state.first_skipped))
+        try:
+            verdict = bench.finish(bench.run(state.first_skipped))
+        except ProcessLostError:  # the other runs have said what they say
+            return None
         return verdict.exception if verdict.kind == "skipped" else None
 
     def _settle(self, reason: Ending) -> None:

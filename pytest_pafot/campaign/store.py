@@ -126,7 +126,9 @@ class Store:
                 id_ = sighting if isinstance(sighting, str) else sighting.id
                 if not isinstance(sighting, str):
                     self.findings[id_] = replace(sighting, unshrunk=UNCONFIRMED)
-                yield signature, id_, Counts.of(result, number)
+                counts = Counts.of(result, number)
+                counts.fails.clear()  # the passing runs beside it are not counted, so the share would be too high
+                yield signature, id_, counts
             elif path is not None:
                 _remove_early(path)
         self.early.clear()

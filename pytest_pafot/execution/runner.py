@@ -600,7 +600,7 @@ class Apart(Here):
         if isinstance(drive, str):
             return self._made(scenario, Whole(scenario, drive))
         # Only a process that is forked now has the function. That it died counts even if a second one did not.
-        with pool_for(replace(self.job, own=drive), 1) as pool:
+        with pool_for(replace(self.job, own=drive, read=None), 1) as pool:
             answer = pool.fetch(scenario)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
@@ -686,6 +686,7 @@ class Apart(Here):
         """
         __tracebackhide__ = True
         if self._is_only:
+            self._expected.pop(task, None)
             answer = self._fetched(task)
             if isinstance(answer, tuple) and getattr(task, "method", "rollout") == "rollout":
                 self.count(1, answer[2])

@@ -1,5 +1,6 @@
 """How runs are counted, and the share of random scenarios that fail by the ego's fault."""
 
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 import pytest_pafot as pafot
 from example_ads import constant_speed
 from pytest_pafot.campaign.results import Counts, Examiner, Result, lost
+from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import of_failure
 from pytest_pafot.findings.verdict import Failure, Verdict
@@ -66,6 +68,15 @@ def test_failed_check_without_collision_is_no_ego_fault(holds):
     told = " ".join(search_lines(found.summary))
     assert " failed by the ego's fault, " in told
     assert told.count(f"; {len(runs) - collided} more failed a check") == 1
+
+
+def test_failures_before_their_turn_are_in_no_share(monkeypatch):
+    """The runs beside them that passed are not counted, so the share would be too high."""
+    evaluation = replace(lost(trace_of(vehicle(0)).scenario, None).evaluation, discarded=False)
+    early = Result(evaluation=evaluation, kind="failed", ended="collision", fails="ego")
+    monkeypatch.setattr(Store, "add", lambda *given: "its id")
+    ((_, _, counts),) = Store(harness=None, seed=1, early={"its signature": (None, early, 7)}).settle(keeps=True)
+    assert (counts.kinds["failed"], counts.fails.total()) == (1, 0)
 
 
 def test_early_stopped_search_gives_no_random_share():
