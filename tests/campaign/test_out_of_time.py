@@ -122,9 +122,9 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
         def close(self, *, at_once=False):
             pass
 
-    def here(world):
+    def here(world, method="rollout"):
         clock.now += 10 if ended else 15  # the first run loads libraries
-        return rollout_of(world)
+        return rollout_of(world, method)
 
     def confirming(self, *given):
         clock.now += 30
