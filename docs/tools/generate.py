@@ -80,8 +80,7 @@ MARKER_TEXTS: Mapping[str, str] = {
     "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "arg": "Parameter of the test that receives the run.",
     "fitness": "[The fitness](fitness.md): a name, a measure, or a function of the trace.",
-    "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"`, '
-    '`"ego"`, `"avoidable"` or `"preventable"`.',
+    "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"` or `"ego"`.',
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
     'or `"paper"`.',
     "instructions": '[What NPCs that do not cross do](../explanation/default-search.md#why-both-kinds): `"cells"`, '
@@ -126,15 +125,13 @@ FILE_TEXTS: Mapping[str, str] = {
     "exception, its statement or first line.",
     "expect.message": "First line of the message, if `assertion` does not say it.",
     "expect.time": "Of the event [s]: of the failed check, otherwise `event_time`.",
-    "expect.reference_drivers": "[The outcome](../explanation/findings.md#who-could-have-prevented-it) of each: "
-    "`avoids`, `hit`, `at-fault` or `fails`.",
     "expect.check": "Of a failed check: `value`, `at_most`, `at_least`, `unit`.",
     "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure: "
     "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from the ego's to the right), `ego_speed` and "
     "`npc_speed` [m/s] (of a leader, its lowest from then on). Where ways meet, the times to the zone `npc_enters` and "
     "`ego_enters` [s] replace `ahead` and `lane`.",
-    "expect.avoided_by": "The last decision from which `braking` [m/s^2] avoids the collision, or without `braking` "
-    "staying in the lane, and its `time` [s].",
+    "expect.takeover": "[The latest takeover](../explanation/findings.md#what-a-careful-driver-would-have-done) by a "
+    "careful driver that avoids the collision [s before the impact]; `0.0` if none of the last 3 s does.",
     "expect.mistake": "[What the ego did wrong](../explanation/findings.md#what-makes-two-failures-the-same), for "
     "`entered-lane`.",
     "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight) that are no defaults.",
@@ -160,7 +157,7 @@ FILE_TEXTS: Mapping[str, str] = {
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
 
 RUN_INTERNALS = (
-    *("world", "take_over", "avoided_by", "facts"),
+    *("take_over", "facts"),
     *("event_npc", "event_cell", "closest_time", "zone_of", "place_of"),
 )
 """Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""

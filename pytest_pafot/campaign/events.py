@@ -41,7 +41,7 @@ class Progress:
 
 UNTESTED = ("invalid", "rejected", "skipped")
 """The kinds of verdicts on runs that say nothing about the policy."""
-KINDS = ("passed", "failed", "npc", "avoidable", "unpreventable", "common", *UNTESTED)
+KINDS = ("passed", "failed", "npc", "common", *UNTESTED)
 """All kinds of verdicts."""
 
 
@@ -126,8 +126,7 @@ class Search:
         asked: `generations` and `runs` after which it ends, if they were requested.
         kinds, outcomes, responsibilities: runs by the verdict, by how they ended, and by who was responsible; each adds
             up to all runs. Verdicts are as in [the summary](items.md#the-summary-and-the-health-of-a-search): `failed`,
-            `invalid`, `npc` at fault, `avoidable` likewise, `unpreventable`, `common` with the reference, `rejected`,
-            `skipped`, or `passed`.
+            `invalid`, `npc` at fault, `common` with the reference, `rejected`, `skipped`, or `passed`.
         more_runs: further runs: to `shrink` findings, to find the `moment`, and `known` scenarios not run again.
         decisions: of the policy: in the `search`, to `confirm` findings, to `shrink` them, and for the `moment`.
         random: random scenarios at the beginning: `at_fault`, failing in a collision by the ego's fault; failing

@@ -8,27 +8,26 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution.mistakes import Avoidance, avoidance, keeping_lane
+from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.responses import AT_FAULT
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Cluster, ExecutionError, Here, Job, runner_for
-from pytest_pafot.findings.decisions import moved_over
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure, Verdict, severity_of
 from pytest_pafot.model.instructions import Cell, ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import WORLD_HANG, Outcome, Trace
-from pytest_pafot.oracle.run import Recording, ReferenceOutcome, Rejected, Run, preventing, recorded, reference_outcome
-from pytest_pafot.support.errors import DriverError, RequestError
+from pytest_pafot.oracle.run import Recording, Rejected, Run, recorded
+from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.process import REPLACED
 from pytest_pafot.support.references import factory_named, name_of, source_files
 from pytest_pafot.world import AdsFactoryError, WorldError, codec
@@ -56,17 +55,12 @@ def source_file(function: Callable[..., Any], default: str = "") -> str:
 def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> Verdict:
     """Judge a run by the test function, unless the ADS itself failed or NPCs touched.
 
-    Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible; with
-    ``avoidable``, it is called for those of them that braking late, but hard, would have avoided. With ``preventable``,
-    a failing assertion counts only if a reference driver would have prevented the failure. Any other exception is an
-    error of the function. A failure is identified by the line in ``test_file`` that failed,
-    by default in the file of the function.
+    Unless ``blame`` is ``any``, the function is not called for collisions for which only an NPC is responsible. A
+    failure is identified by the line in ``test_file`` that failed, by default in the file of the function.
 
     Raises:
         BaseException: any exception that says nothing about the run, such as an interrupt, the end of the session, a
             timeout of the item, the end of a debugging session, or a function that cannot be an oracle.
-        NoReferenceDriversError: with ``preventable``, for a failing run in a world without reference drivers.
-        RequestError: with ``preventable``, if the world cannot simulate a reference driver.
     """
     if run.outcome is Outcome.INVALID:
         return Verdict(kind="invalid")
@@ -75,40 +69,9 @@ def judge(run: Run, test: Test, *, blame: str, test_file: str | None = None) -> 
         is_timed = run.outcome is Outcome.HANG
         exception = PlainFailure(ads_text(broken, " (depends on wall-clock time)" if is_timed else ""))
         return Verdict(kind="failed", exception=exception, failure=broken, is_timed=is_timed, is_ads=True)
-    is_excused, avoidable = blame != "any" and run.responsibility == "npc", run.attribution.avoidable
-    if is_excused and avoidable and blame != "avoidable":
-        verdict = Verdict(kind="avoidable", excused=" ".join(run.attribution.sentences[:1]))
-    elif is_excused and not avoidable:
-        verdict = Verdict(kind="npc")
-    else:
-        verdict = _verdict_of_test(run, test, test_file)
-    if blame == "preventable" and isinstance(verdict.exception, assertions()):
-        outcomes = reference_outcomes(run, test, blame=blame, test_file=test_file)
-        try:
-            is_preventable = next(preventing(outcomes, run.responsibility), None) is not None
-        except DriverError as error:  # Without the driver nobody knows whether the failure counts.
-            raise RequestError(f"blame='preventable': {error}; correct the world, or use blame='ego'") from error
-        if not is_preventable:
-            verdict = Verdict(kind="unpreventable")
-    return verdict
-
-
-def reference_outcomes(
-    run: Run, test: Test, *, blame: str, test_file: str | None = None, names: Sequence[str] | None = None
-) -> Iterator[tuple[str, ReferenceOutcome]]:
-    """Yield the outcome of each reference driver in the ego's place. Its run is judged like the run of the ego.
-
-    The drivers are simulated one after the other; ``names`` are some of them. A driver is left out if two NPCs touched
-    in its run, or if the test function declined to judge the run.
-
-    Raises:
-        DriverError: if the world cannot simulate a driver.
-    """
-    blame = "any" if blame == "any" else "ego"
-    for name, other in run.by_reference_drivers(names):
-        verdict = judge(other, test, blame=blame, test_file=test_file)
-        if verdict.kind in ("passed", "failed", "npc", "avoidable"):
-            yield name, reference_outcome(other, fails=verdict.kind != "passed")
+    if blame != "any" and run.responsibility == "npc":
+        return Verdict(kind="npc")
+    return _verdict_of_test(run, test, test_file)
 
 
 def _verdict_of_test(run: Run, test: Test, test_file: str) -> Verdict:
@@ -471,38 +434,21 @@ class Harness:
         __tracebackhide__ = True
         return judge(run, self.test, blame=self.request.blame, test_file=self.test_file)
 
-    def reference_outcomes(self, run: Run, verdict: Verdict) -> tuple[dict[str, ReferenceOutcome], list[DriverError]]:
-        """Return how each reference driver fares in the ego's place in a failed run; empty if the ADS itself failed.
-
-        A driver that the world cannot simulate is left out, and its error is among the errors.
-        """
-        outcomes, errors = dict[str, ReferenceOutcome](), list[DriverError]()
-        if verdict.is_ads or run.world is None:
-            return outcomes, errors
-        for name in run.world.reference_drivers:
-            blame = self.request.blame
-            try:
-                outcomes |= dict(
-                    reference_outcomes(run, self.test, blame=blame, test_file=self.test_file, names=[name])
-                )
-            except DriverError as error:
-                errors.append(error)
-        return outcomes, errors
-
     @property
     def against_name(self) -> str:
         """The name of the reference in the summary; empty if the search has no reference."""
         return "" if self.against is None else self.against.shown
 
-    def avoidance(self, run: Run, verdict: Verdict) -> Avoidance | None:
-        """Find by simulation when braking, or staying in the lane, avoids the collision; None for any other failure."""
+    def takeover(self, run: Run, verdict: Verdict) -> float | None:
+        """Find by simulation the latest takeover that avoids the collision; None for any other failure, or if unknown.
+
+        Raises:
+            DriverError: if the world cannot simulate the driver.
+        """
         failure = verdict.failure
         if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
             return None
-        number = moved_over(run)
-        if number is not None:
-            return keeping_lane(run.trace, run.trace.decision_ticks[number], run.take_over)
-        return avoidance(run.trace, run.attribution.fault, run.take_over)
+        return takeovers.latest(run.trace, run.take_over)
 
     def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
         """Return the verdict on a trace that was made in ``world``."""

@@ -172,7 +172,7 @@ class Replays:
             if trace is None:
                 with refusals(), _naming(saved.path):
                     trace = rollout_of(world)(scenario, job.policy.factory)
-            run = _finding(saved).expect.known_of(harness.run_of(trace, world))
+            run = harness.run_of(trace, world)
             return run, harness.judge(run)
 
     def is_apart(self, saved: Saved, owner: str) -> bool:
@@ -426,7 +426,7 @@ class Replays:
         ):
             for number in range(1, RUNS + 1):
                 scenario = finding.scenario if finding.flaky else with_other_seed(finding.scenario, number)
-                run = finding.expect.known_of(harness.run_of(runner.once(scenario), world))
+                run = harness.run_of(runner.once(scenario), world)
                 verdict = harness.judge(run)
                 failing += verdict.failed
                 if not (shown.fails and shown.is_same):

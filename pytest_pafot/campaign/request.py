@@ -54,7 +54,7 @@ SLICE = 3.0
 """The duration of a gene on roads that are not straight, if NPCs may have Lane-Instructions [s]."""
 SLOWEST_START = 12.0
 """The lowest start speed of the ego in a random scenario [m/s], or half of the speed limit if that is lower."""
-Blame = Literal["any", "ego", "preventable", "avoidable"]
+Blame = Literal["any", "ego"]
 BLAMES: tuple[Blame, ...] = get_args(Blame)
 
 
@@ -116,8 +116,6 @@ class Request:
     ads: str | AdsFactory  # the name of the fixture that returns the factory, or the factory itself
     arg: str = "run"  # the parameter of the test function that receives the run
     # ``any``: the test function is called for every run. ``ego``: not if only an NPC is responsible for the collision.
-    # ``preventable``: as ``ego``, and a failure counts only if a reference driver would have prevented it.
-    # ``avoidable``: as ``ego``, and also for collisions that the rules excuse although braking late avoids them.
     blame: str = "any"
     fitness: str | Fitness = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
@@ -182,7 +180,11 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
     if not _is_name(request.arg):
         raise request.error("arg=...", f"expected a name, received {request.arg!r}")
     if request.blame not in BLAMES:
-        raise request.error("blame=...", f"expected one of {', '.join(BLAMES)}, received {request.blame!r}")
+        raise request.error(
+            "blame=...",
+            f"expected one of {', '.join(BLAMES)}, received {request.blame!r}; use blame='ego', which counts all "
+            "failures but collisions by the fault of an NPC alone",
+        )
     for name in BUDGETS:
         if arguments.get(name) is not None and int(arguments[name]) == 0:  # a text, too; such a search always passes
             problem = f"expected at least 1, since 0 searches nothing; to replay only, give pytest {flag('runs', 0)}"
@@ -355,14 +357,7 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
 
 def _checked_world(request: Request, given: Any, origin: str) -> BaseWorld:
     own = f"your own world with {', '.join(REQUIRED)}"
-    world = _whole_world(given, f"expected {origin} pafot.Highway(...) or pafot.World(...), or {own}, received ")
-    if request.blame == "preventable" and not world.reference_drivers:
-        raise request.error(
-            "blame='preventable'",
-            f"expected a world with reference_drivers and rollout_reference(scenario, name), received {world!r:.100}; "
-            "write these, or use blame='ego'",
-        )
-    return world
+    return _whole_world(given, f"expected {origin} pafot.Highway(...) or pafot.World(...), or {own}, received ")
 
 
 def _whole_world(given: Any, message: str) -> BaseWorld:

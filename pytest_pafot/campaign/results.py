@@ -28,11 +28,11 @@ from pytest_pafot.support import monotonic
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec
 
-FAILING = ("failed", "unpreventable", "common")
+FAILING = ("failed", "common")
 """The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
 Fails = Literal["", "ego", "check", "otherwise"]
 
-UNJUDGED = ("npc", "avoidable", "invalid")
+UNJUDGED = ("npc", "invalid")
 """The kinds of verdicts on runs for which the test function was not called."""
 
 
@@ -76,7 +76,6 @@ class Result:
         cause: the cause of a failure that can be a fault of the set-up; otherwise None.
         caught: the names of checks that failed although the test function passed.
         doubt: see :func:`~pytest_pafot.campaign.harness.unit_doubt`.
-        excused: what happened in a collision that the rules excuse, though braking late avoids it; otherwise empty.
         broken: how the reference itself failed in the scenario; empty if it did not, None if it was not driven.
     """
 
@@ -92,7 +91,6 @@ class Result:
     cause: Cause | None = None
     caught: tuple[str, ...] = ()
     doubt: str = ""
-    excused: str = ""
     broken: str | None = None
 
     def beside(self, reference: Verdict) -> Self:
@@ -161,7 +159,6 @@ class Examiner:
             cause=cause_of(run, verdict),
             caught=tuple({each.name for each in verdict.checks if not each.holds}) if verdict.kind == "passed" else (),
             doubt=unit_doubt(trace),
-            excused=verdict.excused,
         )
 
     def _failed(self, run: Run, failure: Failure, signature: Signature, verdict: Verdict) -> Failed:
@@ -240,7 +237,7 @@ class Counts:
         caught: numbers of passed runs by the names of checks that failed in them.
         decisions: the number of decisions of the ADS.
         health: the figures that say whether the runs tested anything.
-        doubt, excused, broken: see :class:`Result`, of the first run with one; ``broken`` is empty if the reference did
+        doubt, broken: see :class:`Result`, of the first run with one; ``broken`` is empty if the reference did
             not itself fail in one of the scenarios.
     """
 
@@ -255,7 +252,6 @@ class Counts:
     decisions: int = 0
     health: Health = field(default_factory=Health)
     doubt: str = ""
-    excused: str = ""
     broken: str | None = None
 
     @property
@@ -286,7 +282,7 @@ class Counts:
             counts.causes[result.cause] = 1
         counts.caught.update(result.caught)
         counts.decisions, counts.health = result.decisions, Health.of_runs(1, [evaluation])
-        counts.doubt, counts.excused, counts.broken = result.doubt, result.excused, result.broken
+        counts.doubt, counts.broken = result.doubt, result.broken
         return counts
 
     def __iadd__(self, other: Counts) -> Self:
@@ -301,7 +297,7 @@ class Counts:
             self.manners.setdefault(each, id_)
         self.decisions += other.decisions
         self.health += other.health
-        self.doubt, self.excused = self.doubt or other.doubt, self.excused or other.excused
+        self.doubt = self.doubt or other.doubt
         if None in (self.broken, other.broken):
             self.broken = other.broken if self.broken is None else self.broken
         else:
@@ -430,7 +426,7 @@ class State:
         """Return warnings about the search's health, and about a test or reference with which nothing can fail."""
         counts = self.counts
         warnings = counts.health.warnings()
-        excused = sum(counts.kinds[kind] for kind in ("npc", "avoidable", "unpreventable"))
+        excused = counts.kinds["npc"]
         if excused and not counts.kinds["passed"] and not counts.kinds["failed"]:
             warnings.append(
                 f'the test function judged nothing: blame="{harness.request.blame}" excludes all '

@@ -30,8 +30,8 @@ COLUMNS: Mapping[str, str] = {
     "vehicles": "JSON: of the NPCs, up to the last that is no car",
     "genes": "JSON: each NPC's instructions, in SI units: cell or lane and speed; zone, speed, slot, act",
     "outcome": "how the run ended, such as `collision`",
-    "verdict": "passed, failed, npc or avoidable (an NPC's fault, which blame excludes), unpreventable, common (the "
-    "reference fails, too), invalid, rejected or skipped",
+    "verdict": "passed, failed, npc (an NPC's fault, which blame excludes), common (the reference fails, too), "
+    "invalid, rejected or skipped",
     "failing": "True if the run counts as a failure",
     "fitness": "higher is worse for the ego",
     "duration": "simulated time [s]",

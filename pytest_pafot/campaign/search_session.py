@@ -556,7 +556,6 @@ class SearchSession:
         cut = [f"cut by {reason}: the same seed may find other scenarios next time"] * (reason is Ending.MAX_TIME)
         notes = (
             counts.doubt,
-            self._excused_late,
             state.known_alone,
             self._unused,
             self._without_effect,
@@ -621,17 +620,6 @@ class SearchSession:
             unlike.sort(key=lambda pair: -len(pair[0]))
             found[id_] = tuple(f"{each} ({'; '.join(differs)})" for differs, each in unlike[:MAX_UNLIKE])
         return {id_: told for id_, told in sorted(found.items()) if told}
-
-    @property
-    def _excused_late(self) -> str:
-        """A note on collisions that the rules excuse, although braking late, but hard, would have avoided them."""
-        count = self.state.counts.kinds["avoidable"]
-        if not count:
-            return ""
-        return (
-            f"the rules excuse {plural(count, 'collision')} that 6 m/s^2 from 1.4 s after the danger began would have "
-            f'avoided, such as: {self.state.counts.excused} blame="avoidable" counts them as failures'
-        )
 
     @property
     def _without_effect(self) -> str:

@@ -87,11 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", flag("runs"), type=BY_NAME["runs"].read, metavar="N", help=of_runs)
     of_seed = "draw the scenarios of this seed (default: 0)"
     parser.add_argument("--seed", flag("seed"), type=BY_NAME["seed"].read, metavar="N", help=of_seed)
-    of_blame = "count these collisions as failures. any: all; ego: all but those by the fault of an NPC alone; "
-    of_blame += (
-        "preventable: of these, those that a reference driver prevents; avoidable: those of ego, and those that "
-    )
-    of_blame += "braking late, but hard, avoids (default: %(default)s)"
+    of_blame = "count these collisions as failures. any: all; ego: all but those by the fault of an NPC alone "
+    of_blame += "(default: %(default)s)"
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = "count only failures that a reference passes, a second policy: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)

@@ -47,9 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--blame",
         choices=BLAMES,
         default="any",
-        help="search for these collisions. any: all; ego: those that the ego is responsible for; preventable: only "
-        "those in which a reference driver is not at fault; avoidable: also those that the rules excuse although "
-        "braking late, but hard, avoids them (default: %(default)s, as in the paper)",
+        help="search for these collisions. any: all; ego: those that the ego is responsible for (default: %(default)s, "
+        "as in the paper)",
     )
     of_fitness = "maximise this fitness: default, paper, av-fuzzer, a measure such as headway, or module:function "
     of_fitness += "(default: that of each algorithm)"

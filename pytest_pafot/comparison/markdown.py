@@ -23,10 +23,6 @@ from pytest_pafot.world.codec import WorldData
 HITS = {
     "any": "all collisions",
     "ego": "collisions that the ego is responsible for (`--blame ego`)",
-    "preventable": "collisions that the ego is responsible for and a reference driver in its place is not (`--blame "
-    "preventable`)",
-    "avoidable": "collisions that the ego is responsible for, or that braking late, but hard, avoids (`--blame "
-    "avoidable`)",
 }
 """Descriptions of the collisions that count as failures, by the blame of the comparison."""
 

@@ -97,7 +97,7 @@ class Plan:
         runs: the number of runs of each algorithm.
         seconds: the simulated time of a run after which no scenario begins [s].
         seed: the base seed, from which the seeds of all runs are derived.
-        blame: ``any`` counts all collisions as failures, as the paper does; for the others see
+        blame: ``any`` counts all collisions as failures, as the paper does; for ``ego`` see
             :func:`pytest_pafot.search`.
         fitness: that of all algorithms: a name or ``module:function``; None for each algorithm's own.
         world, config: as on the command line.

@@ -683,7 +683,14 @@ def _has(value: object, part: str | int) -> bool:
     return isinstance(value, dict) and part in value
 
 
+FORMER = ("reference_drivers", "avoided_by")
+"""The keys of ``expect`` that earlier versions have written, and that are ignored."""
+
+
 def _expect(field: Field, npc: Read) -> Expect:
+    if isinstance(field.value, dict):
+        value = {key: value for key, value in field.value.items() if key not in FORMER}
+        field = Field(field.path, field.lines, field.place, value)
     fields = field.mapping(_keys_of(Expect))
     if fields["outcome"].choice(_OUTCOMES) == Outcome.COLLISION:
         # An NPC that crosses hits the ego in a zone, off the ego's way; every other NPC is in a cell.

@@ -129,12 +129,17 @@ def text_of(finding: Finding) -> str:
         *_filled("found: ", asdict(finding.found)),
         *([] if finding.perception is None else _filled("perception: ", finding.perception.imperfections)),
         *([] if finding.original is None else scenario_lines("original", finding.original)),
-        *([] if finding.shrunk is None else _filled("shrunk: ", asdict(finding.shrunk))),
+        *([] if finding.shrunk is None else _filled("shrunk: ", _known(asdict(finding.shrunk)))),
         *([] if rate is None else [f"rate: {{failing: {rate.failing}, runs: {rate.runs}}}"]),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
         xfail,
     ]
     return "\n".join(lines) + "\n"
+
+
+def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values without those that are unknown."""
+    return {name: value for name, value in values.items() if value not in (None, "")}
 
 
 def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
@@ -158,8 +163,7 @@ def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
 def _expect_lines(expect: Expect) -> Iterator[str]:
     """Yield the lines of ``expect``: a flow mapping in braces, or a block if one of its texts has several lines."""
     values = asdict(expect)  # in the order of the dataclass
-    for part in filter(values.get, ("check", "avoided_by")):
-        values[part] = {name: value for name, value in values[part].items() if value not in (None, "")}
+    values["check"] = _known(values["check"] or {})
     for last in ("situation", "traceback"):  # the longest ones
         values[last] = values.pop(last)
     entries = {name: value for name, value in values.items() if value not in (None, "", {}) or name == "failure"}

@@ -110,10 +110,10 @@ def vehicle_of(run: Run, expect: Expect) -> int | None:
 def deciding(run: Run, expect: Expect) -> int | None:
     """Return the number of the last decision that could have avoided a failure; None if none is known.
 
-    For a collision that braking avoids, it is the last decision from which braking avoids it, by simulation if that was
-    tried, else by the rules; the ego may brake there, but too softly. For a change of lanes it is the one that began
-    the motion, or turned it back, and for braking for nothing the one that began to brake. For a failed check it is the
-    last one up to the check.
+    For a collision, it is the last decision from which a careful driver who takes over avoids it, else the one by which
+    the ego had to respond by the rules; the ego may brake there, but too softly. For a change of lanes it is the one
+    that began the motion, or turned it back, and for braking for nothing the one that began to brake. For a failed
+    check it is the last one up to the check.
     """
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
@@ -129,7 +129,7 @@ def deciding(run: Run, expect: Expect) -> int | None:
         return number
     if attribution.fault in NEEDLESS:
         return at(attribution.time or 0.0)
-    due = due_of(run) if expect.avoided_by is None else expect.avoided_by.time
+    due = expect.time - expect.takeover if expect.takeover else due_of(run)
     return None if due is None else at(due)
 
 
@@ -151,13 +151,11 @@ def moved_over(run: Run) -> int | None:
 def advice_on(run: Run) -> str:
     """Return in a few words what the ego should have done by when to avoid the collision; empty if it is not at fault.
 
-    It is what a simulation has found, else what the rules say. A change of lanes, or a drift over the line, has the
-    time of the decision that began it, by :func:`moved_over`, and the time that the rules name.
+    It is what the rules say. A change of lanes, or a drift over the line, has the time of the decision that began it,
+    by :func:`moved_over`, and the time that the rules name.
     """
     if run.collision is None or run.responsibility not in ("ego", "both"):
         return ""
-    if run.avoided_by is not None and run.avoided_by.braking is not None:
-        return f"brake by {run.avoided_by.time:.1f} s"
     facts, number = run.attribution.facts, moved_over(run)
     if number is not None:
         crossed, began = facts[0].in_full, run.trace.decision_ticks[number] / run.trace.physics_hz

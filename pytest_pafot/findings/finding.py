@@ -16,8 +16,9 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from pytest_pafot.attribution.mistakes import Avoidance, Manoeuvre, manoeuvre_before
-from pytest_pafot.attribution.responses import ANSWERS, AT_FAULT, sentences
+from pytest_pafot.attribution import takeovers
+from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
+from pytest_pafot.attribution.responses import AT_FAULT
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
@@ -34,7 +35,7 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side, Trace, Y
-from pytest_pafot.oracle.run import Check, CheckFailed, ReferenceOutcome, Run, preventing, with_avoidance
+from pytest_pafot.oracle.run import Check, CheckFailed, Run
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.text import visible
 
@@ -118,9 +119,8 @@ class Expect:
         fault: rule by which the ego is responsible.
         mistake: for the fault ``entered-lane``, what the ego did wrong, by the place of the other vehicle.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision.
-        reference_drivers: outcome of each reference driver in the ego's place; empty if the comparison makes no sense.
-        avoided_by: the last decision from which braking, or staying in the lane, avoids the collision in simulation;
-            None if there is none.
+        takeover: the latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none of
+            the last 3 s does, None if it is unknown, or if the failure is no collision.
         against: the reference that passed the scenario, such as ``module:factory``; empty
             without a reference, or if it has no such name.
         traceback: traceback of an ADS that raised. It and ``message`` have no addresses, process ids and temporary
@@ -144,8 +144,7 @@ class Expect:
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
     situation: Situation | ZoneSituation | None = None
-    reference_drivers: Mapping[str, ReferenceOutcome] = field(default_factory=dict)
-    avoided_by: Avoidance | None = None
+    takeover: float | None = None
     against: str = ""
     traceback: str = ""
 
@@ -158,11 +157,6 @@ class Expect:
     def signature(self) -> Signature:
         """The identity of the failure, as far as these fields determine it; for a run see :func:`of_failure`."""
         return Signature.of(**{part.name: getattr(self, part.name) for part in fields(Signature)})
-
-    @property
-    def preventable_by(self) -> tuple[str, ...]:
-        """The names of the reference drivers that would have prevented the failure (see ``preventing``)."""
-        return tuple(preventing(self.reference_drivers.items(), self.responsibility))
 
     @property
     def event(self) -> str:
@@ -192,25 +186,17 @@ class Expect:
         who = "" if self.responsibility == "none" else f", {AT_FAULT[self.responsibility]}"
         return f"{self.outcome} after {self.time:.1f} s{npc}{place}{side}{'' if is_brief else who}"
 
-    def known_of(self, run: Run) -> Run:
-        """Return a run with what this finding knows of its collision: how it is avoided."""
-        return with_avoidance(run, self.avoided_by) if self.is_of(run) else run
-
     def is_of(self, run: Run) -> bool:
         """Return whether a run has the collision that this finding is about."""
         hit = run.collision
         return hit is not None and (round(hit.time, 3), hit.npc) == (self.time, self.npc)
 
     def sentences_on(self, run: Run) -> tuple[str, ...]:
-        """Return the sentences that explain a run; if it has this collision, also how a simulation avoids it."""
-        known = self.known_of(run)
-        if known.avoided_by is None:
-            return known.sentences
-        told = known.sentences[:1]
-        if known.avoided_by.braking is None:  # the rules also say what gap the change of lanes had to leave
-            facts = (fact for fact in known.attribution.facts if fact.vehicle or fact.in_full.what not in ANSWERS)
-            told = sentences(tuple(facts))
-        return *told, known.avoided_by.sentence, known.sentences[-1]
+        """Return the sentences that explain a run; if it has this collision, also what a careful driver avoids."""
+        told = run.sentences
+        if self.takeover is None or not self.is_of(run):
+            return told
+        return *told[:-1], takeovers.sentence(self.takeover), told[-1]
 
     @classmethod
     def of(
@@ -218,8 +204,7 @@ class Expect:
         run: Run,
         failure: Failure,
         *,
-        reference_drivers: Mapping[str, ReferenceOutcome] | None = None,
-        avoided_by: Avoidance | None = None,
+        takeover: float | None = None,
         against: str = "",
         root: str = "",
     ) -> Expect:
@@ -259,8 +244,7 @@ class Expect:
             if hit is None or hit.npc is None or event.zone
             else manoeuvre_before(trace, hit.npc + 1, hit.tick),
             ego_manoeuvre=None if hit is None else manoeuvre_before(trace, 0, hit.tick),
-            reference_drivers=dict(reference_drivers or {}),
-            avoided_by=avoided_by,
+            takeover=takeover,
             against=against,
             traceback=text,
         )

@@ -38,8 +38,7 @@ CHECK_FAILED = CheckFailed.__name__
 """The name of the failure of a check; its assertion is the name of the check."""
 
 _OF_COLLISIONS = frozenset(
-    {"collision", "responsibility", "attribution", "outcome", "second_opinion", "preventable_by", "reference_drivers",
-     "sentences", "explain"}
+    {"collision", "responsibility", "attribution", "outcome", "second_opinion", "sentences", "explain"}
 )  # fmt: skip
 """Attributes of a run that concern the collision: an assertion that uses one is about the collision."""
 
@@ -245,7 +244,7 @@ def _kebab(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text)[:MAX_SLUG].strip("-")
 
 
-PASSES = ("passed", "npc", "avoidable", "unpreventable")
+PASSES = ("passed", "npc")
 """The kinds of verdicts on runs in which the test passes, or of which ``blame`` excludes the failure."""
 
 
@@ -364,18 +363,15 @@ class Verdict:
     """The verdict of the test function, the oracle, on a run."""
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
-    # responsible, unless ``blame="any"``, and ``avoidable`` one that braking late, but hard, would have avoided, unless
-    # ``blame="avoidable"``. ``unpreventable`` is a failure that no reference driver would have prevented,
-    # with ``blame="preventable"``. ``common`` is a failure that the reference does not pass either. ``invalid`` is a
-    # crash between NPCs.
-    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "avoidable", "unpreventable", "common", "invalid"]
+    # responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either. ``invalid``
+    # is a crash between NPCs.
+    kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
     checks: tuple[Check, ...] = ()  # the checks that the function made, in order, up to one that failed
     is_timed: bool = False  # True if it depends on wall-clock time
     is_ads: bool = False  # True if the ADS itself failed, whatever the function asserts
     severity: Severity | None = None  # severity of the failure; None if there is none, or if nothing measures it
-    excused: str = ""  # what happened in a run that is ``avoidable``
     reference: Verdict | None = None  # verdict on the reference in the same scenario; None if it was not run
 
     @property

@@ -8,21 +8,22 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise, takewhile
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.mistakes import Avoidance, TakeOver, attributed
-from pytest_pafot.attribution.responses import due_by, responsible_sentence
+from pytest_pafot.attribution.mistakes import attributed
+from pytest_pafot.attribution.responses import responsible_sentence
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
+from pytest_pafot.attribution.takeovers import TakeOver
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     Asked,
@@ -41,7 +42,7 @@ from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, STYLES
 from pytest_pafot.support import import_late
-from pytest_pafot.support.errors import POSITIVE, checked_number, driven_by, install
+from pytest_pafot.support.errors import POSITIVE, checked_number, install
 from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
@@ -326,64 +327,17 @@ class Moment:
     cell: Cell | None
 
 
-class NoReferenceDriversError(RuntimeError):
-    """Error for a run that was made without its world, so that no reference driver can be simulated in its scenario."""
-
-
-class ReferenceWorld(Protocol):
-    """A world that can simulate scenarios with a reference driver in the ego's place."""
-
-    @property
-    def reference_drivers(self) -> Sequence[str]:
-        """The names of the reference drivers."""
-
-    def rollout_reference(self, scenario: Scenario, name: str, /) -> Trace:
-        """Simulate a scenario with the reference driver of a name in the ego's place."""
-
-
-ReferenceOutcome = Literal["avoids", "hit", "at-fault", "fails"]
-"""The outcome for a reference driver in the ego's place. ``avoids``: the driver avoids the failure. ``hit``: it
-collides, but only the NPC is responsible. ``at-fault``: it is responsible for a collision, alone or with the NPC.
-``fails``: it fails the test function without a collision."""
-
-
-def preventing(outcomes: Iterable[tuple[str, ReferenceOutcome]], responsibility: str | None) -> Iterator[str]:
-    """Return the names of the reference drivers that would have prevented a failure.
-
-    These are the drivers that avoid the failure. If the ego is responsible for a collision, drivers that are only hit
-    by an NPC are included, because they do not repeat the ego's fault.
-    """
-    free: tuple[ReferenceOutcome, ...] = ("avoids", "hit") if responsibility in ("ego", "both") else ("avoids",)
-    return (name for name, outcome in outcomes if outcome in free)
-
-
-def reference_outcome(run: Run, *, fails: bool) -> ReferenceOutcome:
-    """Return the outcome for a reference driver, given its run and whether that run fails."""
-    if not fails:
-        return "avoids"
-    if run.collision is None:
-        return "fails"
-    return "hit" if run.responsibility == "npc" else "at-fault"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """One simulated run with its outcome, measures and verdict. Measures are computed at their first use.
 
     Attributes:
         trace: record of the run, tick by tick.
-        world: world of the run if it has reference drivers, else None.
-        take_over: function that repeats the run with a reference driver that takes over in the middle, or None.
-        avoided_by: last decision from which braking, or staying in the lane, avoids the collision in simulation, which
-            a search finds out for its findings. The sentences require no braking later than a braking that avoids it.
-        driver: name of the reference driver that drives the ego; None if the ADS does.
+        take_over: function that repeats the run with the careful driver, who takes over in the middle, or None.
     """
 
     trace: Trace
-    world: ReferenceWorld | None = field(default=None, kw_only=True)
     take_over: TakeOver | None = field(default=None, kw_only=True)
-    avoided_by: Avoidance | None = field(default=None, kw_only=True)
-    driver: str | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -530,18 +484,11 @@ class Run:
             {**dict(self._signals.all()), "leader": self.leader}, index=pd.Index(self.trace.times, name="time")
         )
 
-    # Who caused the collision, and who would have prevented it.
+    # Who caused the collision.
 
     @cached_property
     def attribution(self) -> Attribution:
         """The cause of the collision: who, the time of what decides, and why."""
-        found, avoided = self._attributed, self.avoided_by
-        if avoided is None or avoided.braking is None:  # the time to keep the lane is no time to brake
-            return found
-        return replace(found, facts=due_by(found.facts, avoided.time))
-
-    @cached_property
-    def _attributed(self) -> Attribution:
         return attributed(self.trace)
 
     @property
@@ -559,52 +506,6 @@ class Run:
         """
         verdict = position_rule(self.trace)
         return None if verdict == "none" else verdict
-
-    @property
-    def preventable_by(self) -> tuple[str, ...]:
-        """The reference drivers that would have prevented the collision.
-
-        They avoid the collision; if the ego is responsible for it, they may also be hit without being at fault.
-
-        Raises:
-            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
-        """
-        return tuple(preventing(self.reference_drivers.items(), self.responsibility))
-
-    @cached_property
-    def reference_drivers(self) -> Mapping[str, ReferenceOutcome]:
-        """The outcome of each reference driver in the ego's place, by name: ``"avoids"``, ``"hit"`` or ``"at-fault"``.
-
-        The drivers are simulated at the first use, and only the collision counts. A driver is missing if two NPCs
-        touched in its run.
-
-        Raises:
-            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
-        """
-        runs = [(name, run) for name, run in self.by_reference_drivers() if run.outcome is not Outcome.INVALID]
-        return {name: reference_outcome(run, fails=run.collision is not None) for name, run in runs}
-
-    def by_reference_drivers(self, names: Sequence[str] | None = None) -> Iterator[tuple[str, Run]]:
-        """Yield the name of each reference driver and its run in the ego's place.
-
-        ``names`` are some of the world's drivers; by default all.
-
-        Raises:
-            NoReferenceDriversError: for a run that was made without its world, or in one without these drivers.
-            DriverError: if the world raises, or does not return a trace.
-        """
-        if self.world is None:
-            raise NoReferenceDriversError(
-                "run.reference_drivers: expected a run in a world that has reference drivers, received one without; "
-                "for a run that was made only from a trace, use Run(trace, world=world); a world of your own needs "
-                "reference_drivers, rollout_reference and take_over"
-            )
-        for name in self.world.reference_drivers if names is None else names:
-            with driven_by(self.world, "rollout_reference", name):
-                trace = self.world.rollout_reference(self.scenario, name)
-                if not isinstance(trace, Trace):
-                    raise TypeError(f"expected a pafot.Trace, received {trace!r:.100}")
-            yield name, Run(trace, world=self.world, driver=name)
 
     # The moment that the run is about.
 
@@ -791,13 +692,6 @@ class Run:
         if not due:
             return text
         return f"{text}, {'before a response was due' if time <= due[0] else 'too little to be a response'}"
-
-
-def with_avoidance(run: Run, avoided_by: Avoidance | None) -> Run:
-    """Return a run with what a simulation has found out about its collision, as in :attr:`Run.avoided_by`."""
-    known = replace(run, avoided_by=avoided_by)
-    known.__dict__["_attributed"] = run._attributed  # the rules only read the trace, so they are not asked again
-    return known
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_pafot.attribution import takeovers
 from pytest_pafot.campaign.events import (
     Ending,
     Note,
@@ -322,11 +323,10 @@ class SearchMessages:
         self.sent[seen.id] = seen  # even if an interrupt ends what follows
         lines = [] if run is None else explained(run, seen.raised).splitlines()
         lines = [] if lines and lines[0] in message_of(seen.raised) else lines
-        avoided = finding.expect.avoided_by
-        if avoided is None and run is not None and run.collision is not None and moved_over(run) is not None:
+        if run is not None and run.collision is not None and moved_over(run) is not None:
             lines.append(f"{capitalised(advice_on(run))}.")  # its decision, which no verdict knows
-        elif avoided is not None and not is_first:
-            lines.append(avoided.sentence)
+        if finding.expect.takeover is not None:
+            lines.append(takeovers.sentence(finding.expect.takeover))
         advice = "it does not repeat, so it is not shrunk" if seen.is_flaky else ""
         if finding.flaky == NOT_REPEATED:
             advice = DRAWS_IN_WRAPPERS if finding.world.get("wrappers") else DRAWS

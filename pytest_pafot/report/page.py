@@ -210,7 +210,7 @@ ASSETS = "pytest_pafot.report.assets"
 SCRIPTS = ("dom.js", "scene.js", "charts.js", "player.js", "main.js")
 """The page's scripts, in the order in which they run. Each uses what the earlier scripts define."""
 
-DRAWN = ("headline", "times", "vehicles", "road", "instructions", "decisions", "event", "check")
+DRAWN = ("headline", "times", "vehicles", "road", "instructions", "decisions", "ghost", "event", "check")
 """What the scripts read of a finding. The page has everything else as text."""
 
 INTERRUPTED = '<p class="warning">The session was interrupted. This report has what ran before that.</p>'

@@ -29,7 +29,7 @@ from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
-VERSION = 3
+VERSION = 4
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
 UNREAD = label(Observed(is_error=True))
@@ -59,7 +59,7 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "outcome": ("", lambda seen: str(seen.finding.expect.outcome)),
     "time": (None, lambda seen: seen.finding.expect.time),
     "responsible": ("none", lambda seen: seen.responsible),
-    "preventable_by": ([], lambda seen: list(seen.finding.expect.preventable_by)),
+    "takeover": (None, lambda seen: seen.finding.expect.takeover),
     "size": ("", lambda seen: size_of(seen.finding.scenario, seen.finding.longest_run)),
     "traffic": ("", lambda seen: STYLES[seen.finding.scenario.traffic].described),
     "runs": (0, lambda seen: 1 + seen.alike.runs if seen.observed.new else 0),
@@ -111,7 +111,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         kind: short name of the signature, with which ids begin.
         failure, assertion, outcome, time: as in `expect` of its file.
         responsible: `ego`, `npc`, `both` or `none`.
-        preventable_by: names of reference drivers that avoid it.
+        takeover: the latest takeover by a careful driver that avoids it, as in `expect` of its file, or null.
         size: size of the scenario in words.
         traffic: how the NPCs drive, in words; empty for the paper's.
         runs: number of runs that failed so; 0 for a saved scenario (see `known` of the search).

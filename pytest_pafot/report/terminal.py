@@ -10,16 +10,16 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
+from pytest_pafot.attribution import takeovers
 from pytest_pafot.campaign.events import UNTESTED, Ending, Note, Progress, Search
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import worsening
-from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
 from pytest_pafot.searching.plain import from_plain
 from pytest_pafot.support.errors import command, flag, rerun
@@ -56,14 +56,6 @@ MAX_WHOLE = 5
 
 PURPOSES = {"search": "decisions", "confirm": "to confirm", "shrink": "to shrink", "moment": "to find the moment"}
 """What runs and decisions of a policy are for, in words."""
-
-_BESIDE: Mapping[ReferenceOutcome, str] = {
-    "avoids": "",
-    "hit": " (hit, not at fault)",
-    "at-fault": " (at fault)",
-    "fails": " (fails too)",
-}
-"""The remark behind the name of a reference driver, by how its run ended."""
 
 
 def progress_line(progress: Progress, width: int = WIDTH) -> str:
@@ -129,7 +121,6 @@ def find_section(
     rest += [f"against    {against}, which passes"] if against else []
     if not is_first:
         rest += [f"shrunk     {how}" for how in shrunk_lines(seen.finding)]
-        rest += filter(None, [prevention_text(seen.finding.expect)])
     rest += [f"its file   {seen.detail}"] if seen.path and seen.detail else []
     rest += [f"note       {'; '.join(filter(None, (seen.remark, advice)))}"] if seen.remark else []
     fitted += fitted_lines(map(ascii_text, rest), width)
@@ -142,32 +133,23 @@ def find_section(
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
-    """Say in at most one line from what size to what size a finding shrank."""
+    """Say in a line from what to what a finding shrank, and in another what a careful driver avoided before, if so."""
     if finding.shrunk is None:
         return []
     found, is_minimal = finding.original, finding.shrunk.is_minimal
-    sizes = [size_of(each or finding.scenario, finding.longest_run).split(", ") for each in (found, None)]
+    both = [each or finding.scenario for each in (found, None)]
+    sizes = [[*size_of(each, finding.longest_run).split(", "), f"{each.traffic} traffic"] for each in both]
     changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
     how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
     if not changed:
         how = "to nothing simpler so far" if found is None else "to a simpler scenario of the same size"
     if found is None and is_minimal:
         return []
-    return [how if is_minimal else f"{how}, and could be simpler"]
-
-
-def prevention_text(expect: Expect) -> str:
-    """Say which reference drivers would have prevented a finding and which not; empty if none would have failed."""
-    drivers, preventing = expect.reference_drivers, expect.preventable_by
-    if len(preventing) == len(drivers):
-        return ""  # true of nearly all findings, so it would distinguish none
-    clauses: list[str] = []
-    for outcome, beside in _BESIDE.items():
-        names = [name for name, became in drivers.items() if became == outcome]
-        if names:
-            negation = "" if names[0] in preventing else "not "
-            clauses.append(f"{negation}{'' if clauses else 'preventable '}by {', '.join(names)}{beside}")
-    return "; ".join(clauses)
+    lines = [how if is_minimal else f"{how}, and could be simpler"]
+    if finding.shrunk.takeover is not None:
+        told = takeovers.sentence(finding.shrunk.takeover)
+        lines.append(f"as found: {told[0].lower()}{told[1:-1]}")
+    return lines
 
 
 def event_of(kind: str, text: str) -> Event:
@@ -248,8 +230,7 @@ def _figures(search: Search) -> str:
     counts = (
         (more["known"], "not run again"),
         (kinds["failed"], "failing"),
-        (kinds["npc"] + kinds["avoidable"], "npc at fault"),
-        (kinds["unpreventable"], "not preventable"),
+        (kinds["npc"], "npc at fault"),
         (kinds["common"], "failing with both"),
         *((kinds[kind], kind) for kind in UNTESTED),
         (search.no_interaction, "without interaction"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby, pairwise
 from operator import itemgetter
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.manoeuvres import stretches
 from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
@@ -24,7 +26,8 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, ALONG, SPEED, FloatArray, Lane, Trace, X, Y
 from pytest_pafot.model.vehicle_type import AMPLE, CAR, STYLES, DrivingStyle
 from pytest_pafot.oracle.run import Check, Run, arrival, lanes_apart
-from pytest_pafot.report.terminal import prevention_text, shrunk_lines
+from pytest_pafot.report.terminal import shrunk_lines
+from pytest_pafot.support.errors import DriverError
 from pytest_pafot.support.text import capitalised, plural
 from pytest_pafot.world.gym_world import action_names
 from pytest_pafot.world.kernel.driver import following_gap
@@ -195,9 +198,10 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         check: the check that failed in the run; None if something else failed.
 
     Keys:
-        headline, times, vehicles, road, instructions, decisions, event, check: what the scripts draw: times of the
-            frames, empty if no run was recorded; the ego, then the NPCs; the instructions, ordered by NPC and gene; the
-            decisions of the ego's ADS, of which equal ones in succession are one stretch; the failed check or null.
+        headline, times, vehicles, road, instructions, decisions, ghost, event, check: what the scripts draw: times of
+            the frames, empty if no run was recorded; the ego, then the NPCs; the instructions, ordered by NPC and gene;
+            the decisions of the ego's ADS, of which equal ones in succession are one stretch; the careful driver who
+            takes over, or null; the failed check or null.
         sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
             a failed check, what the headline does not say of it; otherwise empty.
         besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
@@ -211,7 +215,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
     expect, headline = finding.expect, "; ".join(filter(None, [sighting.headline, note]))
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    run = None if trace is None else expect.known_of(Run(trace))
+    run = None if trace is None else Run(trace)
     sentences = () if run is None else expect.sentences_on(run)
     first, *others = [""] if run is None else _explained(run, sentences)
     besides, collision = "", ""
@@ -242,6 +246,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "times": (),
         "instructions": _instructions(trace, finding.scenario),
         "decisions": (),
+        "ghost": None,
         "event": {"kind": str(expect.outcome), "time": expect.time, "npc": None, "side": ""},
         "check": None,
         "yaml": text_of(finding),
@@ -255,6 +260,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "vehicles": _vehicles(trace, ticks),
         "times": tuple(round(tick / trace.physics_hz, 3) for tick in ticks),
         "decisions": _decisions(trace, finding.world),
+        "ghost": _ghost(sighting, ticks),
         "event": {
             "kind": str(run.outcome),
             "time": round(min(run.event_time, run.duration), 3),
@@ -323,12 +329,10 @@ def _happened(lines: Sequence[str], sighting: Seen) -> tuple[Paragraph, ...]:
         listed = [f"its conditions then, with their values{about}:"] if moment.conditions else []
         shown.append(("The moment", [f"at {moment}", *listed], moment.conditions))
     runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
-    size = [f"{how}{runs}" for how in shrunk_lines(finding)]
+    size = [f"{how}{'' if number else runs}" for number, how in enumerate(shrunk_lines(finding))]
     shown.append(("Shrunk", size, ()))
-    prevented, perception = prevention_text(finding.expect), finding.perception
-    shown.append(
-        ("Others", [*filter(None, [prevented, "" if perception is None else f"found with {perception.described}"])], ())
-    )
+    perception = finding.perception
+    shown.append(("Others", [] if perception is None else [f"found with {perception.described}"], ()))
     return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)
 
 
@@ -418,6 +422,28 @@ def _vehicles(trace: Trace, ticks: Sequence[int]) -> tuple[View, ...]:
                 view["advantage"] = _numbers(advantages[ticks, npc], 2)
         views.append(view)
     return tuple(views)
+
+
+def _ghost(sighting: Seen, ticks: Sequence[int]) -> View | None:
+    """Return the ego with the careful driver whose takeover is the latest that avoids the collision, until the impact.
+
+    ``first`` is the index of its first frame. None if there is no such driver, or its world cannot simulate it here.
+    """
+    run, expect, taken = sighting.run, sighting.finding.expect, None
+    if run is not None and run.take_over is not None and expect.takeover and expect.is_of(run):
+        with suppress(DriverError):  # a world of the user's that once could
+            taken = takeovers.drive(run.trace, expect.takeover, run.take_over)
+    if run is None or taken is None or not expect.takeover:
+        return None
+    tick = round((expect.time - expect.takeover) * run.trace.physics_hz)
+    shown = [each for each in ticks if tick <= each <= taken.ticks]
+    along, across = (each[shown, 0] for each in taken.road.drawn(taken.states[:, :, X], taken.states[:, :, Y]))
+    return {
+        "first": ticks.index(shown[0]),
+        "along": _numbers(along, 2),
+        "across": _numbers(across, 2),
+        "heading": _numbers(taken.road.drawn_headings[shown, 0], 3),
+    }
 
 
 def zone_view(zone: Zone, length: float, width: float) -> View:

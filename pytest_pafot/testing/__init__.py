@@ -285,13 +285,10 @@ def _check_members(world: Any) -> None:
         _promise(value is not None and value > 0, f"{name} is a number above 0", f"{getattr(world, name)!r:.100}")
     is_slow = world.speed_limit <= TOP_SPEED
     _promise(is_slow, f"speed_limit is in m/s, at most {TOP_SPEED:g}", f"{world.speed_limit:g}")
-    for name in ("reference_drivers", "takes_over"):
-        names = getattr(world, name, ())
-        are_several = isinstance(names, Collection) and not isinstance(names, str)
-        are_names = are_several and all(isinstance(each, str) for each in names)
-        _promise(are_names, f"{name} is a tuple of names", f"{names!r:.100}")
-    has_reference = hasattr(world, "rollout_reference") or not hasattr(world, "reference_drivers")
-    _promise(has_reference, "a world with reference_drivers has rollout_reference", "none")
+    names = getattr(world, "takes_over", ())
+    are_several = isinstance(names, Collection) and not isinstance(names, str)
+    are_names = are_several and all(isinstance(each, str) for each in names)
+    _promise(are_names, "takes_over is a tuple of names", f"{names!r:.100}")
 
 
 def _check_same(first: Trace, second: Trace, promise: str) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -16,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 
 import numpy as np
 
-from pytest_pafot.attribution.mistakes import STEADY_BRAKING
-from pytest_pafot.attribution.responses import FOLLOWING, HARDEST
+from pytest_pafot.attribution.responses import HARDEST
+from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.crossings import Crossings
 from pytest_pafot.model.instructions import Cell, PositionInstruction, ScenarioError
@@ -46,7 +45,7 @@ from pytest_pafot.world.limits import (
     number_within,
     whole_within,
 )
-from pytest_pafot.world.reference_drivers import REFERENCES, TAKING_OVER, RecordedBody, ReferenceDriver, Relief
+from pytest_pafot.world.reference_drivers import REFERENCES, RecordedBody, ReferenceDriver, Relief
 from pytest_pafot.world.roads.road import Meeting, Road, StraightRoad, ego_start
 from pytest_pafot.world.run_config import Rules
 
@@ -242,16 +241,7 @@ class BaseWorld(ABC):
         raise NotImplementedError
 
     @property
-    def reference_drivers(self) -> tuple[str, ...]:
-        """The names of the reference drivers, for :meth:`rollout_reference`."""
-        return ()
-
-    def rollout_reference(self, scenario: Scenario, name: str) -> Trace:
-        """Simulate a scenario with a reference driver in the ego's place."""
-        raise NotImplementedError
-
-    @property
-    def drivers(self) -> tuple[str, ...]:
+    def takes_over(self) -> tuple[str, ...]:
         """The names of the drivers that can take over in a run, by :meth:`take_over`."""
         return ()
 
@@ -299,20 +289,7 @@ class BaseWorld(ABC):
 
     def run_of(self, trace: Trace) -> Run:
         """Return a trace that was made in this world as a test function sees it."""
-        world = self.given if self.reference_drivers else None
-        return Run(trace, world=world, take_over=self.taking_over(trace))
-
-    def taking_over(self, trace: Trace) -> TakingOver | None:
-        """Return how drivers can take over in a run of this world; None if no driver can.
-
-        If ``steady-braking`` is none of :attr:`drivers`, it is an ADS that brakes after the recorded decisions. This
-        needs a world that accepts ``decisions``, and an ADS whose actions look like SI units. Whether they are is seen
-        only in the run, in which the ego brakes at that rate or not.
-        """
-        declared = self.drivers
-        by_decisions = STEADY_BRAKING not in declared and self.is_resumable and self.looks_si(trace.actions)
-        drivers = (*declared, STEADY_BRAKING) if by_decisions else declared
-        return TakingOver(self, drivers, by_decisions) if drivers else None
+        return Run(trace, take_over=TakingOver(self) if CAREFUL in self.takes_over else None)
 
     @staticmethod
     def looks_si(actions: Sequence[Any]) -> bool:
@@ -330,34 +307,18 @@ class BaseWorld(ABC):
 
 @dataclass(frozen=True, slots=True)
 class TakingOver:
-    """The ability of a world to repeat a run in which a driver takes over from the ego.
-
-    Attributes:
-        world: the world.
-        drivers: the names with which it may be called.
-        by_decisions: True if ``steady-braking`` is not a driver of the world, but an ADS that brakes after the recorded
-            decisions.
-    """
+    """The ability of a world to repeat a run in which the careful driver takes over from the ego."""
 
     world: BaseWorld
-    drivers: tuple[str, ...]
-    by_decisions: bool
 
-    def __call__(self, trace: Trace, tick: int, name: str) -> Trace:
-        """Simulate a run again, with a driver by name in the ego's place from a tick on.
+    def __call__(self, trace: Trace, tick: int) -> Trace:
+        """Simulate a run again, with the careful driver in the ego's place from a tick on.
 
         Raises:
             DriverError: if the world raises, or does not return a trace.
         """
-        is_by_decisions = self.by_decisions and name == STEADY_BRAKING
-        with driven_by(self.world.given, "rollout(decisions=...)" if is_by_decisions else "take_over", name):
-            taken: object
-            if is_by_decisions:
-                first = trace.actions[: bisect_left(trace.decision_ticks, tick)]
-                resumed: Callable[..., object] = self.world.rollout  # which accepts decisions: the world is resumable
-                taken = resumed(trace.scenario, lambda: lambda *seen: BRAKING, decisions=first)
-            else:
-                taken = self.world.take_over(trace, tick, name)
+        with driven_by(self.world.given, "take_over", CAREFUL):
+            taken: object = self.world.take_over(trace, tick, CAREFUL)
             if not isinstance(taken, Trace):
                 raise TypeError(f"expected a pafot.Trace, received {taken!r:.100}")
         return taken
@@ -374,11 +335,7 @@ class TakingOver:
             longer = self.world.lasting(seconds)
             if longer.missing:
                 raise TypeError(f"expected a world, received {longer!r:.100}")
-        return replace(self, world=longer)
-
-
-BRAKING = (-FOLLOWING.deceleration, 0.0)
-"""The action that brakes steadily without steering, for an ADS that acts in SI units [m/s^2, rad]."""
+        return TakingOver(longer)
 
 
 BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
@@ -486,19 +443,9 @@ class BuiltInWorld(BaseWorld):
         return self.rules.crossings
 
     @property
-    def reference_drivers(self) -> tuple[str, ...]:
-        """The names of the reference drivers (:mod:`pytest_pafot.world.reference_drivers`)."""
-        return tuple(REFERENCES)
-
-    @property
     def takes_over(self) -> tuple[str, ...]:
-        """The names of the drivers that can take over but are no reference drivers."""
-        return tuple(name for name in TAKING_OVER if name not in REFERENCES)
-
-    @property
-    def drivers(self) -> tuple[str, ...]:
-        """The names of all drivers that can take over."""
-        return (*self.reference_drivers, *self.takes_over)
+        """The names of the drivers that can take over (:mod:`pytest_pafot.world.reference_drivers`)."""
+        return tuple(REFERENCES)
 
     def check_fits(self, scenario: Scenario) -> None:
         """Check a scenario against this world.
@@ -530,7 +477,7 @@ class BuiltInWorld(BaseWorld):
 
         Args:
             scenario: the scenario to run; it is checked against this world.
-            name: one of :attr:`reference_drivers`.
+            name: one of :attr:`takes_over`.
 
         Raises:
             WorldError: if there is no reference driver with this name.
@@ -547,7 +494,7 @@ class BuiltInWorld(BaseWorld):
         Args:
             trace: the trace of a run in this world.
             tick: the tick at which the driver decides for the first time.
-            name: one of :attr:`reference_drivers` or :attr:`takes_over`.
+            name: one of :attr:`takes_over`.
 
         Raises:
             WorldError: for an unknown name, a tick that the run does not have, or a trace with a different tick rate.
@@ -560,7 +507,7 @@ class BuiltInWorld(BaseWorld):
             raise WorldError(field="trace", expected=expected, received=f"a run with {trace.physics_hz}")
         seconds = tick / trace.physics_hz
         return self._driven_by(
-            lambda: (Relief(_reference_driver(name, TAKING_OVER), seconds), self._repeated(trace, tick)), trace.executed
+            lambda: (Relief(_reference_driver(name), seconds), self._repeated(trace, tick)), trace.executed
         )
 
     def _repeated(self, trace: Trace, tick: int) -> Body:
@@ -652,10 +599,10 @@ class BuiltInWorld(BaseWorld):
         )
 
 
-def _reference_driver(name: str, known: Mapping[str, Callable[[], ReferenceDriver]] = REFERENCES) -> ReferenceDriver:
-    if name not in known:
-        raise WorldError(f"reference driver: expected one of {', '.join(known)}, received {name!r}")
-    return known[name]()
+def _reference_driver(name: str) -> ReferenceDriver:
+    if name not in REFERENCES:
+        raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
+    return REFERENCES[name]()
 
 
 LANE_WIDTH = 4.0

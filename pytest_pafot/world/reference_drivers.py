@@ -23,8 +23,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from pytest_pafot.attribution.manoeuvres import DRIFTING, KEEPING
-from pytest_pafot.attribution.mistakes import STEADY_BRAKING
-from pytest_pafot.attribution.responses import BRAKES, EMERGENCY, FOLLOWING
+from pytest_pafot.attribution.responses import BRAKES, EMERGENCY
+from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.kernel.bodies import Body
@@ -314,25 +314,6 @@ class CarefulHuman(ReferenceDriver):
         return -HARD_BRAKING if self.brakes_from <= self.now + EPSILON else calm
 
 
-@dataclass(slots=True)
-class SteadyBraking(ReferenceDriver):
-    """A driver that brakes with 6 m/s^2 to a standstill in the ego's lane, whatever happens."""
-
-    HARDEST = FOLLOWING.deceleration
-    JERK = 1000.0
-    """The jerk of braking [m/s^3], so high that the brakes act at once."""
-
-    acceleration: float = -FOLLOWING.deceleration
-
-    def wish(self, observation: Observation) -> float:
-        """Return the acceleration that the driver wants now [m/s^2]."""
-        return -min(self.HARDEST, observation.ego.speed / self.step) if self.step > 0 else -self.HARDEST
-
-    def at_junction(self, observation: Observation) -> float:
-        """Return infinity, because this driver ignores all vehicles."""
-        return math.inf
-
-
 class RecordedBody(Body):
     """The ego of a recorded run: it repeats the recorded states up to a tick, and afterwards obeys its controls.
 
@@ -370,13 +351,8 @@ class Relief:
         return 0.0, 0.0
 
 
-REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({"careful-human": CarefulHuman})
-"""The factory of the reference driver by its name; it can be the ADS of a search."""
-
-TAKING_OVER: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType(
-    {**REFERENCES, STEADY_BRAKING: SteadyBraking}
-)
-"""The factories of the drivers that can take over during a run, by name."""
+REFERENCES: Mapping[str, Callable[[], ReferenceDriver]] = MappingProxyType({CAREFUL: CarefulHuman})
+"""The factory of the reference driver by its name; it can be the ADS of a search, and take over during a run."""
 
 
 def matters_to(ego: VehicleState, other: VehicleState, drift: float, lane_width: float, is_known: bool) -> bool:

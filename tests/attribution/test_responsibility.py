@@ -10,7 +10,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.manoeuvres import Stop, hard_braking
-from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.attribution.responses import (
     ANSWERS,
     DISTANCES,
@@ -27,7 +26,7 @@ from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
-from pytest_pafot.oracle.run import LINE_LENGTH, Run, with_avoidance
+from pytest_pafot.oracle.run import LINE_LENGTH, Run
 from tests.helpers.drives import HZ, crash, driven
 from tests.helpers.situations import cut_in, lane_change
 from tests.helpers.tables import table
@@ -339,6 +338,6 @@ def test_the_collision_of_a_run_is_judged_once(monkeypatch):
     judged, rule = [], Conflict._in_one_lane
     monkeypatch.setattr(Conflict, "_in_one_lane", lambda conflict: judged.append(conflict) or rule(conflict))
     run = Run(trace)
-    assert with_avoidance(run, Avoidance(time=1.0, braking=6.0)).attribution == run.attribution
+    assert run.sentences[-1] == "NPC 0 is responsible."
     assert (run.responsibility, run.attribution.blames_ego) == ("npc", False)
     assert len(judged) == 1

@@ -131,10 +131,10 @@ def test_reference_failing_on_repeat_makes_finding_flaky():
     assert [find.finding.flaky for find in summary.finds] == ["the reference failed when it ran again"]
 
 
-@table("kind", ["passed", "npc", "unpreventable", "failed", "rejected", "skipped", "invalid"])
+@table("kind", ["passed", "npc", "failed", "rejected", "skipped", "invalid"])
 def test_failure_is_common_unless_the_reference_would_pass_the_test(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
-    expected = ("failed", True) if kind in ("passed", "npc", "unpreventable") else ("common", False)
+    expected = ("failed", True) if kind in ("passed", "npc") else ("common", False)
     assert (verdict.kind, verdict.failed) == expected
 
 

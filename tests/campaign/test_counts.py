@@ -21,7 +21,7 @@ from pytest_pafot.report.terminal import search_lines
 from pytest_pafot.searching.evaluation import Evaluation
 from tests.helpers.traces import blamed_on, trace_of, vehicle
 
-KINDS = ("passed", "failed", "npc", "avoidable", "unpreventable", "common", "rejected", "skipped", "invalid", "lost")
+KINDS = ("passed", "failed", "npc", "common", "rejected", "skipped", "invalid", "lost")
 
 
 def no_collision(run):
@@ -88,7 +88,7 @@ def test_search_of_an_algorithm_that_breeds_gives_no_random_share():
     assert explored(runs=24, algorithm="pafot").summary.random["runs"] == 0
 
 
-@pytest.mark.parametrize("kind", ["failed", "unpreventable", "passed", "rejected"])
+@pytest.mark.parametrize("kind", ["failed", "common", "passed", "rejected"])
 @pytest.mark.parametrize("responsible", ["ego", "npc"])
 @pytest.mark.parametrize("failure", ["AssertionError", "CheckFailed"])
 def test_runs_are_counted_by_how_they_failed(kind, responsible, failure):
@@ -97,7 +97,7 @@ def test_runs_are_counted_by_how_they_failed(kind, responsible, failure):
     harness = SimpleNamespace(run_of=partial(blamed_on, responsible), judge=lambda run: verdict)
     known = {of_failure(blamed_on(responsible, crash), verdict.failure)}
     counts = Counts.of(Examiner(harness=harness, fitness=lambda run: 0.0, seed=1)(crash, known))
-    is_failure = kind in ("failed", "unpreventable")
+    is_failure = kind in ("failed", "common")
     how = "ego" if responsible == "ego" else "check" if failure == "CheckFailed" else "otherwise"
     assert counts.fails == ({} if kind == "rejected" else {how if is_failure else "": 1})
     assert (counts.kinds, counts.outcomes, counts.responsibilities) == ({kind: 1}, {"collision": 1}, {responsible: 1})

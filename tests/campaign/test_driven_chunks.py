@@ -15,7 +15,6 @@ from pytest_pafot.campaign import bench, explore, results, run_table, scenarios,
 from pytest_pafot.campaign.search import TimedWatch
 from pytest_pafot.campaign.store import Store
 from pytest_pafot.execution import runner
-from tests.helpers.sessions import remember_reference_runs
 
 pytestmark = [
     pytest.mark.processes,
@@ -47,7 +46,6 @@ def holds(run):
 @pytest.fixture
 def searched(tmp_path, monkeypatch):
     """Return a function that searches in chunks of 16 runs, and tells all about it and where given chunks begin."""
-    remember_reference_runs(monkeypatch)
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")  # the session itself makes that run
     monkeypatch.setattr(scenarios, "chunk_size", lambda run_seconds, left, workers: min(16, left))
     given, task, note_of = [], scenarios.Chunk, run_table.note_of

@@ -16,6 +16,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
+from pytest_pafot.attribution.takeovers import is_alike, latest
 from pytest_pafot.campaign import explore
 from pytest_pafot.campaign.events import Search, SearchStarted
 from pytest_pafot.campaign.refine import simplest
@@ -288,25 +289,26 @@ def test_setup_error_is_raised_unchanged():
     assert "no finding" in raised.value.__notes__[0]
 
 
-def test_preventable_finding_names_the_preventing_drivers(tmp_path):
-    arguments = {"holds": never_collides, "seed": 7, "corpus": str(tmp_path), "blame": "preventable", **SHORT}
-    found = pafot.explore(constant_speed.make, **arguments).findings
-    assert found
-    for finding in found:
-        assert finding.expect.responsibility in ("ego", "both")
-        assert finding.expect.preventable_by
-    assert pafot.explore(constant_speed.make, **arguments).findings == ()
+def test_takeover_of_a_finding_is_compared_with_the_one_of_its_scenario_as_found():
+    noted, world = [], pafot.Highway()
+    for seed in (2, 3):
+        given = SHORT | {"runs": 40, "seed": seed, "shrink_rollouts": 20}
+        for each in pafot.explore(constant_speed.make, holds=never_collides, **given).findings:
+            runs = [world.run_of(world.rollout(of, constant_speed.make)) for of in (each.original, each.scenario)]
+            as_found, shrunk = (latest(run.trace, run.take_over) for run in runs)
+            assert each.expect.takeover == shrunk
+            assert each.shrunk.takeover == (None if is_alike(as_found, shrunk) else as_found)
+            noted.append(each.shrunk.takeover is not None)
+    assert {*noted} == {True, False}
 
 
-def test_unpreventable_failures_are_counted_and_may_warn():
-    def holds(run):
-        if run.collision:
-            pafot.reject()
-        assert run.duration < 0
+def test_takeover_is_told_of_collisions_alone():
+    def keeps_apart(run):
+        pafot.check(run.min_distance, name="distance", at_least=0.1)
 
-    summary = pafot.explore(constant_speed.make, holds=holds, seed=5, blame="preventable", npcs=2, **SHORT).summary
-    assert summary.kinds["unpreventable"] > summary.failing == 0
-    assert "the test function judged nothing" in summary.warnings[-1]
+    found = pafot.explore(constant_speed.make, holds=keeps_apart, seed=5, blame="ego", **SHORT)
+    assert found.sightings[0].run.collision is not None
+    assert found.findings[0].expect.takeover is None
 
 
 def test_check_whose_failure_is_caught_finds_nothing():
@@ -322,14 +324,14 @@ def test_check_whose_failure_is_caught_finds_nothing():
     assert f"check 'shorter' failed in {passed} of {passed} runs that passed: the test function caught it" in warning
 
 
-def test_failing_ads_file_omits_the_reference_drivers():
+def test_a_failing_ads_is_avoided_by_no_takeover():
     class Raises:
         def __call__(self, observation):
             return [(0.0, 0.0)][int(observation.time > 1)]
 
     (finding,) = pafot.explore(Raises, holds=never_collides, seed=5, **SHORT).findings
     assert finding.expect.failure == "IndexError"
-    assert finding.expect.reference_drivers == {}
+    assert finding.expect.takeover is None
 
 
 @table(("arguments", "message"), [
@@ -338,7 +340,7 @@ def test_failing_ads_file_omits_the_reference_drivers():
     ({"generations": 0}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
     ({"generations": "00"}, r"pafot\.explore\(generations=0\): expected at least 1, since 0 searches nothing"),
     ({"report": "page.html"}, r"pafot\.explore\(report=\.\.\.\): expected an argument of a search"),
-    ({"world": Bare(), "blame": "preventable"}, r"\(blame='preventable'\): expected a world with reference_drivers"),
+    ({"blame": "preventable"}, r"\(blame=\.\.\.\): expected one of any, ego, received 'preventable'; use blame='ego'"),
     ({"world": 3}, r"pafot\.explore\(world=\.\.\.\): expected a world such as pafot\.Highway"),
     ({"npcs": 99}, r"pafot\.explore\(npcs\): npcs: expected 1 to 8"),
     ({"fitness": "none"}, r"pafot\.explore\(fitness=\.\.\.\): fitness: expected 'default'"),

@@ -73,7 +73,7 @@ SEARCHES = {
 def test_each_row_is_enough_to_run_its_run_again(name, monkeypatch):
     # What a search does with its findings adds no row, and takes longer than its runs.
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
-    monkeypatch.setattr(steps, "with_reference_drivers", lambda sighting, *given: _as_it_is(sighting))
+    monkeypatch.setattr(steps, "_with_takeover", lambda sighting, *given: _as_it_is(sighting))
     search = {"world": pafot.Highway(), **SEARCHES[name]}
     found = pafot.explore(**search, holds=never_collides, runs=16, seed=5, shrink_rollouts=0)
     assert len(found.runs) >= 16

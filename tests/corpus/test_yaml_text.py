@@ -6,7 +6,6 @@ import pytest
 import yaml
 from hypothesis import given, settings
 
-from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.corpus.reader import load, parse, parsed
 from pytest_pafot.corpus.writer import text_of, write
 from pytest_pafot.findings.finding import Expect
@@ -54,8 +53,7 @@ SITUATION = Situation(npc=0, time=6.6, ahead=-15.0, lane=-1, ego_speed=6.7, npc_
         of(expect={"situation": SITUATION}),
         "situation: {npc: 0, time: 6.6, ahead: -15.0, lane: -1, ego_speed: 6.7, npc_speed: 0.8}}\n",
     ),
-    (of(expect={"avoided_by": Avoidance(time=9.8, braking=6.0)}), "avoided_by: {time: 9.8, braking: 6.0}}\n"),
-    (of(expect={"avoided_by": Avoidance(time=9.8)}), "avoided_by: {time: 9.8}}\n"),
+    (of(expect={"takeover": 0.0}), "takeover: 0.0}\n"),
 ])  # fmt: skip
 def test_what_is_not_the_default_is_written_and_read_back(finding, line):
     text = text_of(finding)

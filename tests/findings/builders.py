@@ -6,7 +6,7 @@ from typing import get_args
 
 from hypothesis import strategies as st
 
-from pytest_pafot.attribution.mistakes import LANE_CHANGES, Avoidance, Manoeuvre
+from pytest_pafot.attribution.mistakes import LANE_CHANGES, Manoeuvre
 from pytest_pafot.corpus.reader import LIMITS, WORLDS
 from pytest_pafot.findings.finding import MAX_KEY, MAX_NUMBER, Bounded, Expect, FailureRate, Finding, Found
 from pytest_pafot.findings.shrink import Shrunk
@@ -25,7 +25,6 @@ from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.oracle.run import ReferenceOutcome
 from pytest_pafot.world import Highway
 from tests.helpers.hostile import CHARACTERS
 
@@ -56,7 +55,7 @@ def plain_finding(**changes):
             cell=Cell.FRONT,
             side="front",
             responsibility="ego",
-            reference_drivers={"careful-human": "avoids"},
+            takeover=1.25,
         ),
         "found": Found(seed=1234, generation=17, algorithm="pafot", versions=VERSIONS),
     }
@@ -158,10 +157,6 @@ def scenarios(draw):
     )
 
 
-def avoidances():
-    return st.builds(Avoidance, time=st.floats(0, 1e6), braking=st.none() | st.floats(0, 1e3))
-
-
 @st.composite
 def expectations(draw, npcs):
     outcome = draw(st.sampled_from([outcome for outcome in Outcome if outcome is not Outcome.INVALID]))
@@ -185,8 +180,7 @@ def expectations(draw, npcs):
         **draw(st.sampled_from([{}, *({"fault": "entered-lane", "mistake": each} for each in LANE_CHANGES)])),
         npc_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
         ego_manoeuvre=draw(st.sampled_from([None, *get_args(Manoeuvre)])),
-        reference_drivers=draw(st.dictionaries(keys(), st.sampled_from(get_args(ReferenceOutcome)), max_size=3)),
-        avoided_by=draw(st.none() | avoidances()),
+        takeover=draw(st.none() | st.floats(0, 3)),
         against=draw(texts()),
         traceback=draw(texts()),
     )

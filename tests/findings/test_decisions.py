@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.attribution.responses import Fact, What, advice
 from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import Moment, advice_on, deciding, differ, placed, seen_of, vehicle_of
@@ -341,11 +340,8 @@ def test_the_deciding_moment_of_a_missing_response_is_the_last_that_avoids_it():
     due = run.attribution.facts[-1].in_full.due_s
     assert deciding(run, expecting(run)) == int(due * hz + 1e-6)
     assert advice_on(run) == f"brake by {due:.1f} s"
-    avoided = Avoidance(time=3.0, braking=6.0)
-    assert deciding(run, expecting(run, avoided_by=avoided)) == round(3.0 * hz)
-    assert advice_on(replace(run, avoided_by=avoided)) == "brake by 3.0 s"
-    kept = replace(run, avoided_by=Avoidance(time=3.0))  # keeping the lane from then on says nothing of braking
-    assert (kept.sentences, advice_on(kept)) == (run.sentences, advice_on(run))
+    assert deciding(run, expecting(run, takeover=1.25)) == int((run.collision.time - 1.25) * hz + 1e-6)
+    assert deciding(run, expecting(run, takeover=0.0)) == deciding(run, expecting(run))  # none avoids it
     assert vehicle_of(run, expecting(run)) == 0
 
 
@@ -355,12 +351,12 @@ def test_an_ego_that_is_not_at_fault_gets_no_advice():
     )
     run = pafot.Run(WORLD.rollout(scenario, lambda: lambda seen: KEEPS))
     assert run.responsibility == "npc"
-    assert advice_on(replace(run, avoided_by=Avoidance(time=3.0, braking=6.0))) == ""
+    assert advice_on(run) == ""
 
 
 def test_an_ego_that_brakes_too_softly_has_the_last_decision_that_avoids_it_too():
     run = crash(lambda: lambda seen: (-2.0 if seen.time >= 3.0 else 0.0, 0.0))
-    number = deciding(run, expecting(run, avoided_by=Avoidance(time=4.0, braking=6.0)))
+    number = deciding(run, expecting(run, takeover=run.collision.time - 4.0))
     assert number / run.trace.ads_hz == 4.0
     assert text_of(run.trace.actions[number]) == "acceleration -2.0 m/s^2"
 
@@ -401,7 +397,6 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     run = pafot.Run(WORLD.rollout(scenario, planner(*plan)))
     assert run.attribution.fault == "entered-lane"
     assert run.trace.decision_ticks[deciding(run, expecting(run))] / run.trace.physics_hz == moment
-    kept = Avoidance(time=moment)
     crossed = run.attribution.time
     advised = f"do not change lanes: begun at {moment:.1f} s, into lane 0 at {crossed:.1f} s"
     assert crossed > moment
@@ -409,20 +404,7 @@ def test_the_moment_of_a_lane_change_is_the_decision_that_began_its_last_motion(
     assert f" at {crossed:.1f} s, " in run.sentences[0]  # the text and the advice say the same of the same event
     if planner is DRIFTS:
         advised = f"ego drifts from {moment:.1f} s, over the line at {crossed:.1f} s: keep the lane"
-    assert advice_on(run) == advice_on(replace(run, avoided_by=kept)) == advised
-    told = replace(expecting(run, avoided_by=kept), time=round(run.collision.time, 3)).sentences_on(run)
-    assert told[0] == run.sentences[0]
-    assert told[-2] == f"A careful driver who keeps the lane from {moment:.1f} s on avoids the collision."
-
-
-def test_what_the_ego_did_is_not_said_where_keeping_the_lane_avoids_the_collision():
-    """The gap that its change of lanes had to leave is said."""
-    run = pafot.Run(lane_change(10.0, faster=8.0))
-    crossed, asked, drove, responsible = run.sentences
-    assert drove == "The ego kept 20.1 m/s from 0.4 s on. Its centre came into lane 1 at 3.1 s."
-    expect = replace(expecting(run, avoided_by=Avoidance(time=2.0)), time=round(run.collision.time, 3))
-    careful = "A careful driver who keeps the lane from 2.0 s on avoids the collision."
-    assert expect.sentences_on(run) == (crossed, asked, careful, responsible)
+    assert advice_on(run) == advised
 
 
 @pytest.mark.parametrize(("planner", "plan", "moment"), [

@@ -5,7 +5,6 @@ from datetime import date
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import Avoidance
 from pytest_pafot.findings.finding import (
     ENOUGH,
     RUNS,
@@ -53,8 +52,8 @@ def test_new_finding_is_named_by_signature_and_scenario():
 
 
 def test_it_expects_what_the_run_showed():
-    told = {"reference_drivers": {"careful-human": "avoids"}, "avoided_by": Avoidance(time=0.8, braking=6.0)}
-    expect = Expect.of(run_of(outcome=Outcome.COLLISION), COLLIDES, **told)
+    run = run_of(outcome=Outcome.COLLISION)
+    expect = Expect.of(run, COLLIDES, takeover=0.75)
     assert expect == Expect(
         failure="AssertionError",
         assertion="not run.collision",
@@ -69,8 +68,13 @@ def test_it_expects_what_the_run_showed():
         fault="leader-unanswered",
         npc_manoeuvre="lane-keeping",
         ego_manoeuvre="lane-keeping",
-        **told,
+        takeover=0.75,
     )
+    *told, responsible = run.sentences
+    careful = "A careful driver who takes over 0.75 s before the impact still avoids it."
+    assert expect.sentences_on(run) == (*told, careful, responsible)
+    for changed in ({"time": 1.9}, {"takeover": None}):  # of another collision, or unknown
+        assert replace(expect, **changed).sentences_on(run) == run.sentences
 
 
 def test_message_is_saved_if_no_assertion_says_it():

@@ -1,4 +1,4 @@
-"""Runs made by hand, and a world whose reference drivers drive as in these runs."""
+"""Runs made by hand: without a collision, and with one that the ego or the NPC is responsible for."""
 
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import Outcome
@@ -26,18 +26,3 @@ def rammed():
     hit = collision_at(30, cell=Cell.REAR, side="rear", npc_speed=30.0)
     ego, npc = vehicle(0.0, 4.0, speed=20.0, ticks=30), vehicle(-25.0, 4.0, speed=30.0, ticks=30)
     return trace_of(ego, npc, outcome=Outcome.COLLISION, collision=hit)
-
-
-class Drivers:
-    """A world whose reference drivers drive as given traces do, and which records the drivers that were called."""
-
-    def __init__(self, **traces):
-        self.traces, self.asked = traces, []
-
-    @property
-    def reference_drivers(self):
-        return tuple(self.traces)
-
-    def rollout_reference(self, scenario, name):
-        self.asked.append(name)
-        return self.traces[name]

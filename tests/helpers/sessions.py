@@ -33,7 +33,6 @@ from pytest_pafot import __main__
 from pytest_pafot.commands import search_command
 from pytest_pafot.execution.pool import START_METHOD
 from pytest_pafot.report.session_record import FINDING, VERSION
-from pytest_pafot.world import Highway
 from tests.helpers.walks import ROOMS as CORE
 
 INTERRUPTIBLE = (
@@ -155,14 +154,6 @@ def copied_workers(monkeypatch):
     if START_METHOD == "fork":
         copies = multiprocessing.get_context("fork")
         monkeypatch.setattr(multiprocessing, "get_context", lambda method: copies)
-
-
-def remember_reference_runs(monkeypatch):
-    """Let the searches of a test, which are compared, simulate each reference driver once in each scenario.
-
-    Its run depends on the world and the scenario alone, and takes a fifth of the time of a search.
-    """
-    monkeypatch.setattr(Highway, "rollout_reference", functools.cache(Highway.rollout_reference))
 
 
 class Installed(metadata.PathDistribution):

@@ -461,7 +461,7 @@ WRONG = [
      "states depend only on the first instructions until scenario.gene_seconds|states of a run"),
     (misled(lambda scenario: replace(scenario, ego_lane=2)), "the ego starts in scenario.ego_lane"),
     (Parked, "the ego follows its ADS"),
-    (wrong(Driven, reference_drivers="careful-human"), "reference_drivers is a tuple of names"),
+    (wrong(Driven, takes_over="careful-human"), "takes_over is a tuple of names"),
     (wrong(Driven, speed_limit=96.5), "speed_limit is in m/s, at most 70, received 96.5"),
     (wrong(Driven, longest_run="long"), "longest_run is a number above 0"),
 ]  # fmt: skip

@@ -11,9 +11,9 @@ from pytest_pafot.findings.shrink import instructions
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Outcome
-from pytest_pafot.oracle.run import NoReferenceDriversError, Run
+from pytest_pafot.oracle.run import Run
 from tests.helpers.hostile import CHARACTERS
-from tests.helpers.reference_runs import Drivers, closing, rammed
+from tests.helpers.reference_runs import closing
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.traces import collision_at, random_states, scenario_of, trace_of, vehicle
 
@@ -42,27 +42,6 @@ def test_position_rule_is_named_only_when_it_disagrees():
     assert crash().second_opinion == "ego"
     assert "position" not in crash().explain()
     assert Run(closing()).second_opinion is None
-
-
-def test_reference_drivers_are_tried_once_on_request():
-    world = Drivers(calm=closing())
-    run = Run(closing(), world=world)
-    assert world.asked == []
-    assert run.preventable_by == run.preventable_by == ("calm",)
-    assert world.asked == ["calm"]
-
-
-def test_reference_driver_avoids_is_hit_or_at_fault():
-    drivers = Drivers(calm=closing(), unlucky=rammed(), blind=crash().trace, cut=closing(outcome=Outcome.INVALID))
-    at_fault, victim = Run(crash().trace, world=drivers), Run(rammed(), world=drivers)
-    assert at_fault.reference_drivers == {"calm": "avoids", "unlucky": "hit", "blind": "at-fault"}
-    assert (at_fault.responsibility, at_fault.preventable_by) == ("ego", ("calm", "unlucky"))
-    assert (victim.responsibility, victim.preventable_by) == ("npc", ("calm",))
-
-
-def test_run_without_world_explains_how_to_try_drivers():
-    with pytest.raises(NoReferenceDriversError, match=r"use Run\(trace, world=world\)"):
-        _ = Run(closing()).preventable_by
 
 
 def test_its_measures_are_those_of_the_criticality_functions():

@@ -14,7 +14,6 @@ import pytest
 import pytest_pafot
 import pytest_pafot.strategies
 from pytest_pafot.campaign import bench
-from pytest_pafot.campaign.harness import Harness
 from pytest_pafot.campaign.refine import steps
 from pytest_pafot.execution.crash_records import CrashRecord, records_of
 from pytest_pafot.model.instructions import Cell, PositionInstruction
@@ -26,7 +25,6 @@ from tests.helpers.sessions import (
     in_a_copy,
     in_process,
     quick_sessions,
-    remember_reference_runs,
     section,
     set_keys,
 )
@@ -36,7 +34,6 @@ imported(*CORE)
 
 EXAMINATIONS = steps.EXAMINATIONS
 DIFFERENCE_IN_GYM = bench._difference_in_gym
-REFERENCE_OUTCOMES = Harness.reference_outcomes
 
 CONFTEST = """
 import pytest
@@ -131,7 +128,7 @@ class Project:
         """
         before = self._tree
         settings = {name: value for name, value in os.environ.items() if name in SETTINGS}
-        whole = bench._difference_in_gym is DIFFERENCE_IN_GYM, Harness.reference_outcomes is REFERENCE_OUTCOMES
+        whole = bench._difference_in_gym is DIFFERENCE_IN_GYM
         key = repr((before, settings, whole, [str(arg).replace(str(self.path), "") for arg in args], options))
         if key not in self.found:
             result = self.run(*args, **options)
@@ -227,16 +224,13 @@ def found():
 def project(request, pytester, monkeypatch, found, tmp_path_factory):
     """Return a project whose sessions omit slow steps unless a test requests them.
 
-    Findings are saved without shrinking, without moments, without reference drivers, and without a second run in
-    highway-env's own environment. Tests of several processes have whole sessions: what one process does, the others
-    must do as well.
+    Findings are saved without shrinking, without moments, and without a second run in highway-env's own environment.
+    Tests of several processes have whole sessions: what one process does, the others must do as well.
     """
     for name in ("CI", "BUILD_NUMBER", "PYTEST_ADDOPTS", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY"):
         monkeypatch.delenv(name, raising=False)
     quick_sessions(monkeypatch)
-    if request.node.get_closest_marker("processes"):
-        remember_reference_runs(monkeypatch)
-    else:
+    if not request.node.get_closest_marker("processes"):
         omit_slow_steps(monkeypatch)
     monkeypatch.setattr(steps, "EXAMINATIONS", {})
     monkeypatch.setenv("PYTHONPATH", str(Path(pytest_pafot.__file__).parents[1]))
@@ -250,7 +244,6 @@ def project(request, pytester, monkeypatch, found, tmp_path_factory):
 
 def omit_slow_steps(monkeypatch):
     monkeypatch.setattr(bench, "_difference_in_gym", lambda run, bench: "")
-    monkeypatch.setattr(Harness, "reference_outcomes", lambda self, run, verdict: ({}, []))
     set_keys(monkeypatch, shrink_rollouts=0)
 
 
@@ -268,9 +261,8 @@ def in_highway_env(project, monkeypatch):
 
 @pytest.fixture
 def shrinking(project, monkeypatch):
-    """Let sessions shrink their findings and try reference drivers in them, as users' sessions do."""
+    """Let sessions shrink their findings, as users' sessions do."""
     set_keys(monkeypatch, shrink_rollouts=None)
-    monkeypatch.setattr(Harness, "reference_outcomes", REFERENCE_OUTCOMES)
 
 
 FAILING = """

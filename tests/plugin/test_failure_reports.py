@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from pytest_pafot.attribution.takeovers import sentence
 from pytest_pafot.corpus.reader import load
 from tests.helpers.sessions import read_record
 
@@ -61,24 +62,24 @@ def test_the_words_of_a_message_are_not_broken(explained, monkeypatch):
     assert all(each in narrow for each in told)
 
 
-def test_finding_with_an_avoidance_keeps_its_recorded_property(explained):
+def test_finding_with_a_takeover_keeps_its_recorded_property(explained):
     recording = "(run, record_property):\n    record_property('speed', 1)"
     explained.write(EXPLAINED.replace("(run):", recording))
     search(explained, "--junitxml=junit.xml", "-ojunit_family=xunit1")
-    assert load(explained.only_file).expect.avoided_by is not None
+    assert load(explained.only_file).expect.takeover is not None
     cases = ElementTree.parse(explained.path / "junit.xml").getroot().iter("testcase")
     assert [sum(each.get("name") == "speed" for each in case.iter("property")) for case in cases] == [1, 1]
 
 
-def test_record_contains_explanation_and_avoidance_of_the_collision(explained):
+def test_record_contains_explanation_and_takeover_of_the_collision(explained):
     results = [search(explained, "--pafot-json=1.json"), search(explained, "--pafot-json=2.json", runs=0)]
     records = [read_record((explained.path / name).read_text(encoding="utf-8")) for name in ("1.json", "2.json")]
     found, replayed = (record.findings[0].sentences for record in records)
     assert found == replayed
     for result in results:
         lines = block(result, f"test_collides[saved-{explained.only_id}]")
-        assert {f"E       {found[0]}", f"E       {found[2]}"} <= {*lines}
-    assert found[1] == load(explained.only_file).expect.avoided_by.sentence
+        assert {f"E       {found[0]}", f"E       {found[-1]}"} <= {*lines}
+    assert found[-2] == sentence(load(explained.only_file).expect.takeover)
 
 
 def test_an_id_is_not_repeated_without_need(explained):

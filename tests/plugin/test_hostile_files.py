@@ -31,7 +31,6 @@ def write_hostile(project):
     path, finding = project.only_file, load(project.only_file)
     expect = replace(
         finding.expect, failure=WORST, assertion=WORST, message=WORST, traceback=WORST, against=WORST,
-        reference_drivers={WORST: "avoids"},
     )  # fmt: skip
     found = replace(finding.found, algorithm=WORST, versions={WORST: WORST, "pytest-pafot": WORST})
     texts = replace(finding, test=WORST, expect=expect, found=found)

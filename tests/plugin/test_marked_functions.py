@@ -200,7 +200,7 @@ WRONG = [
     ("colour='red'", "*(colour=...): expected one of ads, *"),
     ("5", "*expected keyword arguments only, received (5,)*"),
     ("commit='a'", "*this applies to the whole session; give --pafot-commit on the command line*"),
-    ("blame='npc'", "*(blame=...): expected one of any, ego, preventable, avoidable, received 'npc'*"),
+    ("blame='npc'", "*(blame=...): expected one of any, ego, received 'npc'; use blame='ego'*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
     ("world=pafot.Highway", "*(world=...): expected a world such as pafot.Highway(...), received <class*"),
     ("world=pafot.Highway(), lanes=3", "*(world=..., lanes=...): expected either*pass lanes to the world*"),

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pytest_pafot.attribution.mistakes import avoidance
+from pytest_pafot.attribution.takeovers import latest
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.world import Highway
 
@@ -252,86 +252,39 @@ def test_lanes_are_only_drawn_for_worlds_that_have_them(project, has_lanes):
 
 DRIVERS = """
 class Driven(Ring):
-    reference_drivers = ("calm", "careful-human")
+    takes_over = ("calm", "careful-human")
 
-    def rollout(self, scenario, ads_factory GIVEN):
-        return HIGHWAY.rollout(scenario, ads_factory PASSED)
-
-    def rollout_reference(self, scenario, name):
-        return HIGHWAY.rollout_reference(scenario, {"calm": "careful-human"}.get(name, name))
+    def rollout(self, scenario, ads_factory):
+        return HIGHWAY.rollout(scenario, ads_factory)
 
     def take_over(self, trace, tick, name):
-        return HIGHWAY.take_over(trace, tick, {"calm": "careful-human"}[name])
+        return HIGHWAY.take_over(trace, tick, name)
 
 HIGHWAY = pafot.Highway(lanes=4, duration=20.0)
 
-def blind():
-    return lambda seen: (0.0, 0.0)
-
-@pafot.search(ads=blind, genes=2, gene_seconds=10, npcs=2, world=Driven(4), blame="ego",  # stop_after=1
-              shrink_rollouts=9)
+@pafot.search(ads=lambda: lambda seen: (0.0, 0.0), genes=2, gene_seconds=10, npcs=2, world=Driven(4),
+              blame="ego", shrink_rollouts=9)  # stop_after=1
 def test_keeps_off(run):
     assert not run.collision, run.explain()
 """
 
 
-def driven(project, text=DRIVERS, given="", passed=""):
-    write(project, RING + text, DATA="{'lanes': self.lanes}", GIVEN=given, PASSED=passed)
+def driven(project, text=DRIVERS):
+    write(project, RING + text, DATA="{'lanes': self.lanes}")
+    return project.run("--pafot-runs=60", runs=None), load(project.only_file)
 
 
-def test_drivers_that_own_world_declares_are_tried(shrinking, project):
-    driven(project)
-    result = project.run("--pafot-runs=60", runs=None)
-    expect = load(project.only_file).expect
-    assert set(expect.reference_drivers) == {"calm", "careful-human"}
-    assert expect.avoided_by is None
+def test_careful_driver_takes_over_in_an_own_world_as_far_as_it_goes(shrinking, project):
+    result, finding = driven(project)
     result.stdout.no_fnmatch_line("*note: the world*")
-
-
-LASTING = DRIVERS.replace("HIGHWAY.", "self.highway.").replace(
-    '("calm", "careful-human")',
-    """("calm", "careful-human")
-    highway = pafot.Highway(lanes=4, duration=20.0)
-
-    def lasting(self, seconds):
-        other = Driven(self.lanes)
-        other.highway = self.highway.lasting(seconds)
-        return other""",
-)
-
-
-def test_braking_after_recorded_decisions_avoids_the_collision(project):
-    driven(project, LASTING, given=", *, decisions=()", passed=", decisions=decisions")
-    project.run("--pafot-runs=60", runs=None)
-    finding = load(project.only_file)
     highway = Highway(lanes=4, duration=20.0)
-    trace = highway.rollout(finding.scenario, lambda: lambda seen: (0.0, 0.0))
-    by_driver = avoidance(trace, finding.expect.fault, highway.take_over)
-    assert finding.expect.avoided_by == by_driver
+    run = highway.run_of(highway.rollout(finding.scenario, lambda: lambda seen: (0.0, 0.0)))
+    assert finding.expect.takeover == latest(run.trace, run.take_over) > 0
 
 
-def test_preventable_needs_drivers_that_drive(project):
-    failing = DRIVERS.replace("return HIGHWAY.rollout_reference(scenario, ", "raise KeyError(").replace(
-        'blame="ego"', 'blame="preventable"'
-    )
-    driven(project, failing)
-    result = project.run("--pafot-runs=20", runs=None)
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(
-        ["*blame='preventable': the world Driven could not run rollout_reference with the driver 'calm': KeyError: *"]
-    )
-
-
-@pytest.mark.parametrize(("method", "error", "driver", "kept"), [
-    ("take_over", "raise KeyError(name)", "steady-braking", "avoided_by"),
-    ("rollout_reference", "raise pafot.WorldError(name)", "calm", "reference_drivers"),
-])  # fmt: skip
-def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project, method, error, driver, kept):
-    body = f"def {method}(self, *given):\n        name = given[-1]\n        {error}\n\n    def unused(self, "
-    brakes = 'takes_over = ("steady-braking",)\n\n    def take_over(self, '
-    driven(project, DRIVERS.replace("def take_over(self, ", brakes).replace(f"def {method}(self, ", body))
-    result = project.run("--pafot-runs=60", runs=None)
-    result.stdout.fnmatch_lines([f"*note: the world Driven could not run {method} with the driver '{driver}'*"])
-    finding = load(project.only_file)
-    assert not getattr(finding.expect, kept)
+def test_driver_that_own_world_cannot_run_is_one_note(shrinking, project):
+    failing = DRIVERS.replace("return HIGHWAY.take_over(trace, tick, name)", "raise KeyError(name)")
+    result, finding = driven(project, failing)
+    result.stdout.fnmatch_lines(["*note: the world Driven could not run take_over with the driver 'careful-human'*"])
+    assert finding.expect.takeover is None
     assert finding.shrunk is not None

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from pytest_pafot.attribution.takeovers import sentence
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.terminal import shrunk_lines
-from pytest_pafot.world.reference_drivers import REFERENCES
 from tests.plugin.test_session_records import IS_CUT
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
@@ -171,7 +171,7 @@ def test_session_without_search_or_replay_writes_no_page(project, page):
     result.stdout.fnmatch_lines(["*problem: --pafot-report=report.html: nothing was written*"])
 
 
-def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, shrinking):
+def test_page_shows_shrinking_and_the_careful_driver_after_replay(project, page, shrinking):
     project.write("@pafot.search(SHORT, blame='ego')  # stop_after=1\ndef test_a(run):\n    assert not run.collision\n")
     project.run("--pafot-report=report.html", runs=24, seed=4)
     (finding, *_) = [each for each in read_page(page)[1] if each.data["event"]["side"] == "front"]
@@ -180,11 +180,17 @@ def test_page_shows_shrinking_and_reference_drivers_after_replay(project, page, 
     assert told[0].startswith("from 2 NPCs")
     told = [each[1:] for each in told]  # a sentence of the page begins with a capital letter
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
-    assert set(saved.expect.reference_drivers) == set(REFERENCES)
+    assert html.escape(sentence(saved.expect.takeover)) in page.read_text(encoding="utf-8")
+    ego, ghost, first = finding.data["vehicles"][0], finding.data["ghost"], finding.data["ghost"]["first"]
+    begin = finding.data["event"]["time"] - saved.expect.takeover
+    assert finding.data["times"][first - 1] < begin <= finding.data["times"][first] + 0.04
+    assert len(ghost["along"]) == len(ego["along"]) - first
+    assert ghost["along"][0] == pytest.approx(ego["along"][first], abs=0.5)
+    assert ghost["along"][-1] < ego["along"][-1] - 1.0, "it brakes"
     assert finding.data["headline"].endswith(f", {saved.expect.responsibility} at fault")
     assert len(finding.data["vehicles"]) == 2
     project.run("--pafot-report=report.html", runs=0)
     (again,) = [each for each in read_page(page)[1] if each.id == finding.id]
     assert all(html.escape(each) in page.read_text(encoding="utf-8") for each in told)
-    for same in ("vehicles", "times", "event", "headline"):
+    for same in ("vehicles", "times", "ghost", "event", "headline"):
         assert again.data[same] == finding.data[same]

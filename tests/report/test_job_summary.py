@@ -98,7 +98,10 @@ def test_five_failures_of_all_lists_are_told_whole_and_the_others_counted(snapsh
 
 
 def test_a_failure_comes_with_its_sentences_or_else_with_the_decision(snapshot):
-    sentences = ("NPC 0 braked at up to 8.0 m/s^2.", "Braking at 6 m/s^2 from 4.2 s on avoids the collision.")
+    sentences = (
+        "NPC 0 braked at up to 8.0 m/s^2.",
+        "A careful driver who takes over 1 s before the impact still avoids it.",
+    )
     moment = Moment(time=4.2, npc=0, seen="9.9 m ahead", action="acceleration 0.3 m/s^2")
     assert told(finding("a", sentences=sentences, moment=moment), finding("b", moment=moment)) == snapshot
 

@@ -73,7 +73,7 @@ def test_keys_are_sorted_and_include_the_version():
     session.add(Search(node_id="a"))
     text = to_text(session, root="")
     plain = json.loads(text)
-    assert plain["pafot_json"] == 3
+    assert plain["pafot_json"] == 4
     assert text == json.dumps(plain, indent=2, sort_keys=True) + "\n"
 
 

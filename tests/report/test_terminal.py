@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.events import Ending, Progress, Search, concluded
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.findings.verdict import Severity
@@ -75,6 +74,13 @@ def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, li
     shrunk = Shrunk(rollouts=5, is_minimal=is_minimal)
     finding = plain_finding(scenario=Scenario.repaired(simplest), original=original, shrunk=shrunk)
     assert terminal.shrunk_lines(finding) == ([] if line is None else [line])
+
+
+def test_another_traffic_and_another_takeover_are_reported():
+    original, scenario = (Scenario.repaired([[AHEAD]], traffic=each) for each in ("hostile", "paper"))
+    finding = plain_finding(scenario=scenario, original=original, shrunk=Shrunk(rollouts=5, takeover=2.0))
+    careful = "as found: a careful driver who takes over 2 s before the impact still avoids it"
+    assert terminal.shrunk_lines(finding) == ["from hostile traffic to paper traffic", careful]
 
 
 def test_failures_are_listed_worst_first_whether_new_or_not(snapshot):
@@ -241,25 +247,6 @@ def test_the_section_of_a_find_reads_so(snapshot):
     told, _, content = text.partition("the file would be:\n")
     assert told == snapshot
     assert content.splitlines() == [f"  {line}" for line in text_of(hang).splitlines()]
-
-
-@table(("responsibility", "outcomes", "text"), [
-    ("ego", "avoids avoids", ""),
-    ("ego", "avoids hit", ""),
-    ("npc", "avoids hit", "preventable by A; not by B (hit, not at fault)"),
-    ("none", "avoids fails", "preventable by A; not by B (fails too)"),
-    ("ego", "hit avoids at-fault", "preventable by B; by A (hit, not at fault); not by C (at fault)"),
-    ("npc", "hit avoids hit", "preventable by B; not by A, C (hit, not at fault)"),
-    ("npc", "hit hit", "not preventable by A, B (hit, not at fault)"),
-    ("none", "fails hit", "not preventable by B (hit, not at fault); not by A (fails too)"),
-    ("none", "", ""),
-])  # fmt: skip
-def test_finding_names_drivers_if_one_does_not_prevent_it(responsibility, outcomes, text):
-    expect = Expect(
-        failure="AssertionError", outcome=Outcome.COLLISION, time=1.0, responsibility=responsibility,
-        reference_drivers=dict(zip("ABC", outcomes.split(), strict=False)),
-    )  # fmt: skip
-    assert terminal.prevention_text(expect) == text
 
 
 def test_progress_is_one_line_with_the_name_cut():

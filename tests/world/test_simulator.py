@@ -137,9 +137,8 @@ def same(one, other):
 def test_simulator_with_the_same_physics_drives_the_runs_of_a_highway_to_the_bit(scenario):
     in_toy, on_highway = TOY.rollout(scenario, swerving), HIGHWAY.rollout(scenario, swerving)
     assert same(in_toy, on_highway)
-    for name in ("careful-human", "steady-braking"):
-        tick = on_highway.ticks // 2
-        assert same(TOY.take_over(in_toy, tick, name), HIGHWAY.take_over(on_highway, tick, name))
+    tick, name = on_highway.ticks // 2, "careful-human"
+    assert same(TOY.take_over(in_toy, tick, name), HIGHWAY.take_over(on_highway, tick, name))
     assert same(TOY.rollout_reference(scenario, "careful-human"), HIGHWAY.rollout_reference(scenario, "careful-human"))
     first = on_highway.actions[:7]
     repeated = (world.rollout(scenario, lambda: lambda _: (0.5, 0.0), decisions=first) for world in (TOY, HIGHWAY))
@@ -246,11 +245,10 @@ def test_ego_that_keeps_its_lane_stays_on_its_circle():
     assert trace.track[-1, 0, 0] - trace.track[0, 0, 0] == pytest.approx(20.0 * 20.0, rel=0.01)
 
 
-@table("name", ["careful-human", "steady-braking"])
-def test_take_over_repeats_a_run_in_a_bend_to_the_bit(name):
+def test_take_over_repeats_a_run_in_a_bend_to_the_bit():
     scenario = Scenario(npcs=((PositionInstruction(2, 15.0),),), ego_lane=1, ego_speed=20.0)
     trace = RING.rollout(scenario, swerving)
-    taken = RING.take_over(trace, trace.ticks // 2, name)
+    taken = RING.take_over(trace, trace.ticks // 2, "careful-human")
     assert np.array_equal(taken.states[: trace.ticks // 2 + 1], trace.states[: trace.ticks // 2 + 1])
     again = RING.rollout(scenario, lambda: pytest.fail, decisions=trace.actions)
     assert same(again, trace)
@@ -364,13 +362,11 @@ def holds(run):
     assert not run.collision
 
 
-def test_search_with_an_ego_that_obeys_late_finds_who_would_prevent_a_collision():
+def test_search_with_an_ego_that_obeys_late_finds_when_a_careful_driver_avoids_a_collision():
     found = explore(
         lambda: lambda _: (0.0, 0.0), holds=holds, world=SimulatorWorld(Late, duration=20.0), runs=12, seed=1
     )
-    drivers = [each.expect.reference_drivers for each in found.findings]
-    assert drivers
-    assert {"avoids"} <= {verdict for each in drivers for verdict in each.values()}
+    assert any(each.expect.takeover for each in found.findings)
 
 
 def test_npc_that_is_not_put_in_its_place_is_refused():
@@ -551,7 +547,7 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
     world = SimulatorWorld(partial(Counted, "own"), duration=2.0)
     for _ in range(3):
         world.rollout(scenarios()[0], Slowing)
-    world.take_over(world.rollout(scenarios()[0], Slowing), 3, "steady-braking")
+    world.take_over(world.rollout(scenarios()[0], Slowing), 3, "careful-human")
     assert (len(Counted.made), Counted.closed) == (1, [])
     world._simulators._free[0].states = lambda: None
     with pytest.raises(WorldError):

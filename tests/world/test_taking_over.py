@@ -1,6 +1,5 @@
 """A reference driver takes over in the middle of a recorded run: before that, everything is as recorded."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +8,11 @@ from gymnasium.wrappers import FlattenObservation
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
-from pytest_pafot.attribution.mistakes import avoidance
-from pytest_pafot.attribution.responsibility import Passing, rss_rule
+from pytest_pafot.attribution.responsibility import Passing
+from pytest_pafot.attribution.takeovers import latest
 from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import ACCELERATION, LANE, SPEED
+from pytest_pafot.model.trace import ACCELERATION, SPEED
 from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import Highway, World, WorldError
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -92,20 +91,8 @@ def test_new_driver_wants_ego_speed_from_before_braking():
     assert np.diff(taken.ego[60:, SPEED]).min() > 0 or taken.ego[-1, SPEED] > 21.0
 
 
-@pytest.mark.parametrize("tick", [0, 40])
-def test_steady_braking_slows_by_six_to_a_standstill(tick):
-    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
-    taken = HIGHWAY.take_over(trace, tick, "steady-braking")
-    speed, lane = taken.ego[tick:, SPEED], taken.ego[tick:, LANE]
-    stop = math.ceil(speed[0] / 6.0 * trace.physics_hz)
-    assert len(speed) > stop
-    assert speed[: stop + 1] == pytest.approx(np.maximum(speed[0] - 6.0 / 15 * np.arange(stop + 1), 0.0), abs=1e-3)
-    assert np.abs(speed[stop:]).max() < 1e-6
-    assert (lane == lane[0]).all()
-
-
 @table(("tick", "name", "world", "message"), [
-    (10, "me", HIGHWAY, "expected one of careful-human, steady-braking, received 'me'"),
+    (10, "me", HIGHWAY, "expected one of careful-human, received 'me'"),
     (-1, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received -1"),
     (10**6, "careful-human", HIGHWAY, "tick: expected a tick of the run, 0 to .*, received 1000000"),
     (10, "careful-human", Highway(physics_hz=30), "trace: expected a run in this world, with 30 .* a run with 15"),
@@ -116,16 +103,13 @@ def test_what_cannot_be_taken_over_is_refused(tick, name, world, message):
         world.take_over(trace, tick, name)
 
 
-def test_braking_avoids_between_rules_and_zone_entry():
-    """The rules let it respond for a second before it brakes."""
+def test_careful_driver_avoids_a_collision_in_a_zone_until_shortly_before_the_ego_enters_it():
     world = World("roundabout-v0")
     scenario = Scenario(npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0)
-    trace = world.rollout(scenario, ControlledVehicle)
-    fault = rss_rule(trace).fault
-    assert fault == "did-not-give-way"
-    passing, hz = Passing(trace, 0, trace.zones[0]), trace.physics_hz
-    braking = avoidance(trace, fault, world.take_over)
-    assert passing.chances()[0].tick / hz <= braking.time < passing.entered() / hz
+    run = world.run_of(world.rollout(scenario, ControlledVehicle))
+    assert run.attribution.fault == "did-not-give-way"
+    entered = Passing(run.trace, 0, run.trace.zones[0]).entered() / run.trace.physics_hz
+    assert 0 < run.collision.time - latest(run.trace, run.take_over) < entered
 
 
 class Own:
@@ -135,47 +119,17 @@ class Own:
         return HIGHWAY.rollout(scenario, ads_factory)
 
 
-class Resumes(Own):
-    def rollout(self, scenario, ads_factory, *, decisions=()):
-        return HIGHWAY.rollout(scenario, ads_factory, decisions=decisions)
-
-
-class PassesOn(Own):
-    def rollout(self, scenario, ads_factory, **options):
-        return HIGHWAY.rollout(scenario, ads_factory, **options)
-
-
 class Takes(Own):
     def take_over(self, trace, tick, name):
         return HIGHWAY.take_over(trace, tick, name)
 
 
 class Declares(Takes):
-    reference_drivers = ("careful-human",)
+    takes_over = ("careful-human",)
 
 
-class Brakes(Declares):
-    takes_over = ("steady-braking",)
-
-
-class Both(Declares, Resumes):
-    pass
-
-
-@table(("world", "drivers"), [
-    (HIGHWAY, ("careful-human", "steady-braking")),
-    (Own(), None),
-    (Takes(), None),
-    (Declares(), ("careful-human",)),
-    (Brakes(), ("careful-human", "steady-braking")),
-    (Resumes(), ("steady-braking",)),
-    (PassesOn(), ("steady-braking",)),
-    (Both(), ("careful-human", "steady-braking")),
-])  # fmt: skip
-def test_drivers_that_take_over_are_those_declared(world, drivers):
-    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
-    known = base_world(world).taking_over(trace)
-    assert (known and known.drivers) == drivers
+class Others(Takes):
+    takes_over = ("calm",)
 
 
 class Slower(Highway):
@@ -184,36 +138,17 @@ class Slower(Highway):
 
 
 class Reviewed(Slower):
-    reference_drivers = ("mine",)
-
-    def rollout_reference(self, scenario, name):
-        return self.rollout(scenario, changing_lanes)
-
     def take_over(self, trace, tick, name):
         return self.rollout(trace.scenario, changing_lanes)
 
 
-def test_abilities_for_a_replaced_rollout_are_not_used():
-    trace = HIGHWAY.rollout(BRAKES, changing_lanes)
-    assert base_world(HIGHWAY) is HIGHWAY
-    slower = base_world(Slower())
-    assert (slower.reference_drivers, slower.taking_over(trace)) == ((), None)
-    assert base_world(Reviewed()).reference_drivers == ("mine",)
-    assert base_world(Reviewed()).taking_over(trace).drivers[0] == "mine"
-
-
-@table("actions", [(), (0.5, 0.5), ("left", "right"), ((1, 2, 3),), ((True, False),), ((np.nan, 0.0),), (None,)])
-def test_actions_without_si_units_are_not_continued(actions):
-    trace = replace(HIGHWAY.rollout(BRAKES, changing_lanes), actions=actions)
-    assert base_world(Resumes()).taking_over(trace) is None
-    assert base_world(Both()).taking_over(trace).drivers == ("careful-human",)
-
-
-def test_braking_after_decisions_equals_the_braking_driver():
-    far = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0)
-    trace = HIGHWAY.rollout(far, lambda: lambda seen: (0.0, 0.0))
-    by_decisions = base_world(Resumes()).taking_over(trace)(trace, 30, "steady-braking")
-    assert np.allclose(by_decisions.states, HIGHWAY.take_over(trace, 30, "steady-braking").states)
+@table(("world", "can"), [
+    (HIGHWAY, True), (Own(), False), (Takes(), False), (Declares(), True), (Others(), False), (Slower(), False),
+    (Reviewed(), True),
+])  # fmt: skip
+def test_careful_driver_takes_over_where_the_world_declares_it_for_its_own_runs(world, can):
+    run = base_world(world).run_of(HIGHWAY.rollout(BRAKES, changing_lanes))
+    assert (run.take_over is not None) is can
 
 
 @table(("method", "given", "error"), [
@@ -224,20 +159,16 @@ def test_braking_after_decisions_equals_the_braking_driver():
 ])  # fmt: skip
 def test_error_of_a_world_names_its_class_and_what_it_could_not_do(method, given, error):
     world = type("Broken", (Declares,), {method: given})()
-    trace = HIGHWAY.rollout(BRAKES, weaving)
+    run = base_world(world).run_of(HIGHWAY.rollout(BRAKES, weaving))
     what = "take_over with the driver 'careful-human'" if method == "take_over" else "lasting"
-    take_over = base_world(world).taking_over(trace)
     with pytest.raises(DriverError, match=f"^the world Broken could not run {what}: {error}$"):
-        take_over(trace, 3, "careful-human") if method == "take_over" else take_over.lasting(14.0)
+        run.take_over(run.trace, 3) if method == "take_over" else run.take_over.lasting(14.0)
 
 
 def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
     short = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=2.0)
-    trace = HIGHWAY.rollout(short, lambda: lambda seen: (0.0, 0.0))
-    resuming = type("GoesOn", (Resumes,), {"lasting": lambda self, seconds: HIGHWAY.lasting(seconds)})()
-    for world, driver in ((HIGHWAY, "careful-human"), (resuming, "steady-braking")):
-        take_over = base_world(world).taking_over(trace)
-        usual, longer = (each(trace, 15, driver) for each in (take_over, take_over.lasting(14.0)))
-        assert (usual.duration, longer.duration) == (2.0, 14.0)
-        assert longer.states[: len(usual.states)].tobytes() == usual.states.tobytes()
-    assert base_world(Declares()).taking_over(trace).lasting(14.0) is None
+    run = HIGHWAY.run_of(HIGHWAY.rollout(short, lambda: lambda seen: (0.0, 0.0)))
+    usual, longer = (each(run.trace, 15) for each in (run.take_over, run.take_over.lasting(14.0)))
+    assert (usual.duration, longer.duration) == (2.0, 14.0)
+    assert longer.states[: len(usual.states)].tobytes() == usual.states.tobytes()
+    assert base_world(Declares()).run_of(run.trace).take_over.lasting(14.0) is None

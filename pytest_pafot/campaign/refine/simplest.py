@@ -121,8 +121,8 @@ this limit, 8 collided later, and all runs together had a third more decisions.
 RUNS_TO_CONCLUDE = 3
 """The approximate time for the work after shrinking, except confirmation, as a number of runs.
 
-One run is for the verdict on the shrunk scenario. The others are for reference drivers, which are fast because the ADS
-is not called.
+One run is for the verdict on the shrunk scenario. The others are for the careful driver who takes over, which are fast
+because the ADS is not called.
 """
 
 

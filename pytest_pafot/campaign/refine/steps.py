@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from pytest_pafot.attribution.takeovers import is_alike
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.harness import headline
@@ -20,7 +21,7 @@ from pytest_pafot.findings.finding import Expect, ending
 from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
 from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
 from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.oracle.run import Run, with_avoidance
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import DriverError, OutOfTime
 from pytest_pafot.support.text import one_line
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
@@ -39,7 +40,7 @@ or raises an error, ends them for this finding."""
 def refine(state: State, bench: Bench, store: Store, *, until: float = math.inf) -> Refining[None]:
     """Refine the findings in the order of discovery; yield what becomes of them.
 
-    First each is shrunk, confirmed and tried with other drivers, in turns. This leaves out findings that cannot be
+    First each is shrunk, confirmed and tried with a careful driver, in turns. This leaves out findings that cannot be
     shrunk, since they depend on wall-clock time, are crashes, or are flaky in another way than by chance. Then those
     whose runs are the same each time are examined: the decisions that led to them.
 
@@ -97,7 +98,7 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
 
 
 def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
-    """Shrink a finding, run the result again, and try reference drivers in it; return True if nothing is left to do."""
+    """Shrink a finding, run it again, and let a careful driver take over; return True if nothing is left to do."""
     __tracebackhide__ = True
     original = sighting.finding.original or sighting.finding.scenario
     # How often it fails, if that is by chance. Another thread of this process may have drawn in one run, but hardly in
@@ -112,7 +113,7 @@ def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: 
         return True
     # The simplest scenario that fails in the same way, and still does when it is run again.
     simplest = yield from simplest_of(sighting, original, state, bench, store, turn)
-    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most  # so that other drivers are tried
+    may_go_on = bench.is_at_limit and bench.asked < bench.refining_most  # so that a careful driver is tried
     if simplest.is_cut and simplest.scenario == sighting.finding.scenario and not may_go_on:
         return False
     simplest, run, verdict, differs = yield from _confirmed(sighting, simplest, state, bench)
@@ -127,9 +128,8 @@ def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: 
         if sighting.is_random:  # the runs that confirmed it were the same by chance
             return (yield from _simplified(sighting, state, bench, store, turn))
     else:
-        # Drivers in the ego's place say who could have prevented the failure, and how. With that, the simplest scenario
-        # replaces the one in the file.
-        refined = yield from with_reference_drivers(sighting, simplest, run, verdict, bench)
+        # With what a careful driver would have done, the simplest scenario replaces the one in the file.
+        refined = yield from _with_takeover(sighting, simplest, run, verdict, bench)
         if refined is not sighting:
             yield from store.publish(store.rewritten(refined))
     return bool(differs) or not simplest.is_cut
@@ -185,46 +185,35 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
             return
 
 
-def with_reference_drivers(
-    sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench
-) -> Refining[Seen]:
-    """Return a finding as its confirmed scenario shows it, with what other drivers do in it.
+def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench) -> Refining[Seen]:
+    """Return a finding as its confirmed scenario shows it, with what a careful driver who takes over avoids in it.
 
     It keeps the scenario as found.
     """
     if verdict.failure is None or verdict.exception is None:
         return sighting
-    harness, scenario = bench.harness, simplest.scenario
+    harness, scenario, then = bench.harness, simplest.scenario, sighting.observed
     before = replace(sighting.finding, rate=simplest.rate)
     original = before.original or before.scenario
-    yield Phase(f"trying reference drivers in saved-{sighting.id}", sighting.id)
-    outcomes, errors = harness.reference_outcomes(run, verdict)
-    # When would a driver have had to take over and brake? The world simulates it.
-    avoided, exception = None, verdict.exception
+    yield Phase(f"a careful driver takes over in saved-{sighting.id}", sighting.id)
+    takeover, as_found = None, None if before.shrunk is None else before.shrunk.takeover  # if it was shrunk in part
     try:
-        avoided = harness.avoidance(run, verdict)
+        takeover = harness.takeover(run, verdict)
+        if as_found is None and scenario != before.scenario and then.run is not None and then.verdict is not None:
+            as_found = harness.takeover(then.run, then.verdict)
     except DriverError as error:  # the world cannot simulate the driver
-        errors.append(error)
-    for each in errors:
-        yield Note(f"{each}; findings say nothing of what this driver would have done")
-    shown = run if avoided is None else with_avoidance(run, avoided)
-    if shown.sentences != run.sentences:  # the message of the failure may contain them
-        again = harness.judge(shown)
-        exception = (again.exception if again.failed else None) or exception
+        yield Note(f"{error}; findings say nothing of what this driver would have done")
+    if is_alike(as_found, takeover):
+        as_found = None
     # The file says from now on what the simple scenario shows; only its name and its origin are those of the first run.
     finding = replace(
         before,
         scenario=scenario,
         expect=Expect.of(
-            run,
-            verdict.failure,
-            reference_drivers=outcomes,
-            avoided_by=avoided,
-            against=before.expect.against,
-            root=str(harness.root),
+            run, verdict.failure, takeover=takeover, against=before.expect.against, root=str(harness.root)
         ),
         original=original if scenario != original else None,
-        shrunk=simplest.shrunk if simplest.shrunk.rollouts else None,
+        shrunk=replace(simplest.shrunk, takeover=as_found) if simplest.shrunk.rollouts else None,
     )
     # Nothing new: the caller then does not write the file again.
     if finding == before and not sighting.unshrunk:
@@ -233,8 +222,6 @@ def with_reference_drivers(
         sighting,
         finding=finding,
         headline=finding.with_sight(headline(run, verdict)),
-        observed=replace(
-            sighting.observed, run=shown, verdict=replace(verdict, exception=exception), severity=verdict.severity
-        ),
+        observed=replace(then, run=run, verdict=verdict, severity=verdict.severity),
         unshrunk="",
     )

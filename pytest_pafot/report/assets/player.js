@@ -70,7 +70,7 @@ class Player {
       `E is the ego, numbers are NPCs. Dotted trails: the last ${TRAIL_SECONDS} s${isRelative ? " relative to the ego" : ""}. ` +
       (isRelative ? "Numbered boxes: the cells around the ego. Dashed lines: to where NPCs are to drive. " : "") +
       (isCrossed(this.finding) ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
-      "Bars at the rear: braking."));
+      "Bars at the rear: braking." + (this.finding.ghost ? " Shaded box: the ego with a careful driver, who takes over shortly before the impact." : "")));
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }

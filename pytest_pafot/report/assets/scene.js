@@ -134,10 +134,12 @@ class Scene {
     this.trails = vehicles.map((_, index) => svg("path", { class: `trail ${index ? stroke(index) : "ego-trail"}`, "stroke-dasharray": index ? "1 5" : null, "stroke-linecap": "round" }));
     this.targets = vehicles.slice(1).map((_, npc) => [svg("path", { class: `target-line ${stroke(npc + 1)}` }), svg("rect", { class: `target ${stroke(npc + 1)}`, rx: 4 })]);
     this.bodies = vehicles.map((vehicle, index) => this.vehicle(vehicle, index));
+    const [length, width] = [vehicles[0].length * this.scale, vehicles[0].width * this.scale];
+    this.ghost = svg("rect", { class: "ghost", x: px(-length / 2), y: px(-width / 2), width: px(length), height: px(width), visibility: "hidden" });
     this.pointers = vehicles.map((_, index) => svg("text", { class: `label strong halo ${fill(index)}` }));
     this.impact = svg("g", {}, [svg("path", { d: STAR, class: "impact" }), svg("text", { class: "impact-label", "text-anchor": "middle" }, this.impactText())]);
     this.root.append(
-      ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, ...names, ...this.targets.flat(), ...this.bodies.map((body) => body.group),
+      ...ground, ...this.dashes, ...this.cells.flat(), ...this.trails, ...names, ...this.targets.flat(), this.ghost, ...this.bodies.map((body) => body.group),
       this.ruler(), ...this.pointers, this.impact,
     );
   }
@@ -204,7 +206,18 @@ class Scene {
     states.forEach((state, index) => this.drawVehicle(state, index));
     this.drawTrails(time, frame);
     this.drawImpact(states, time);
+    this.drawGhost(frame);
     return states;
+  }
+
+  drawGhost([index, share]) {
+    // The ego with a careful driver at the wheel, from the takeover on.
+    const { ghost } = this.finding;
+    const at = [index - (ghost?.first ?? 0), share];
+    this.ghost.setAttribute("visibility", ghost && at[0] in ghost.along ? "visible" : "hidden");
+    if (!ghost || !(at[0] in ghost.along)) return;
+    const [along, across, heading] = [ghost.along, ghost.across, ghost.heading].map((values) => between(values, at));
+    this.ghost.setAttribute("transform", `translate(${px(this.x(along))} ${px(this.y(across))}) rotate(${px(heading * 180 / Math.PI)})`);
   }
 
   box(along, across, more) {

@@ -223,22 +223,9 @@ class OwnWorld(BaseWorld):
     """Simulate a scenario in gymnasium."""
 
     @property
-    def reference_drivers(self) -> tuple[str, ...]:
-        """The names of the world's reference drivers, if its ``rollout_reference`` runs like its ``rollout``."""
-        return self._names("reference_drivers") if self._runs_alike("rollout_reference") else ()
-
-    rollout_reference = _passed_on("rollout_reference")
-    """Simulate a scenario with a reference driver in the ego's place."""
-
-    @property
-    def drivers(self) -> tuple[str, ...]:
+    def takes_over(self) -> tuple[str, ...]:
         """The names of drivers with which the world declares that its ``take_over`` can be called."""
-        if not self._runs_alike("take_over"):
-            return ()
-        return (*self._names("reference_drivers"), *self._names("takes_over"))
-
-    def _names(self, attribute: str) -> tuple[str, ...]:
-        return tuple(getattr(self.world, attribute, ()))
+        return tuple(getattr(self.world, "takes_over", ())) if self._runs_alike("take_over") else ()
 
     take_over = _passed_on("take_over")
     """Simulate a run again, with a driver in the ego's place from a tick on."""

@@ -18,7 +18,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.searching import ALGORITHMS
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.text import csv_text
-from tests.helpers.reference_runs import Drivers, closing, rammed, running_into
 from tests.helpers.stages import mostly_oracle
 
 
@@ -66,19 +65,11 @@ def test_run_ends_with_scenario_that_spends_its_seconds(quick):
 
 def test_failure_depends_on_collision_and_blame(quick):
     egos = {"ego", "both"}
-    for blame, blamed in (("any", {"npc"} | egos), ("ego", egos), ("preventable", egos)):
+    for blame, blamed in (("any", {"npc"} | egos), ("ego", egos)):
         rows = run_rows(quick(blame=blame, seconds=400.0), ("pafot", 0))
         hits = [row for row in rows if row["outcome"] == "collision" and not row["reused"]]
         assert {row["responsibility"] for row in hits} > {"npc"}
         assert all(row["failing"] == (row["responsibility"] in blamed) for row in hits)
-
-
-def test_unpreventable_collision_is_no_failure_with_that_blame():
-    for driver, failing in ((closing, True), (rammed, True), (running_into, False)):
-        world = Drivers(one=driver())
-        for blame, fails in (("preventable", failing), ("ego", True)):
-            run = Run(running_into(), world=world)
-            assert judge(run, partial(never_collides, blame), blame=blame, test_file="").failed == fails
 
 
 def test_blame_changes_default_fitness_but_not_av_fuzzer(quick):
