@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pytest_pafot.attribution.responses import DISTANCES
+from pytest_pafot.attribution.responsibility import DISTANCES
 from pytest_pafot.criticality import RoadFrame, RssRules
 from pytest_pafot.model.trace import FloatArray
 from pytest_pafot.oracle.run import Run, check, require

@@ -68,7 +68,6 @@ QUESTION = re.compile(
 """What asks a road, or a run on it, for its kind. A new kind of road must look at each such line."""
 
 QUESTIONS = {
-    "attribution/manoeuvres.py": 1,  # only in a bend a lane itself leads into another
     "campaign/request.py": 1,  # whether NPCs can cross at all
     "criticality/signals.py": 1,  # places on two ways are of use only together
     "testing/__init__.py": 3,  # promises of a user's world that hold only on straight lanes

@@ -92,7 +92,7 @@ def _rows() -> Iterator[str]:
 def _verdict(situation: Situation) -> str:
     found = rss_rule(situation.trace())
     fault = f"<br>`{found.fault}`" if found.fault else ""
-    return f"**{found.responsibility}**{fault}<br>rule {situation.clause}"
+    return f"**{found.responsibility}**{fault}<br>rule {situation.rule}"
 
 
 def reasons() -> str:

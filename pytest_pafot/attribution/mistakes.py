@@ -12,7 +12,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
 
-from pytest_pafot.attribution.responsibility import Attribution, Fault, Mistake, frame_of, rss_rule
+from pytest_pafot.attribution.responsibility import NEXT_TO, Attribution, Fault, Mistake, frame_of, rss_rule
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import Trace
 
@@ -48,9 +48,6 @@ NOT_GIVEN_WAY: Mapping[Origin, Mistake] = MappingProxyType(
 )
 """The mistake by the side that the other vehicle came from, because a policy may look only to one side."""
 
-CLOSE_AHEAD = 2.0
-"""A vehicle ahead of an ego that changes lanes counts as next to the ego if the gap is at most this large [m]."""
-
 BY_FAULT: Mapping[Fault, Mistake] = MappingProxyType(
     {
         "leader-unanswered": "kept-no-distance",
@@ -81,7 +78,7 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
         return None if zone is None else NOT_GIVEN_WAY[zone.origin]
     frame, tick = frame_of(trace), attribution.tick
     ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
-    if ahead > both + CLOSE_AHEAD:
+    if ahead > both + NEXT_TO:
         return "kept-no-distance"
     return "moved-in-front" if ahead < -both else "moved-into-side"
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_pafot.attribution import takeovers
-from pytest_pafot.attribution.responses import AT_FAULT
+from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
 from pytest_pafot.execution.pool import ProcessLostError

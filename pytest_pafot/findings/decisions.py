@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution.manoeuvres import DRIFTING
-from pytest_pafot.attribution.responses import advice, change_advice, drift_advice
-from pytest_pafot.attribution.responsibility import Fault, frame_of
+from pytest_pafot.attribution.responsibility import DRIFTING, Fault, frame_of
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
@@ -110,10 +108,10 @@ def vehicle_of(run: Run, expect: Expect) -> int | None:
 def deciding(run: Run, expect: Expect) -> int | None:
     """Return the number of the last decision that could have avoided a failure; None if none is known.
 
-    For a collision, it is the last decision from which a careful driver who takes over avoids it, else the one by which
-    the ego had to respond by the rules; the ego may brake there, but too softly. For a change of lanes it is the one
-    that began the motion, or turned it back, and for braking for nothing the one that began to brake. For a failed
-    check it is the last one up to the check.
+    For a collision, it is the last decision from which a careful driver who takes over avoids it; the ego may brake
+    there, but too softly. If there is none, or the ego braked for nothing, it is the one at the time that the verdict
+    names. For a change of lanes it is the one that began the motion, or turned it back. For a failed check it is the
+    last one up to the check.
     """
     trace, attribution = run.trace, run.attribution
     ticks, hz = trace.decision_ticks, trace.physics_hz
@@ -127,16 +125,9 @@ def deciding(run: Run, expect: Expect) -> int | None:
         return None if expect.check is None else at(expect.time)
     if (number := moved_over(run)) is not None:
         return number
-    if attribution.fault in NEEDLESS:
-        return at(attribution.time or 0.0)
-    due = expect.time - expect.takeover if expect.takeover else due_of(run)
-    return None if due is None else at(due)
-
-
-def due_of(run: Run) -> float | None:
-    """Return the time by which the ego had to respond, by the rules [s]; None if they know none."""
-    facts = [fact.in_full for fact in run.attribution.facts if not fact.vehicle]
-    return max((fact.due_s for fact in facts if fact.due_s is not None), default=None)
+    if expect.takeover and attribution.fault not in NEEDLESS:
+        return at(expect.time - expect.takeover)
+    return at(attribution.time or 0.0) if attribution.fault else None
 
 
 def moved_over(run: Run) -> int | None:
@@ -148,20 +139,22 @@ def moved_over(run: Run) -> int | None:
     return _begun(trace, attribution.tick or 0, last)
 
 
-def advice_on(run: Run) -> str:
-    """Return in a few words what the ego should have done by when to avoid the collision; empty if it is not at fault.
+def fact_on(run: Run) -> str:
+    """Return in a few words what the ego did that decides, for a headline; empty if it is not at fault.
 
-    It is what the rules say. A change of lanes, or a drift over the line, has the time of the decision that began it,
-    by :func:`moved_over`, and the time that the rules name.
+    For a change of lanes, or a drift over the line, it is the time of the decision that began it, by
+    :func:`moved_over`; else whether and how it braked.
     """
-    if run.collision is None or run.responsibility not in ("ego", "both"):
+    if run.collision is None or run.responsibility not in ("ego", "both") or not run.attribution.sentences:
         return ""
-    facts, number = run.attribution.facts, moved_over(run)
+    number, time = moved_over(run), run.attribution.time or 0.0
     if number is not None:
-        crossed, began = facts[0].in_full, run.trace.decision_ticks[number] / run.trace.physics_hz
-        both = crossed._replace(time_s=began, later_s=crossed.time_s)
-        return (drift_advice if _drifted(run.trace, number, crossed.time_s) else change_advice)(both)
-    return advice(facts)
+        began = run.trace.decision_ticks[number] / run.trace.physics_hz
+        if _drifted(run.trace, number, time):
+            return f"the ego drifted from {began:.1f} s on, over the line at {time:.1f} s"
+        return f"the ego began to change lanes at {began:.1f} s, over the line at {time:.1f} s"
+    told = run.attribution.sentences[0 if run.attribution.fault in NEEDLESS else -2]
+    return f"{told[:1].lower()}{told[1:]}".removesuffix(".")
 
 
 def _drifted(trace: Trace, number: int, crossed: float) -> bool:

@@ -18,8 +18,8 @@ import numpy as np
 
 from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
-from pytest_pafot.attribution.responses import AT_FAULT
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
+from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
 from pytest_pafot.findings.verdict import (

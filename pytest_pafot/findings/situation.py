@@ -16,9 +16,8 @@ from typing import Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from pytest_pafot.attribution.manoeuvres import DRIFTING, braking
-from pytest_pafot.attribution.responses import BRAKES
-from pytest_pafot.attribution.responsibility import frame_of
+from pytest_pafot.attribution.responsibility import DRIFTING, braking, frame_of
+from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.findings.verdict import AT_ZONES, Failure
 from pytest_pafot.model.trace import ALONG, LANE, FloatArray, Outcome, Trace

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from pytest_pafot import criticality
 from pytest_pafot.attribution.mistakes import attributed
-from pytest_pafot.attribution.responses import responsible_sentence
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
+from pytest_pafot.attribution.sentences import responsible_sentence
 from pytest_pafot.attribution.takeovers import TakeOver
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
@@ -590,7 +590,7 @@ class Run:
     def sentences(self) -> tuple[str, ...]:
         """The sentences of the verdict.
 
-        They say what happened, what should have happened, and which vehicle is responsible.
+        They say what happened, each a measured fact, and which vehicle is responsible.
         """
         if self.collision is None:
             return ()
@@ -679,19 +679,12 @@ class Run:
         return [f"  the ego drove backwards, at {-speeds[tick]:.1f} m/s after {tick / self.trace.physics_hz:.1f} s"]
 
     def _hardest_brake(self) -> str:
-        """Return the words for the ego's hardest braking and its time.
-
-        If the verdict says that the ego did not brake, they also say why this braking is not a response.
-        """
+        """Return the words for the ego's hardest braking and its time."""
         text = f"hardest brake of the ego: {self.hardest_brake:.1f} m/s^2"
         if self.hardest_brake < 0.05:
             return text
         time = int(np.nanargmin(self.trace.ego[:, ACCELERATION])) / self.trace.physics_hz
-        text += f" at {time:.1f} s"
-        due = [each.time_s for each in self.attribution.facts if not each.vehicle and each.is_unanswered]
-        if not due:
-            return text
-        return f"{text}, {'before a response was due' if time <= due[0] else 'too little to be a response'}"
+        return f"{text} at {time:.1f} s"
 
 
 def crossing_text(instruction: CrossingInstruction, zone: Zone | None) -> str:

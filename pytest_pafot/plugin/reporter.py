@@ -125,7 +125,7 @@ class Files:
 
 
 VERDICT = re.compile(r"\b(is|are) responsible|at fault\b")
-DEADLINE = re.compile(r"\bshould have\b|\bavoids the collision|\bhad too little time\b")
+DEED = re.compile(r"\bThe ego\b.*\bbraked?\b|\bavoids the collision")
 
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
@@ -382,7 +382,7 @@ class _Sparing:
     def line(self, text: str = "", **markup: bool) -> None:
         """Write a line, without its colour if it is a part of a message that says neither."""
         indent = len(text[1:]) - len(text[1:].lstrip())
-        stands_out = not text.startswith("E    ") or bool(VERDICT.search(text) or DEADLINE.search(text))
+        stands_out = not text.startswith("E    ") or bool(VERDICT.search(text) or DEED.search(text))
         if text.startswith("E    ") and indent == self._last[0] + 2:  # the rest of a wrapped line
             stands_out, indent = self._last[1], self._last[0]
         self._last = indent, stands_out

@@ -39,7 +39,7 @@ from pytest_pafot.campaign.search_session import (
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.runner import ExecutionError
-from pytest_pafot.findings.decisions import advice_on, moved_over
+from pytest_pafot.findings.decisions import fact_on, moved_over
 from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.oracle.run import CheckFailed
@@ -324,7 +324,7 @@ class SearchMessages:
         lines = [] if run is None else explained(run, seen.raised).splitlines()
         lines = [] if lines and lines[0] in message_of(seen.raised) else lines
         if run is not None and run.collision is not None and moved_over(run) is not None:
-            lines.append(f"{capitalised(advice_on(run))}.")  # its decision, which no verdict knows
+            lines.append(f"{capitalised(fact_on(run))}.")  # its decision, which no verdict knows
         if finding.expect.takeover is not None:
             lines.append(takeovers.sentence(finding.expect.takeover))
         advice = "it does not repeat, so it is not shrunk" if seen.is_flaky else ""

@@ -18,7 +18,7 @@ from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from pytest_pafot.attribution.responses import AT_FAULT
+from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.events import Ending, Search
 from pytest_pafot.corpus.layout import SEARCH_PART, SUFFIX, name_without
 from pytest_pafot.findings.sighting import Seen
@@ -129,17 +129,17 @@ def finding_article(finding: Shown, index: int) -> str:
         tags.append(f"{WHO.get(responsible, responsible)} for the collision")
     tags += [plural(finding.runs, "run"), f"found in generation {seen.finding.found.generation}"]
     tags += filter(None, [finding.label, traffic, seen.on_alike])
-    deadline = f'; <span class="deadline">{text(view["deadline"])}</span>' if view["deadline"] else ""
+    deed = f'; <span class="deed">{text(view["deed"])}</span>' if view["deed"] else ""
     parts = [
         f'<article id="finding-{index}" tabindex="-1" aria-labelledby="headline-{index}"><header>',
         f'<p class="id">{text(seen.id)}</p><h2 id="headline-{index}">{mark(finding)} {text(view["headline"])}',
-        "</h2>" if besides else f"{deadline}</h2>",
+        "</h2>" if besides else f"{deed}</h2>",
         *(f'<p class="sentence">{text(each)}</p>' for each in view["sentences"]),
     ]
     if view["assertion"] and not is_check:
         parts.append(f'<p class="assertion"><code>{text(view["assertion"])}</code></p>')
     if besides:
-        parts.append(f'<p class="besides">{text(besides)}{deadline}</p>')
+        parts.append(f'<p class="besides">{text(besides)}{deed}</p>')
     parts += [
         _with_button(finding.command) if finding.command else "",
         f'<ul class="tags">{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul></header>',

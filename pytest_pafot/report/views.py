@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution import takeovers
-from pytest_pafot.attribution.manoeuvres import stretches
+from pytest_pafot.attribution.responsibility import stretches
 from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
-from pytest_pafot.findings.decisions import advice_on, is_si, moved_over
+from pytest_pafot.findings.decisions import fact_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.crossings import Zone
@@ -205,8 +205,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
             a failed check, what the headline does not say of it; otherwise empty.
         besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
-        deadline: what the ego should have done by when to avoid the collision, in a few words; empty if unknown, or if
-            it is not at fault.
+        deed: what the ego did that decides, in a few words; empty if it is not at fault.
         happened: what else is known of the run and of the finding, in prose.
         assertion: the line of the test that failed, or the exception that was raised.
         yaml: text of its file.
@@ -219,7 +218,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
     sentences = () if run is None else expect.sentences_on(run)
     first, *others = [""] if run is None else _explained(run, sentences)
     besides, collision = "", ""
-    deadline = "" if run is None else _deadline(run, action_names(finding.world))
+    deed = "" if run is None else _deed(run, action_names(finding.world))
     if check is not None and run is not None:
         written, check = str(check), _with_curve(check, run.trace)
         short = _check_in_short(check, run.trace)
@@ -238,7 +237,7 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "headline": headline or first or expect.message or expect.failure,
         "sentences": sentences,
         "besides": besides,
-        "deadline": deadline,
+        "deed": deed,
         "happened": (*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
         "assertion": _assertion(expect),
         "road": {"lanes": (), "lane_width": 0.0, "speed_limit": 0.0, "clearance": clearance, "shapes": ()},
@@ -336,9 +335,9 @@ def _happened(lines: Sequence[str], sighting: Seen) -> tuple[Paragraph, ...]:
     return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)
 
 
-def _deadline(run: Run, names: Sequence[str]) -> str:
-    """Return what the ego should have done by when, with the action that began a change of lanes if it has a name."""
-    words, number, actions = advice_on(run), moved_over(run), run.trace.actions
+def _deed(run: Run, names: Sequence[str]) -> str:
+    """Return what the ego did that decides, with the action that began a change of lanes if it has a name."""
+    words, number, actions = fact_on(run), moved_over(run), run.trace.actions
     if not names or number is None or number >= len(actions):  # a vehicle class as the ADS has no actions
         return words
     name = _decided(actions[number], names)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, cast
 
 import numpy as np
 
-from pytest_pafot.attribution.responses import HARDEST
+from pytest_pafot.attribution.responsibility import HARDEST
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.findings.finding import DRIVEN_ON
 from pytest_pafot.model.crossings import Crossings

@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pytest_pafot.attribution.manoeuvres import DRIFTING, KEEPING
-from pytest_pafot.attribution.responses import BRAKES, EMERGENCY
+from pytest_pafot.attribution.responsibility import DRIFTING
+from pytest_pafot.attribution.sentences import BRAKES
 from pytest_pafot.attribution.takeovers import CAREFUL
 from pytest_pafot.model.crossings import CrossingVehicle, Kind
 from pytest_pafot.model.trace import Trace
@@ -34,6 +34,14 @@ GRAVITY = 9.81
 """The gravitational acceleration [m/s^2]."""
 DELAY = 0.75
 """The time from the perception of a risk until the brakes act (UN R157) [s]."""
+PERCEPTION = 0.4
+"""The time for which a risk must last before it is perceived (UN R157) [s]."""
+TIME_TO_COLLISION, LEADER_BRAKING = 2.0, 5.0
+"""The time to collision below which a vehicle that cuts in is a risk, and the braking above which one ahead is (UN
+R157) [s, m/s^2]."""
+KEEPING = 0.375
+"""The largest offset from the lane's centre at which a vehicle keeps its lane; a larger one distinguishes a cut-in from
+wandering (UN R157) [m]."""
 HARD_BRAKING = 0.774 * GRAVITY
 """The deceleration of hard braking (UN R157) [m/s^2]."""
 BUILD_UP = 0.6
@@ -107,8 +115,8 @@ class Leader(NamedTuple):
     def is_critical(self) -> bool:
         """True if a careful driver behind this vehicle has to brake hard."""
         near = STANDSTILL_GAP + HEADWAY * (self.speed + self.closing)
-        is_braking = self.braking > EMERGENCY.leader_braking and self.gap < near
-        return is_braking or self.time_to_collision < EMERGENCY.time_to_contact
+        is_braking = self.braking > LEADER_BRAKING and self.gap < near
+        return is_braking or self.time_to_collision < TIME_TO_COLLISION
 
 
 @dataclass(slots=True)
@@ -193,7 +201,7 @@ class ReferenceDriver(ABC):
             gap = other.ego_to_leave - other.to_leave - (ego.length + other.length) / 2
             leader = Leader(gap=gap, speed=other.speed, closing=ego.speed - other.speed, braking=0.0)
             return -self.HARDEST if leader.is_critical else self.follow(ego.speed, leader)
-        if lets_pass < EMERGENCY.perception + DELAY - EPSILON:
+        if lets_pass < PERCEPTION + DELAY - EPSILON:
             return math.inf
         if other.ego_distance > 0 and ego.speed**2 <= 2 * self.HARDEST * other.ego_distance:
             room = other.ego_distance - LINE
@@ -298,14 +306,14 @@ class CarefulHuman(ReferenceDriver):
                 continue
             is_over &= leader.closing <= 0 and not critical
             # The rules count the step to the first tick of a danger, too, in which the leader braked already.
-            if danger + self.step >= EMERGENCY.perception - EPSILON:
+            if danger + self.step >= PERCEPTION - EPSILON:
                 # A foot that was moved for this vehicle before it became a danger is not moved again.
-                is_at_brake = foot >= danger or slowing >= EMERGENCY.perception + DELAY - EPSILON
-                perceived = max(self.now, self.now - danger + EMERGENCY.perception)
+                is_at_brake = foot >= danger or slowing >= PERCEPTION + DELAY - EPSILON
+                perceived = max(self.now, self.now - danger + PERCEPTION)
                 self.brakes_from = min(self.brakes_from, perceived + (0.0 if is_at_brake else DELAY))
-            if noticed >= EMERGENCY.perception + (DELAY if foot < noticed else 0.0) - EPSILON or noticed == self.now:
+            if noticed >= PERCEPTION + (DELAY if foot < noticed else 0.0) - EPSILON or noticed == self.now:
                 calm = min(calm, follow)
-            elif noticed >= EMERGENCY.perception - EPSILON and follow < 0:
+            elif noticed >= PERCEPTION - EPSILON and follow < 0:
                 calm = min(calm, 0.0)  # the foot has left the accelerator, but is not yet on the brake
         if is_over and self.brakes_from <= self.now:
             self.brakes_from = math.inf

@@ -17,7 +17,6 @@ ALL = [situation for group in SITUATIONS.values() for situation in group]
 def test_verdict_matches_the_one_an_expert_expects(situation):
     found = rss_rule(situation.trace())
     assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.reason
-    assert situation.says in found.reason
 
 
 def gallery():

@@ -3,8 +3,8 @@
 from itertools import chain
 from typing import get_args
 
-from pytest_pafot.attribution.mistakes import BY_FAULT, CLOSE_AHEAD, mistake
-from pytest_pafot.attribution.responsibility import Attribution, Fault, rss_rule
+from pytest_pafot.attribution.mistakes import BY_FAULT, mistake
+from pytest_pafot.attribution.responsibility import NEXT_TO, Attribution, Fault, rss_rule
 from pytest_pafot.model.trace import Outcome
 from tests.helpers.situations import LEFT, OWN, SITUATIONS
 from tests.helpers.tables import table
@@ -22,7 +22,6 @@ MADE = {
     "both-enter-side-by-side": "moved-into-side",
     "lane-change-1-m-ahead": "moved-in-front",
     "lane-change-28-m-ahead": "moved-in-front",
-    "both-enter-ego-10-m-ahead": "moved-in-front",
 }
 
 
@@ -45,8 +44,8 @@ def test_every_fault_except_those_by_position_names_mistake():
 
 
 @table(("gap", "expected"), [
-    (CLOSE_AHEAD + 0.1, "kept-no-distance"),
-    (CLOSE_AHEAD - 0.1, "moved-into-side"),
+    (NEXT_TO + 0.1, "kept-no-distance"),
+    (NEXT_TO - 0.1, "moved-into-side"),
     (-LENGTH, "moved-into-side"),
     (-2 * LENGTH + 0.1, "moved-into-side"),
     (-2 * LENGTH - 0.1, "moved-in-front"),

@@ -168,7 +168,7 @@ def test_blame_ego_skips_runs_caused_by_npcs(project):
     project.write("""
 @pytest.fixture
 def ads():
-    return lambda: lambda observation: (0.0, 0.0)
+    return lambda: lambda observation: (-1.0, 0.0)
 
 @pafot.search(npcs=4, genes=4, gene_seconds=5, blame="ego")
 def test_fault(run):

@@ -104,8 +104,8 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     trace = cut_in_trace()
     check, collided = checked(3.0, trace.ticks, at_most=2.5), view_of(trace)
     view = view_of(trace, finding_of(trace), check=check, headline=str(check))
-    assert collided.deadline.startswith("brake by ")
-    assert view.deadline == collided.deadline
+    assert collided.deed.startswith("the ego kept ")
+    assert view.deed == collided.deed
     assert view.sentences == ()
     assert view.besides.startswith("Also in this run: collision after ")
     assert view.besides.endswith(", both at fault")
@@ -114,8 +114,8 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     assert words.startswith("Collision after ")
     assert words.endswith(" ".join(collided.sentences))
     article = finding_article(view, 0)
-    assert f'{view.besides}; <span class="deadline">{collided.deadline}</span></p>' in article  # red, as a collision's
-    assert article.count("deadline") == 1
+    assert f'{view.besides}; <span class="deed">{collided.deed}</span></p>' in article  # red, as a collision's
+    assert article.count("deed") == 1
     assert article.index("</h2>") < article.index(view.besides) < article.index('class="player"')
     assert article.index('class="player"') < article.index("The collision.")
     assert "for the collision" not in article

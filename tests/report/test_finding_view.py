@@ -129,20 +129,18 @@ def test_takeover_is_above_the_picture():
     view = view_of(trace, avoided)
     careful = "A careful driver who takes over 1.25 s before the impact still avoids it."
     assert view.sentences == (first, *others[:-1], careful, "NPC 0 is responsible.")
-    assert view.deadline == ""  # NPC 0 is responsible
+    assert view.deed == ""  # NPC 0 is responsible
     (prose,) = words_of(view)
     assert not any(each in prose for each in view.sentences[:-1])
 
 
-def test_deadline_by_the_rules_is_that_of_a_responsible_ego():
+def test_deed_is_that_of_a_responsible_ego():
     stopped = braking_ahead()  # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
     run = Run(stopped)
     assert run.responsibility == "ego"
-    # At 20 m/s with half a second of response and 8 m/s^2, the ego comes within 10 m/s of the NPC in 11.25 m.
-    due = next(fact.in_full.due_s for fact in run.attribution.facts if fact.in_full.due_s is not None)
-    assert view_of(stopped).deadline == f"brake by {due:.1f} s"
+    assert view_of(stopped).deed == f"the ego{run.sentences[1].removeprefix('The ego').removesuffix('.')}"
     assert Run(rear_trace()).responsibility == "npc"
-    assert view_of(rear_trace()).deadline == ""
+    assert view_of(rear_trace()).deed == ""
 
 
 class MovingLeft(ControlledVehicle):
@@ -150,12 +148,12 @@ class MovingLeft(ControlledVehicle):
         super().act("LANE_LEFT")
 
 
-def test_deadline_of_a_vehicle_class_that_changes_lanes_names_no_action():
+def test_deed_of_a_vehicle_class_that_changes_lanes_names_no_action():
     world = pafot.World("highway-v0", duration=15.0)
     trace = world.rollout(scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft)
     assert (Run(trace).attribution.fault, trace.actions) == ("entered-lane", ())
-    deadline = "do not change lanes: begun at 0.0 s, into lane 0 at 0.1 s"  # it moves from the first tick on
-    assert view_of(trace, finding_of(trace, world=world.to_dict())).deadline == deadline
+    deed = "the ego began to change lanes at 0.0 s, over the line at 0.1 s"  # it moves from the first tick on
+    assert view_of(trace, finding_of(trace, world=world.to_dict())).deed == deed
 
 
 def test_the_command_survives_a_shell():
