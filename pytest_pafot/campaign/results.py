@@ -403,7 +403,7 @@ class State:
         """Return how many other runs failed like a new finding, and the worst of them all."""
         signature = next((each for each, id_ in self.finds.items() if id_ == find_id), None)
         kept = Alike() if signature is None else self.counts.failures.get(signature, Alike())
-        return replace(kept, runs=max(kept.runs - 1, 0))
+        return replace(kept, runs=kept.runs - 1)  # -1 if no run of the search failed, such as for a death in shrinking
 
     @property
     def failures(self) -> dict[Signature, str]:

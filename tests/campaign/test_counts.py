@@ -28,14 +28,14 @@ def no_collision(run):
     assert not run.collision
 
 
-def explored(**arguments):
+def explored(genes=2, **arguments):
     return pafot.explore(
-        constant_speed.make, holds=no_collision, seed=0, shrink_rollouts=0, gene_seconds=5.0, genes=2, **arguments
+        constant_speed.make, holds=no_collision, seed=0, shrink_rollouts=0, gene_seconds=5.0, genes=genes, **arguments
     )
 
 
 def test_random_search_counts_all_valid_scenarios():
-    found = explored(runs=40)
+    found = explored(runs=40, genes=4, npcs=5)
     valid = [row for row in found.runs if row["verdict"] != "invalid"]
     at_fault = [row for row in valid if row["responsibility"] in ("ego", "both")]
     assert (found.summary.random["at_fault"], found.summary.random["runs"]) == (len(at_fault), len(valid))

@@ -12,7 +12,7 @@ from pytest_pafot.corpus.reader import parsed
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.errors import CorpusError
 
-TEXTS = [path.read_text(encoding="utf-8") for path in Path(__file__).with_name("saved").glob("*.pafot.yaml")]
+TEXTS = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).with_name("saved").glob("*.pafot.yaml"))]
 EXAMPLES = settings.default.max_examples * 3 // 4
 """The number of examples for each kind of damage."""
 VALUE, KEY, NUMBER = r"(?<=: )[^,{}\[\]\n#|]+(?=[,}\]\n])", r"[A-Za-z_]+(?=: )", r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])"
