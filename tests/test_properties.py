@@ -265,7 +265,7 @@ def test_careful_driver_satisfies_all_properties_in_ordinary_traffic():
     quiet = 0
     for _ in range(30):
         trace = world.rollout_reference(sample(SearchSpace(genes=2), rng), "careful-human")
-        run = pafot.Run(trace)
+        run = world.run_of(trace)
         hard = [((npc.acceleration < -5) & (run.leader == index)).any() for index, npc in enumerate(run.npcs)]
         is_quiet = run.min_ttc > 3 and run.headway.min() > 1.4 and not any(hard)
         quiet += is_quiet

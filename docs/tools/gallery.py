@@ -98,7 +98,9 @@ def _verdict(situation: Situation) -> str:
 def reasons() -> str:
     """Return the verdict and the whole reason of every situation, one per line."""
     every = ((each, rss_rule(each.trace())) for group in SITUATIONS.values() for each in group)
-    return "".join(f"{each.name}: {it.responsibility}, {it.fault or 'no fault'}: {it.reason}\n" for each, it in every)
+    return "".join(
+        f"{each.name}: {it.responsibility}, {it.fault or 'no fault'}: {' '.join(it.sentences)}\n" for each, it in every
+    )
 
 
 def picture(trace: Trace) -> str:

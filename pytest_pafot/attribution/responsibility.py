@@ -101,8 +101,8 @@ class Attribution:
             collision.
         fault: fault of the ego; None if the ego is not responsible.
         sentences: lines that say what happened, each one a measured fact; empty without a collision.
-        avoidable: whether the rules excuse the ego for want of time, although an ordinary response would have avoided
-            the collision.
+        contested: fault of an ego behind that the rules excuse for want of time, or that shares the responsibility with
+            an NPC that moved in: a careful driver can tell whether there was time. Otherwise None.
         mistake: what the ego did wrong, in a few words; None if it is not responsible, and in the result of
             :func:`rss_rule`, which does not ask for it.
     """
@@ -112,18 +112,8 @@ class Attribution:
     time: float | None
     fault: Fault | None = None
     sentences: tuple[str, ...] = ()
-    avoidable: bool = False
+    contested: Fault | None = None
     mistake: Mistake | None = None
-
-    @property
-    def blames_ego(self) -> bool:
-        """True if the ego is responsible for the collision, alone or with the NPC."""
-        return self.responsibility in ("ego", "both")
-
-    @property
-    def reason(self) -> str:
-        """The sentences joined into one line."""
-        return " ".join(self.sentences) or "There was no collision."
 
 
 class Verdict(NamedTuple):
@@ -134,7 +124,6 @@ class Verdict(NamedTuple):
     happened: Happened
     vehicle: int = 0
     fault: Fault | None = None
-    avoidable: bool = False
 
 
 def rss_rule(trace: Trace) -> Attribution:
@@ -163,7 +152,7 @@ def rss_rule(trace: Trace) -> Attribution:
         time=found.tick / hz,
         fault=found.fault if found.responsibility in ("ego", "both") else None,
         sentences=sentences_on(trace, frame_of(trace), DISTANCES, npc, found.happened, found.vehicle, found.tick),
-        avoidable=found.avoidable,
+        contested=found.fault if found.responsibility != "ego" and str(found.fault).endswith("-unanswered") else None,
     )
 
 
@@ -298,7 +287,7 @@ class Conflict:
         if not self._could_avoid(0, since, DELAY_AFTER_CUT_IN):
             if gap > 0 and not has_slowed and self._end - tick >= DELAY_AFTER_CUT_IN * self._hz:
                 return moved._replace(responsibility="both")
-            return moved._replace(avoidable=since > tick and self._could_avoid(0, tick, DELAY_AFTER_CUT_IN))
+            return moved
         is_pushed = not self._has_room(self._npc, tick) and self._end - tick <= SOON * self._hz
         return moved._replace(responsibility="both" if is_pushed else "ego")
 

@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.request import AgainstError, Request
 from pytest_pafot.execution.crash_records import CrashRecord, Leftover, left_by
@@ -438,17 +437,6 @@ class Harness:
     def against_name(self) -> str:
         """The name of the reference in the summary; empty if the search has no reference."""
         return "" if self.against is None else self.against.shown
-
-    def takeover(self, run: Run, verdict: Verdict) -> float | None:
-        """Find by simulation the latest takeover that avoids the collision; None for any other failure, or if unknown.
-
-        Raises:
-            DriverError: if the world cannot simulate the driver.
-        """
-        failure = verdict.failure
-        if run.take_over is None or failure is None or failure.check is not None or verdict.severity is None:
-            return None
-        return takeovers.latest(run.trace, run.take_over)
 
     def judge_trace(self, world: BaseWorld, trace: Trace) -> Verdict:
         """Return the verdict on a trace that was made in ``world``."""

@@ -64,9 +64,7 @@ class MadeWorse:
             for scenario in scenarios:
                 yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
                 with runs_end_in(self.end - self.state.clock()):
-                    new = old = False
-                    if scenario not in fatal:
-                        new, old = yield from self._fail(next(results))
+                    new, old = (False, False) if scenario in fatal else (yield from self._fail(next(results)))
                 self.paired = self.paired.with_run(new=new, old=old)
                 if self.paired.is_worse is not None:
                     break

@@ -194,9 +194,10 @@ class Expect:
     def sentences_on(self, run: Run) -> tuple[str, ...]:
         """Return the sentences that explain a run; if it has this collision, also what a careful driver avoids."""
         told = run.sentences
-        if self.takeover is None or not self.is_of(run):
+        avoids = None if self.takeover is None else takeovers.sentence(self.takeover)
+        if avoids is None or avoids in told or not self.is_of(run):
             return told
-        return *told[:-1], takeovers.sentence(self.takeover), told[-1]
+        return *told[:-1], avoids, told[-1]
 
     @classmethod
     def of(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +23,7 @@ from pytest_pafot import criticality
 from pytest_pafot.attribution.mistakes import attributed
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
 from pytest_pafot.attribution.sentences import responsible_sentence
-from pytest_pafot.attribution.takeovers import TakeOver
+from pytest_pafot.attribution.takeovers import TakeOver, latest
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     Asked,
@@ -42,7 +42,7 @@ from pytest_pafot.model.scenario import Chromosome, Scenario, continues
 from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, STYLES
 from pytest_pafot.support import import_late
-from pytest_pafot.support.errors import POSITIVE, checked_number, install
+from pytest_pafot.support.errors import POSITIVE, DriverError, checked_number, install
 from pytest_pafot.support.text import ascii_text
 
 if TYPE_CHECKING:
@@ -489,7 +489,24 @@ class Run:
     @cached_property
     def attribution(self) -> Attribution:
         """The cause of the collision: who, the time of what decides, and why."""
-        return attributed(self.trace)
+
+        def takeover() -> float | None:
+            with suppress(DriverError):  # whoever asks for the number itself is told
+                return self.takeover
+            return None
+
+        return attributed(self.trace, takeover)
+
+    @cached_property
+    def takeover(self) -> float | None:
+        """The latest takeover by a careful driver that avoids the collision [s before the impact]; 0 if none does.
+
+        None without a collision with an NPC, and if the world cannot say.
+
+        Raises:
+            DriverError: if the world cannot simulate the driver.
+        """
+        return None if self.take_over is None else latest(self.trace, self.take_over)
 
     @property
     def responsibility(self) -> Responsibility | None:

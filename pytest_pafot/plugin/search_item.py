@@ -325,8 +325,8 @@ class SearchMessages:
         lines = [] if lines and lines[0] in message_of(seen.raised) else lines
         if run is not None and run.collision is not None and moved_over(run) is not None:
             lines.append(f"{capitalised(fact_on(run))}.")  # its decision, which no verdict knows
-        if finding.expect.takeover is not None:
-            lines.append(takeovers.sentence(finding.expect.takeover))
+        avoids = "" if finding.expect.takeover is None else takeovers.sentence(finding.expect.takeover)
+        lines += [avoids] * bool(avoids and avoids not in " ".join(lines))
         advice = "it does not repeat, so it is not shrunk" if seen.is_flaky else ""
         if finding.flaky == NOT_REPEATED:
             advice = DRAWS_IN_WRAPPERS if finding.world.get("wrappers") else DRAWS

@@ -197,7 +197,7 @@ class Steered:
             return self.fitness(trace)
         if trace.outcome != Outcome.COLLISION:
             return _bounded(self.fitness(trace))
-        if run.attribution.blames_ego:
+        if run.responsibility in ("ego", "both"):
             return 3.0 + _bounded(self.fitness(trace))
         return _bounded(self.fitness(before_impact(trace)))
 

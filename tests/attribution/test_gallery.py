@@ -16,7 +16,7 @@ ALL = [situation for group in SITUATIONS.values() for situation in group]
 @table("situation", ALL)
 def test_verdict_matches_the_one_an_expert_expects(situation):
     found = rss_rule(situation.trace())
-    assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.reason
+    assert (found.responsibility, found.fault) == (situation.responsibility, situation.fault), found.sentences
 
 
 def gallery():

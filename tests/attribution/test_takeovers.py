@@ -6,12 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pytest_pafot.attribution.mistakes import attributed
 from pytest_pafot.attribution.takeovers import drive, is_alike, latest, sentence
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Outcome
+from pytest_pafot.oracle.run import Run
+from pytest_pafot.support.errors import DriverError
 from pytest_pafot.world import Highway
 from pytest_pafot.world.reference_drivers import HARD_BRAKING, CarefulHuman
+from tests.helpers.situations import SITUATIONS
 from tests.helpers.tables import table
 from tests.helpers.traces import LENGTH, collision_at, trace_of, vehicle
 
@@ -155,3 +159,37 @@ def test_careful_human_keeps_braking_for_a_motorcycle_that_is_over_the_line_and_
     chain = [PositionInstruction(cell, speed) for cell, speed in ((2, 0.0), (1, 18.0), (1, 18.0), (1, 18.0), (2, 0.0))]
     scenario = Scenario(npcs=[chain], gene_seconds=4.0, vehicles=("motorcycle",))
     assert Highway(ads_hz=15).rollout(scenario, CarefulHuman).outcome is Outcome.SAFE
+
+
+TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in group}
+
+
+@pytest.mark.parametrize(("seconds", "responsible"), [(1.25, "both"), (0.0, "npc"), (None, "npc")])
+def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(seconds, responsible):
+    trace = TRACES["leader-stops-dead"]()
+    found = attributed(trace, lambda: seconds)
+    assert found.responsibility == responsible
+    assert (found.fault, found.mistake) == (("leader-unanswered", "kept-no-distance") if seconds else (None, None))
+    assert (sentence(1.25) in found.sentences) == bool(seconds)
+
+
+@pytest.mark.parametrize(("seconds", "responsible"), [(0.25, "both"), (0.0, "npc"), (None, "both")])
+def test_an_ego_shares_the_responsibility_with_an_npc_that_moved_in_only_if_there_was_time(seconds, responsible):
+    found = attributed(TRACES["cut-in-3-m-and-brakes"](), lambda: seconds)
+    assert (found.responsibility, found.fault is None) == (responsible, responsible == "npc")
+
+
+@pytest.mark.parametrize("name", ["slow-leader-ignored", "hit-from-behind"])
+def test_no_careful_driver_is_asked_where_nothing_is_excused(name):
+    attributed(TRACES[name](), lambda: pytest.fail("was asked"))
+
+
+def test_an_excuse_holds_in_a_world_that_cannot_simulate_the_driver():
+    def fails(trace, tick):
+        raise DriverError("no such driver")
+
+    fails.lasting = lambda seconds: None
+    run = Run(TRACES["leader-stops-dead"](), take_over=fails)
+    assert run.responsibility == "npc"
+    with pytest.raises(DriverError, match="no such driver"):
+        run.takeover  # noqa: B018

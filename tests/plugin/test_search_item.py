@@ -168,13 +168,13 @@ def test_blame_ego_skips_runs_caused_by_npcs(project):
     project.write("""
 @pytest.fixture
 def ads():
-    return lambda: lambda observation: (-1.0, 0.0)
+    return lambda: lambda observation: (-2.0 if observation.ego.speed > 12 else 0.3, 0.0)
 
 @pafot.search(npcs=4, genes=4, gene_seconds=5, blame="ego")
 def test_fault(run):
     assert run.responsibility != "npc"
 """)
-    result = project.run(runs=16)
+    result = project.run(runs=100)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["* npc at fault*"])
 

@@ -198,9 +198,9 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
     yield Phase(f"a careful driver takes over in saved-{sighting.id}", sighting.id)
     takeover, as_found = None, None if before.shrunk is None else before.shrunk.takeover  # if it was shrunk in part
     try:
-        takeover = harness.takeover(run, verdict)
-        if as_found is None and scenario != before.scenario and then.run is not None and then.verdict is not None:
-            as_found = harness.takeover(then.run, then.verdict)
+        takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
+        if takeover is not None and as_found is None and scenario != before.scenario and then.run is not None:
+            as_found = then.run.takeover
     except DriverError as error:  # the world cannot simulate the driver
         yield Note(f"{error}; findings say nothing of what this driver would have done")
     if is_alike(as_found, takeover):
