@@ -7,7 +7,7 @@ time when the ego had to take that vehicle into account.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
@@ -84,15 +84,20 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     return "moved-in-front" if ahead < -both else "moved-into-side"
 
 
-def attributed(trace: Trace, takeover: Callable[[], float | None]) -> Attribution:
-    """Return who is responsible for a run's collision, together with the ego's mistake in it.
-
-    The rules decide. If they excuse an ego that ran into an NPC, or it shares the responsibility with an NPC that moved
-    in, ``takeover`` is asked for the latest takeover by a careful driver that avoids the collision [s before the
-    impact]. If there is one, both are responsible, and otherwise the NPC. None stands for a world that cannot say.
-    """
-    found, hit = rss_rule(trace), trace.collision
-    if found.contested and hit and hit.side == "front" and (seconds := takeover()) is not None:
-        told, fault = (*found.sentences, sentence(seconds)), found.contested if seconds else None
-        found = replace(found, responsibility="both" if seconds else "npc", fault=fault, sentences=told)
+def attributed(trace: Trace) -> Attribution:
+    """Return the verdict of :func:`rss_rule` on a run's collision, together with the ego's mistake in it."""
+    found = rss_rule(trace)
     return found if found.fault is None else replace(found, mistake=mistake(trace, found))
+
+
+def decided(trace: Trace, found: Attribution, seconds: float | None) -> Attribution:
+    """Return a contested verdict as a careful driver decides it: whether the ego had time that ran into an NPC.
+
+    ``seconds`` is the latest takeover that avoids the collision [s before the impact]. If there is one, both are
+    responsible; at 0, the NPC is. None stands for a world that cannot say, so the verdict stays.
+    """
+    if found.contested is None or seconds is None:
+        return found
+    told, fault = (*found.sentences, sentence(seconds)), found.contested if seconds else None
+    found = replace(found, responsibility="both" if seconds else "npc", fault=fault, sentences=told)
+    return replace(found, mistake=mistake(trace, found))

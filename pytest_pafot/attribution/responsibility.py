@@ -164,10 +164,8 @@ def position_rule(trace: Trace) -> Responsibility:
     cell; it counts as ahead if it hit the ego's front. The paper itself counts all collisions alike.
     """
     hit = trace.collision
-    if hit is None:
-        return "none"
-    if hit.npc is None:
-        return "ego"
+    if hit is None or hit.npc is None:
+        return "none" if hit is None else "ego"
     was_ahead = hit.side == "front" if hit.cell is None else hit.cell.row > 0
     return "ego" if was_ahead and hit.ego_speed > STANDING_SPEED else "npc"
 

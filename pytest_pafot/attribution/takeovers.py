@@ -75,8 +75,7 @@ def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
     longer = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)
     taken = (take_over if longer is None else longer)(trace, tick)
     repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
-    is_same = repeated.shape == recorded.shape and bool((np.abs(repeated - recorded) <= ROUNDING).all())
-    return taken if is_same else None
+    return taken if repeated.shape == recorded.shape and (np.abs(repeated - recorded) <= ROUNDING).all() else None
 
 
 def sentence(seconds: float) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.mistakes import attributed
+from pytest_pafot.attribution.mistakes import attributed, decided
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
 from pytest_pafot.attribution.sentences import responsible_sentence
 from pytest_pafot.attribution.takeovers import TakeOver, latest
@@ -489,13 +489,11 @@ class Run:
     @cached_property
     def attribution(self) -> Attribution:
         """The cause of the collision: who, the time of what decides, and why."""
-
-        def takeover() -> float | None:
+        found = attributed(self.trace)
+        if found.contested and self.trace.collision and self.trace.collision.side == "front":
             with suppress(DriverError):  # whoever asks for the number itself is told
-                return self.takeover
-            return None
-
-        return attributed(self.trace, takeover)
+                return decided(self.trace, found, self.takeover)
+        return found
 
     @cached_property
     def takeover(self) -> float | None:

@@ -7,7 +7,7 @@ import pytest
 from tests.benchmarks.cut_ins import LEVEL, QUICK, SUDDEN, collisions, responsible
 from tests.helpers.stages import oracle
 
-EXCUSED = Counter({LEVEL: 4, QUICK: 4})
+EXCUSED = Counter({LEVEL: 6, QUICK: 5})
 """Why the ego is excused from some of 1,000 collisions that R157 requires it to avoid: the NPC moves into the side of
 an ego that has caught up; and R157 requires a response in 0.35 s, in which the careful driver fails, too."""
 BLAMED = Counter({SUDDEN: 1, LEVEL: 1})

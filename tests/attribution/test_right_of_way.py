@@ -38,7 +38,7 @@ def longer(trace, ticks):
 def test_where_the_other_comes_from_tells_the_mistake(origin):
     trace = ignored(FROM[origin])
     assert rss_rule(trace).fault == "did-not-give-way"
-    assert attributed(trace, lambda: None).mistake == NOT_GIVEN_WAY[origin]
+    assert attributed(trace).mistake == NOT_GIVEN_WAY[origin]
 
 
 def test_reason_says_who_entered_when_and_who_had_priority():

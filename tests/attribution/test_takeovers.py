@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot.attribution.mistakes import attributed
+from pytest_pafot.attribution.mistakes import attributed, decided
 from pytest_pafot.attribution.takeovers import drive, is_alike, latest, sentence
 from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
@@ -167,7 +167,7 @@ TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in gro
 @pytest.mark.parametrize(("seconds", "responsible"), [(1.25, "both"), (0.0, "npc"), (None, "npc")])
 def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(seconds, responsible):
     trace = TRACES["leader-stops-dead"]()
-    found = attributed(trace, lambda: seconds)
+    found = decided(trace, attributed(trace), seconds)
     assert found.responsibility == responsible
     assert (found.fault, found.mistake) == (("leader-unanswered", "kept-no-distance") if seconds else (None, None))
     assert (sentence(1.25) in found.sentences) == bool(seconds)
@@ -175,13 +175,15 @@ def test_an_excuse_does_not_hold_if_a_careful_driver_avoids_the_collision(second
 
 @pytest.mark.parametrize(("seconds", "responsible"), [(0.25, "both"), (0.0, "npc"), (None, "both")])
 def test_an_ego_shares_the_responsibility_with_an_npc_that_moved_in_only_if_there_was_time(seconds, responsible):
-    found = attributed(TRACES["cut-in-3-m-and-brakes"](), lambda: seconds)
+    trace = TRACES["cut-in-3-m-and-brakes"]()
+    found = decided(trace, attributed(trace), seconds)
     assert (found.responsibility, found.fault is None) == (responsible, responsible == "npc")
 
 
 @pytest.mark.parametrize("name", ["slow-leader-ignored", "hit-from-behind"])
 def test_no_careful_driver_is_asked_where_nothing_is_excused(name):
-    attributed(TRACES[name](), lambda: pytest.fail("was asked"))
+    run = Run(TRACES[name](), take_over=lambda trace, tick: pytest.fail("was asked"))
+    assert run.attribution == attributed(run.trace)
 
 
 def test_an_excuse_holds_in_a_world_that_cannot_simulate_the_driver():

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pytest_pafot import criticality
-from pytest_pafot.attribution.mistakes import attributed
+from pytest_pafot.attribution.mistakes import attributed, decided
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, Trace, X, Y
 from pytest_pafot.world.kernel.observation import Observation, VehicleState
 from pytest_pafot.world.reference_drivers import CarefulHuman
@@ -152,7 +152,10 @@ def collisions(count: int) -> Iterator[tuple[Scene, Trace]]:
 
 def responsible(scene: Scene, trace: Trace) -> str:
     """Return who is responsible, with the careful driver who takes over when it begins for one that takes over."""
-    return attributed(trace, lambda: float(not scene.hits(scene.ego(CarefulHuman())))).responsibility
+    found = attributed(trace)
+    if trace.collision is None or trace.collision.side != "front":
+        return found.responsibility
+    return decided(trace, found, float(not scene.hits(scene.ego(CarefulHuman())))).responsibility
 
 
 def main() -> None:
