@@ -23,7 +23,7 @@ pytestmark = [
 
 SESSION = os.getpid()
 SPACE = {"npcs": 2, "genes": 3, "gene_seconds": 4, "ego_lane": 1, "ego_speed": 22, "vehicles": "car"}
-STOP = 3  # findings, of which the last is in a chunk of another process
+STOP = 2  # findings, of which the last is in a chunk of another process
 RUNS = 98  # six chunks and a part of one
 
 

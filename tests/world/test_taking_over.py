@@ -108,7 +108,7 @@ def test_careful_driver_avoids_a_collision_in_a_zone_until_shortly_before_the_eg
     scenario = Scenario(npcs=[[CrossingInstruction("wer>wxr", 0.0, 5.0)]], ego_lane=1, ego_speed=8.0)
     run = world.run_of(world.rollout(scenario, ControlledVehicle))
     assert run.attribution.fault == "did-not-give-way"
-    entered = Passing(run.trace, 0, run.trace.zones[0]).entered() / run.trace.physics_hz
+    entered = Passing(run.trace, 0, run.trace.zones[0]).entry / run.trace.physics_hz
     assert 0 < run.collision.time - latest(run.trace, run.take_over) < entered
 
 

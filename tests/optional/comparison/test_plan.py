@@ -6,8 +6,8 @@ from itertools import count
 
 import pytest
 
-from pytest_pafot import Highway, Run
-from pytest_pafot.attribution.responsibility import position_rule, rss_rule
+from pytest_pafot import Highway
+from pytest_pafot.attribution.responsibility import position_rule
 from pytest_pafot.campaign.explore import _note_of
 from pytest_pafot.campaign.harness import judge
 from pytest_pafot.comparison.figures import STYLES, draw_all
@@ -37,13 +37,14 @@ def test_each_row_can_be_driven_again_identically(quick, algorithm):
     world = Highway(duration=20.0)
     for row in rows:
         trace = world.rollout(again(row), constant_speed.make)
+        run = world.run_of(trace)
         assert (str(trace.outcome), trace.duration) == (row["outcome"], row["duration"])
         assert (trace.collision is None) == (row["collision_time"] is None)
         if row["verdict"] is not None:  # it is, if only a different scenario was simulated
-            assert rss_rule(trace).responsibility == (row["responsibility"] or "none")
+            assert run.responsibility == row["responsibility"]
             assert position_rule(trace) == (row["position_responsibility"] or "none")
-            verdict = judge(Run(trace), partial(never_collides, "any"), blame="any", test_file="")
-            assert _note_of(Run(trace), verdict)["signature"] == row["signature"]
+            verdict = judge(run, partial(never_collides, "any"), blame="any", test_file="")
+            assert _note_of(run, verdict)["signature"] == row["signature"]
     assert any(row["outcome"] == "collision" for row in rows)
     assert COLUMNS.keys() <= row.keys()
 
