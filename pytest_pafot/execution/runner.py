@@ -240,10 +240,13 @@ class Job:
         with capture_output() as output:
             job = made()
             started = monotonic()
-            run = rollout_of(job.world, method) if job.own is None else partial(GENERATORS.run, job.own)
-            trace = run(scenario, job.policy.factory)
+            trace = job.driving(job.own or method)(scenario, job.policy.factory)
             seconds = monotonic() - started
         return trace, output, seconds
+
+    def driving(self, drive: str | Drive) -> Drive:
+        """Return a method of the world that makes runs, by its name, or a function, with seeded global generators."""
+        return rollout_of(self.world, drive) if isinstance(drive, str) else partial(GENERATORS.run, drive)
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
         """Return a crash record for the process that writes it; its file is created only for the first scenario."""
@@ -501,8 +504,7 @@ class Here:
         __tracebackhide__ = True
         self._record.write(scenario, reference=self.job.reference)
         factory = self.job.policy.factory
-        run = rollout_of(self.job.world, drive) if isinstance(drive, str) else partial(GENERATORS.run, drive)
-        return run(scenario, factory if most is None else ending_after(factory, most))
+        return self.job.driving(drive)(scenario, factory if most is None else ending_after(factory, most))
 
 
 class Apart(Here):
@@ -601,25 +603,21 @@ class Apart(Here):
             return self._made(scenario, Whole(scenario, drive))
         # Only a process that is forked now has the function. That it died counts even if a second one did not.
         with pool_for(replace(self.job, own=drive, read=None), 1) as pool:
-            answer = pool.fetch(scenario)
-        if pool.failure:
-            raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
+            answer = self._fetched(scenario, pool)
         return made_apart(pool.recovered[0] if pool.recovered else answer)
 
     def _made(self, scenario: Scenario, task: Scenario | Whole | None = None, most: int | None = None) -> Any:
         """Return what another process sends of a task, by default a scenario, or the trace of a run in this process."""
         __tracebackhide__ = True
         made = self._collect(task or scenario)
-        if made is not None and not isinstance(made, Trace):
-            return made
-        if made is not None:
+        if made is None:
+            started = self._clock()
+            made = super()._once(scenario, most=most)
+            if self._is_measured:
+                self._is_measured = False
+                self._learn(self._clock() - started)
+        elif isinstance(made, Trace):  # the judgement of the run may end this process
             self._record.write(scenario, reference=self.job.reference)
-            return made
-        started = self._clock()
-        made = super()._once(scenario, most=most)
-        if self._is_measured:
-            self._is_measured = False
-            self._learn(self._clock() - started)
         return made
 
     @property
@@ -704,16 +702,18 @@ class Apart(Here):
             self._learn(answer[2])
         return made_from(answer)
 
-    def _fetched(self, task: Scenario | Whole) -> Answer:
+    def _fetched(self, task: Scenario | Whole, own: ScenarioPool | None = None) -> Answer:
+        """Return the answer of a process to a task: of the workers' pool, or of a pool for this task alone."""
         __tracebackhide__ = True
         try:
-            pool = self._pool or self._begin()
+            pool = own or self._pool or self._begin()
         except ExecutionError as error:
             raise ExecutionError(f"{flag('isolate')}: {error}") from None
         answer: Answer = pool.fetch(task)
         if pool.failure:
             raise ExecutionError(f"{flag('isolate')}: expected processes to run the ADS in, received: {pool.failure}")
-        if self.is_elsewhere and isinstance(answer, Exception) and not isinstance(answer, ProcessLostError):
+        is_raised = isinstance(answer, Exception) and not isinstance(answer, ProcessLostError)
+        if is_raised and self.is_elsewhere and own is None:
             raise ExecutionError(
                 f"{flag('isolate')}: expected workers that can make every run, received from one of them "
                 f"{type(answer).__name__}: {answer}; install what the run needs on the workers, or search without "
@@ -743,8 +743,7 @@ class Apart(Here):
             self._failure = str(error)
 
     def _begin(self) -> ScenarioPool:
-        cluster = self._cluster
-        pool: ScenarioPool = pool_for(self.job, self._workers) if cluster is None else cluster(self.job)
+        pool: ScenarioPool = (self._cluster or partial(pool_for, size=self._workers))(self.job)
         self._pool = pool
         pool.expect(self._expected)
         return pool
