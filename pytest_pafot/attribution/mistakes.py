@@ -12,8 +12,14 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
 
-from pytest_pafot.attribution.responsibility import NEXT_TO, Attribution, Fault, Mistake, frame_of, rss_rule
-from pytest_pafot.attribution.takeovers import sentence
+from pytest_pafot.attribution.responsibility import (
+    NEXT_TO,
+    Attribution,
+    Fault,
+    Mistake,
+    frame_of,
+    rss_rule,
+)
 from pytest_pafot.model.crossings import Origin
 from pytest_pafot.model.trace import Trace
 
@@ -90,7 +96,7 @@ def attributed(trace: Trace) -> Attribution:
     return found if found.fault is None else replace(found, mistake=mistake(trace, found))
 
 
-def decided(trace: Trace, found: Attribution, seconds: float | None) -> Attribution:
+def decided(found: Attribution, seconds: float | None) -> Attribution:
     """Return a contested verdict as a careful driver decides it: whether the ego had time that ran into an NPC.
 
     ``seconds`` is the latest takeover that avoids the collision [s before the impact]. If there is one, both are
@@ -98,6 +104,7 @@ def decided(trace: Trace, found: Attribution, seconds: float | None) -> Attribut
     """
     if found.contested is None or seconds is None:
         return found
-    told, fault = (*found.sentences, sentence(seconds)), found.contested if seconds else None
-    found = replace(found, responsibility="both" if seconds else "npc", fault=fault, sentences=told)
-    return replace(found, mistake=mistake(trace, found))
+    if not seconds:
+        return replace(found, responsibility="npc", fault=None, mistake=None, takeover=seconds)
+    fault = found.contested
+    return replace(found, responsibility="both", fault=fault, mistake=BY_FAULT[fault], takeover=seconds)

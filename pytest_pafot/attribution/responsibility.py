@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pytest_pafot.attribution.sentences import Happened, sentences_on
 from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.criticality.measures import Boxes, overlaps, relate
+from pytest_pafot.criticality.measures import Boxes, last_stretch, overlaps, relate, stretches
 from pytest_pafot.model.crossings import Stretch, Zone
 from pytest_pafot.model.trace import ACROSS, ALONG, HEADING, LANE, OFFSET, SPEED, FloatArray, Trace, X, Y
 
@@ -36,6 +36,9 @@ Fault = Literal[
 """The faults of the ego, in this order. It moved into another vehicle's way. It did not answer a cut-in, or a vehicle
 ahead in its lane. It braked hard, or stopped, with nothing in its way. In a zone where its way meets the NPC's, it did
 not give way, or it drove in while the NPC visibly was there."""
+
+UNANSWERED: tuple[Fault, ...] = ("cut-in-unanswered", "leader-unanswered")
+"""The faults of an ego behind that did not answer."""
 
 Mistake = Literal[
     "kept-no-distance",
@@ -101,8 +104,10 @@ class Attribution:
             collision.
         fault: fault of the ego; None if the ego is not responsible.
         sentences: lines that say what happened, each one a measured fact; empty without a collision.
-        contested: fault of an ego behind that the rules excuse for want of time, or that shares the responsibility with
-            an NPC that moved in: a careful driver can tell whether there was time. Otherwise None.
+        contested: fault of an ego that ran into an NPC and that the rules excuse for want of time, or that shares the
+            responsibility with an NPC that moved in: a careful driver can tell whether there was time. Otherwise None.
+        takeover: the latest takeover by which a careful driver has decided this [s before the impact]; 0 if none avoids
+            the collision, None if no careful driver was asked.
         mistake: what the ego did wrong, in a few words; None if it is not responsible, and in the result of
             :func:`rss_rule`, which does not ask for it.
     """
@@ -113,11 +118,12 @@ class Attribution:
     fault: Fault | None = None
     sentences: tuple[str, ...] = ()
     contested: Fault | None = None
+    takeover: float | None = None
     mistake: Mistake | None = None
 
 
-class Verdict(NamedTuple):
-    """Who is responsible by a rule, for what at which tick, and the event of that tick, by a vehicle, for the text."""
+class Ruling(NamedTuple):
+    """The result of a rule: who is responsible, for what fault, and for the text what a vehicle did at which tick."""
 
     responsibility: Responsibility
     tick: int
@@ -146,13 +152,14 @@ def rss_rule(trace: Trace) -> Attribution:
         return Attribution(responsibility="ego", tick=hit.tick, time=hit.time)
     zone = trace.zones[npc] if trace.zones else None
     found = Conflict(trace, npc).verdict if zone is None else _where_ways_meet(trace, npc, zone)
+    is_contested = hit.side == "front" and found.fault in UNANSWERED and found.responsibility != "ego"
     return Attribution(
         responsibility=found.responsibility,
         tick=found.tick,
         time=found.tick / hz,
         fault=found.fault if found.responsibility in ("ego", "both") else None,
         sentences=sentences_on(trace, frame_of(trace), DISTANCES, npc, found.happened, found.vehicle, found.tick),
-        contested=found.fault if found.responsibility != "ego" and str(found.fault).endswith("-unanswered") else None,
+        contested=found.fault if is_contested else None,
     )
 
 
@@ -188,18 +195,6 @@ def braking(trace: Trace, vehicle: int = 0) -> FloatArray:
     return -np.diff(speed, prepend=speed[:1]) * trace.physics_hz
 
 
-def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first tick and the tick after the last of each unbroken stretch in which a condition holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
-def _since(holds: npt.NDArray[np.bool_]) -> int:
-    """Return the first tick of the last unbroken stretch, up to the last tick, in which a condition holds."""
-    fails = np.flatnonzero(~holds[:-1])
-    return int(fails[-1]) + 1 if fails.size else 0
-
-
 def room_to_leave(follower: float, mover: float) -> float:
     """Return the gap that a vehicle has to leave to the vehicle behind when it enters a lane [m].
 
@@ -217,12 +212,12 @@ class Conflict:
         self._end, self._hz, frame = trace.ticks, trace.physics_hz, self._frame
         self._ahead = frame.ahead[npc]  # of the NPC, from the ego
         self._gaps = np.abs(self._ahead) - frame.half_along[0] - frame.half_along[npc + 1]
-        self._met = _since(frame.gap_across[:, npc] <= 0)  # from here to the impact they were in one track
-        self.danger = _since(self._gaps < np.maximum(frame.safe_along(DISTANCES)[:, npc], 1e-9))
+        self._met = last_stretch(frame.gap_across[:, npc] <= 0)  # from here to the impact they were in one track
+        self.danger = last_stretch(self._gaps < np.maximum(frame.safe_along(DISTANCES)[:, npc], 1e-9))
         self._before = max(self.danger - 1, 0)  # the last safe tick; responses count from here
 
     @cached_property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Ruling:
         """The verdict by rules 2 to 5."""
         ego, npc = self._moved_in(0), self._moved_in(self._npc)
         if max(ego, npc) >= 0 and max(ego, npc, self._met) >= self.danger:
@@ -230,9 +225,9 @@ class Conflict:
         if max(ego, npc) < 0 and 0 < self._met >= self.danger and self._gaps[self._met] <= 0:
             return self._came_together()
         if self._ahead[self.danger] < 0:
-            return self._npc_followed(0, Verdict("npc", self.danger, "close", self._npc))
+            return self._npc_followed(0, Ruling("npc", self.danger, "close", self._npc))
         could = self._could_avoid(0, self._before, DELAY)
-        return Verdict("ego" if could else "npc", self.danger, "close", 0, "leader-unanswered")
+        return Ruling("ego" if could else "npc", self.danger, "close", 0, "leader-unanswered")
 
     def _moved_in(self, vehicle: int) -> int:
         """Return the last tick at which a vehicle's box came over the line of the lane that the other is in; else -1.
@@ -256,9 +251,9 @@ class Conflict:
         behind, speed = self._frame.speed[self._npc - mover, tick], self._frame.speed[mover, tick]
         return bool(self._gaps[tick] >= room_to_leave(float(behind), float(speed)))
 
-    def _ego_moved_in(self, tick: int) -> Verdict:
-        """Rule 2 for the ego: it is responsible, unless it left room, or has led for a second."""
-        moved, npc = Verdict("ego", tick, "moved", 0, "entered-lane"), self._npc
+    def _ego_moved_in(self, tick: int) -> Ruling:
+        """Rule 2 for the ego: it is responsible, unless it left room, or has led for 3 s."""
+        moved, npc = Ruling("ego", tick, "moved", 0, "entered-lane"), self._npc
         if self._ahead[tick] >= 0:
             return moved
         if self._has_room(0, tick) and self._has_room(0, max(self._met, tick)):
@@ -269,16 +264,13 @@ class Conflict:
         could = self._gaps[tick] >= NEXT_TO and self._could_avoid(npc, max(tick, self._before), DELAY)
         return moved._replace(responsibility="both" if could else "ego")
 
-    def _npc_moved_in(self, tick: int) -> Verdict:
+    def _npc_moved_in(self, tick: int) -> Ruling:
         """Rule 2 for an NPC, and rule 3 for the ego behind that NPC."""
         gap, speed = self._gaps[tick], self._frame.speed[0]
-        moved = Verdict("npc", tick, "moved", self._npc, "cut-in-unanswered")
+        moved = Ruling("npc", tick, "moved", self._npc, "cut-in-unanswered")
         if gap > 0 and self._ahead[tick] < 0:
             return self._npc_followed(tick, moved, moved_in=True)
-        since, hard = tick, braking(self._trace, self._npc)[tick + 1 : self._end + 1] > HARD
-        is_blocked = gap < BLOCKED * speed[tick] and any(
-            until - begin >= HARD_SECONDS * self._hz for begin, until in stretches(hard)
-        )
+        since, is_blocked = tick, gap < BLOCKED * speed[tick] and bool(self._hard_brakings(self._npc, tick + 1))
         has_slowed = speed[self._end] < speed[tick] - SLOWED
         if is_blocked and has_slowed:
             since = tick + round(DELAY * self._hz)
@@ -289,7 +281,7 @@ class Conflict:
         is_pushed = not self._has_room(self._npc, tick) and self._end - tick <= SOON * self._hz
         return moved._replace(responsibility="both" if is_pushed else "ego")
 
-    def _came_together(self) -> Verdict:
+    def _came_together(self) -> Ruling:
         """Rule 5: side by side, who moved sideways into the other is responsible; else who is over its line."""
         tick, frame, npc = self._met, self._frame, self._npc
         side = 1.0 if frame.right[npc - 1, max(tick - 1, 0)] >= 0 else -1.0
@@ -303,7 +295,7 @@ class Conflict:
             if moves[0] == moves[1]:
                 moves = [False, True]
         who: Responsibility = "both" if all(moves) else "ego" if moves[0] else "npc"
-        return Verdict(who, tick, "sideways", 0 if moves[0] else npc, "entered-lane")
+        return Ruling(who, tick, "sideways", 0 if moves[0] else npc, "entered-lane")
 
     def _could_avoid(self, behind: int, first: int, delay: float, *, later: bool = True) -> bool:
         """Rule 3: return whether an ordinary response of the one behind, at a tick or later on, avoids the impact.
@@ -326,7 +318,12 @@ class Conflict:
             speed = np.where(tick + 1 >= due, braked, driven)
         return bool((back / self._hz > np.maximum(speed - other[end], 0.0) ** 2 / (2 * HARDEST)).any())
 
-    def _npc_followed(self, duty: int, found: Verdict, *, moved_in: bool = False) -> Verdict:
+    def _hard_brakings(self, vehicle: int, first: int = 0) -> list[tuple[int, int]]:
+        """Return the first tick, and the tick after the last, of each hard braking of a vehicle from a tick on."""
+        found = stretches(braking(self._trace, vehicle)[first : self._end + 1] > HARD)
+        return [(begin, until) for begin, until in found if until - begin >= HARD_SECONDS * self._hz]
+
+    def _npc_followed(self, duty: int, found: Ruling, *, moved_in: bool = False) -> Ruling:
         """Rule 4: the NPC behind is responsible, unless the ego braked or stopped for nothing.
 
         ``duty`` is the tick from which on the NPC had to answer, and ``moved_in`` whether it moved in behind the ego.
@@ -337,7 +334,7 @@ class Conflict:
         begin, fault = needless
         could = moved_in or self._could_avoid(self._npc, max(duty, min(begin, self._before)), DELAY)
         happened: Happened = "stopped" if fault == "stopped-for-nothing" else "braked"
-        return Verdict("both" if could else "ego", begin, happened, 0, fault)
+        return Ruling("both" if could else "ego", begin, happened, 0, fault)
 
     @cached_property
     def _needless(self) -> tuple[int, Fault] | None:
@@ -347,14 +344,13 @@ class Conflict:
         lasted until 1 s before the danger or later, and there must be no reason from 1 s before it on.
         The NPC must have been behind the ego then, and must not have sped up since.
         """
-        speed, rates, hz, end = self._trace.ego[:, SPEED], braking(self._trace), self._hz, self._end
-        found: list[tuple[int, int, Fault]] = []
-        for begin, until in stretches(rates[: end + 1] > HARD):
-            if until - begin >= HARD_SECONDS * hz:
-                found.append((until - 1, begin - 1, "braked-for-nothing"))
-        stopped = _since(speed <= STANDING_SPEED)
+        speed, hz, end = self._trace.ego[:, SPEED], self._hz, self._end
+        hard = self._hard_brakings(0)
+        found: list[tuple[int, int, Fault]] = [(until - 1, begin - 1, "braked-for-nothing") for begin, until in hard]
+        stopped = last_stretch(speed <= STANDING_SPEED)
         if speed[end] <= STANDING_SPEED and 0 < stopped <= end - LONG * hz:
-            found.append((stopped, _since(np.append(np.diff(speed[: stopped + 1]) < 0, True)), "stopped-for-nothing"))
+            slows = np.append(np.diff(speed[: stopped + 1]) < 0, True)
+            found.append((stopped, last_stretch(slows), "stopped-for-nothing"))
         ahead, behind = self._frame.speed[[0, self._npc]]
         for until, begin, fault in sorted(found, key=lambda each: each[0], reverse=True):
             lasts = until == stopped or until >= self.danger - DELAY * hz
@@ -376,12 +372,8 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
     within four seconds.
     """
     frame = frame_of(trace)
-    speed, others, ahead, right = (
-        frame.speed[0, ticks],
-        frame.speed[1:, ticks],
-        frame.ahead[:, ticks],
-        frame.right[:, ticks],
-    )
+    speed, others = frame.speed[0, ticks], frame.speed[1:, ticks]
+    ahead, right = frame.ahead[:, ticks], frame.right[:, ticks]
     along = np.abs(ahead) - frame.half_along[0, ticks] - frame.half_along[1:, ticks]
     across = np.abs(right) - frame.half_across[0, ticks] - frame.half_across[1:, ticks]
     slowed = -np.diff(frame.speed[1:], prepend=frame.speed[1:, :1])[:, ticks] * trace.physics_hz
@@ -414,7 +406,7 @@ def reasons(trace: Trace, ticks: slice) -> npt.NDArray[np.bool_]:
 # 18, as ad-rss-lib has them; Vienna Convention on Road Traffic, Art. 1 and 18.
 
 
-def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Verdict:
+def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Ruling:
     """Attribute a collision with a crossing NPC by right of way, or by the rules for two vehicles in one lane."""
     since, until = max(stretches(~np.isnan(trace.track_of(npc + 1)[:, ALONG])), default=(0, 0))
     lane = None
@@ -436,10 +428,10 @@ def _where_ways_meet(trace: Trace, npc: int, zone: Zone) -> Verdict:
             first, failed = (ego, other)[(owing or taken)[0] > 0], {*owing, *taken}
             who: Responsibility = "both" if len(failed) > 1 else "npc" if 0 not in failed else "ego"
             fault: Fault = "did-not-give-way" if 0 in owing else "entered-taken-zone"
-            return Verdict(who, first.entry, "entered", first.vehicle, fault)
+            return Ruling(who, first.entry, "entered", first.vehicle, fault)
     if lane is not None:
         return found
-    return Verdict("none", trace.ticks, "entered" if is_in_zone else "elsewhere")
+    return Ruling("none", trace.ticks, "entered" if is_in_zone else "elsewhere")
 
 
 class Passing:
@@ -461,7 +453,7 @@ class Passing:
         self.begins, self.ends = zone.npc if vehicle else zone.ego
         self.half_length = float(trace.sizes[vehicle, 0]) / 2
         self.has_entered = bool(self.places[-1] >= self.begins)
-        self.entry = _since(self.places >= self.begins) if self.has_entered else trace.ticks
+        self.entry = last_stretch(self.places >= self.begins) if self.has_entered else trace.ticks
         self.is_inside = self.has_entered and bool(self.places[-1] <= self.ends)
 
     def _stops(self, before: int, place: float) -> int:
@@ -517,6 +509,6 @@ class Passing:
             Boxes.driving(*rows[:, [X, Y, HEADING, SPEED]].T, *self._trace.sizes[each.vehicle, :, None])
             for rows, each in zip(poses, (self, other), strict=True)
         )
-        touched = _since(overlaps(relate(mine, its)))
+        touched = last_stretch(overlaps(relate(mine, its)))
         tick = self._stops(touched, float(self.places[touched]))
         return tick >= other.entry and other._foreseen(tick, max(self.entry, tick) / self._hz) < other.ends

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from pytest_pafot.criticality import RoadFrame, RssRules
+from pytest_pafot.criticality.measures import last_stretch, stretches
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Trace
 from pytest_pafot.support.text import capitalised
@@ -90,8 +91,7 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
         return []
     times = []
     for places, (begins, _) in ((trace.track_of(0)[:, ALONG], zone.ego), (trace.way_of(npc), zone.npc)):
-        before = np.flatnonzero(places[:-1] < begins)
-        times.append((int(before[-1]) + 1 if before.size else 0) / trace.physics_hz)
+        times.append(last_stretch(places >= begins) / trace.physics_hz)
     where, whom = "merge" if zone.kind == "merging" else "crossing", _name(npc + 1)
     holder = capitalised({"none": "neither", "ego": "the ego", "npc": whom}[zone.priority])
     entered = f"the ego entered the {where} at {times[0]:.1f} s, {whom} {zone.whence} at {times[1]:.1f} s"
@@ -100,9 +100,7 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
 
 def brakings(speeds: FloatArray, hz: int) -> list[tuple[int, int]]:
     """Return the tick at which each braking in a vehicle's speeds [m/s] begins, and the tick until which it lasts."""
-    brakes = np.concatenate(([False], -np.diff(speeds) * hz >= BRAKES, [False]))
-    edges = np.flatnonzero(np.diff(brakes)).tolist()
-    found = zip(edges[::2], edges[1::2], strict=True)
+    found = stretches(-np.diff(speeds) * hz >= BRAKES)
     return [(begin, end) for begin, end in found if speeds[begin] - speeds[end] >= LOST]
 
 

@@ -1,7 +1,7 @@
 """What a careful driver would have done: the latest takeover before an impact that avoids the collision.
 
 The world simulates a run again, and the careful driver of UN R157 takes over the ego shortly before the impact. It
-decides whether an ego had time that ran into a vehicle which had moved in, or that the rules excuse.
+decides whether an ego that ran into a vehicle shares the responsibility, if the rules leave that open.
 """
 
 from __future__ import annotations

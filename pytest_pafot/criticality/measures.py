@@ -485,6 +485,18 @@ def planned_duration(trace: Trace) -> float:
     return trace.duration if trace.scenario.seconds == np.inf else trace.scenario.seconds
 
 
+def stretches(holds: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first tick and the tick after the last of each unbroken stretch in which a condition holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def last_stretch(holds: npt.NDArray[np.bool_]) -> int:
+    """Return the first tick of the last unbroken stretch, up to the last tick, in which a condition holds."""
+    fails = np.flatnonzero(~holds[:-1])
+    return int(fails[-1]) + 1 if fails.size else 0
+
+
 def _lowest(values: FloatArray) -> float:
     return float(values.min(initial=np.inf))
 

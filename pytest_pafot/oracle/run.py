@@ -20,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pytest_pafot import criticality
+from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.mistakes import attributed, decided
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
 from pytest_pafot.attribution.sentences import responsible_sentence
-from pytest_pafot.attribution.takeovers import TakeOver, latest
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     Asked,
@@ -337,7 +337,7 @@ class Run:
     """
 
     trace: Trace
-    take_over: TakeOver | None = field(default=None, kw_only=True)
+    take_over: takeovers.TakeOver | None = field(default=None, kw_only=True)
 
     if not TYPE_CHECKING:  # type checkers know every name
 
@@ -490,9 +490,9 @@ class Run:
     def attribution(self) -> Attribution:
         """The cause of the collision: who, the time of what decides, and why."""
         found = attributed(self.trace)
-        if found.contested and self.trace.collision and self.trace.collision.side == "front":
+        if found.contested is not None:
             with suppress(DriverError):  # whoever asks for the number itself is told
-                return decided(self.trace, found, self.takeover)
+                return decided(found, self.takeover)
         return found
 
     @cached_property
@@ -504,7 +504,7 @@ class Run:
         Raises:
             DriverError: if the world cannot simulate the driver.
         """
-        return None if self.take_over is None else latest(self.trace, self.take_over)
+        return None if self.take_over is None else takeovers.latest(self.trace, self.take_over)
 
     @property
     def responsibility(self) -> Responsibility | None:
@@ -610,7 +610,8 @@ class Run:
         if self.collision is None:
             return ()
         verdict = self.attribution
-        return *verdict.sentences, responsible_sentence(verdict.responsibility, self.collision.npc)
+        avoids = () if verdict.takeover is None else (takeovers.sentence(verdict.takeover),)
+        return *verdict.sentences, *avoids, responsible_sentence(verdict.responsibility, self.collision.npc)
 
     def explain(self, *, instructions: bool = True) -> str:
         """Explain the run in some twenty lines of ASCII at most: events, verdict, NPCs' instructions.

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from pytest_pafot.attribution import takeovers
-from pytest_pafot.attribution.responsibility import stretches
 from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.campaign.refine.moment import text_of as text_of_action
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
+from pytest_pafot.criticality.measures import stretches
 from pytest_pafot.findings.decisions import fact_on, is_si, moved_over
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.findings.sighting import Seen
@@ -210,11 +210,11 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         assertion: the line of the test that failed, or the exception that was raised.
         yaml: text of its file.
     """
-    finding, trace = sighting.finding, None if sighting.run is None else sighting.run.trace
+    finding, run = sighting.finding, sighting.run
+    trace = None if run is None else run.trace
     expect, headline = finding.expect, "; ".join(filter(None, [sighting.headline, note]))
     clearance = finding.world.get("clearance", CLEARANCE)
     clearance = float(clearance) if isinstance(clearance, (int, float)) else CLEARANCE
-    run = None if trace is None else Run(trace)
     sentences = () if run is None else expect.sentences_on(run)
     first, *others = [""] if run is None else _explained(run, sentences)
     besides, collision = "", ""
@@ -250,9 +250,9 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "check": None,
         "yaml": text_of(finding),
     }
-    if trace is None:
+    if run is None or trace is None:
         return view
-    run, tick = Run(trace), check_tick(trace, check)
+    tick = check_tick(trace, check)
     ticks = frame_ticks(trace) if tick is None else sorted({*frame_ticks(trace), tick})
     return view | {
         "road": road_view(trace, clearance),

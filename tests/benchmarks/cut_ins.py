@@ -152,10 +152,8 @@ def collisions(count: int) -> Iterator[tuple[Scene, Trace]]:
 
 def responsible(scene: Scene, trace: Trace) -> str:
     """Return who is responsible, with the careful driver who takes over when it begins for one that takes over."""
-    found = attributed(trace)
-    if trace.collision is None or trace.collision.side != "front":
-        return found.responsibility
-    return decided(trace, found, float(not scene.hits(scene.ego(CarefulHuman())))).responsibility
+    avoids = not scene.hits(scene.ego(CarefulHuman()))
+    return decided(attributed(trace), float(avoids)).responsibility
 
 
 def main() -> None:

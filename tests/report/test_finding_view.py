@@ -7,6 +7,7 @@ import pytest
 from highway_env.vehicle.controller import ControlledVehicle
 
 import pytest_pafot as pafot
+from pytest_pafot.attribution import takeovers
 from pytest_pafot.criticality import gap, ttc
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.verdict import Failure
@@ -14,10 +15,28 @@ from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.report.session import Session
-from pytest_pafot.report.views import frame_ticks
+from pytest_pafot.report.views import finding_view, frame_ticks
+from pytest_pafot.world.base_world import TakingOver
+from tests.helpers.situations import SITUATIONS
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, straight_lanes, trace_of, vehicle
-from tests.report.builders import CUT_IN, TEST, cut_in_trace, finding_of, is_close, rear_trace, scenario, view_of
+from tests.report.builders import (
+    CUT_IN,
+    TEST,
+    Viewed,
+    cut_in_trace,
+    finding_of,
+    is_close,
+    rear_trace,
+    scenario,
+    seen_of,
+    view_of,
+)
+
+
+def leader_stops_dead():
+    """Return a run with an ego that the rules excuse for want of time."""
+    return next(each.trace() for group in SITUATIONS.values() for each in group if each.name == "leader-stops-dead")
 
 
 def braking_ahead(**more):
@@ -141,6 +160,20 @@ def test_deed_is_that_of_a_responsible_ego():
     assert view_of(stopped).deed == f"the ego{run.sentences[1].removeprefix('The ego').removesuffix('.')}"
     assert Run(rear_trace()).responsibility == "npc"
     assert view_of(rear_trace()).deed == ""
+
+
+@pytest.mark.parametrize(("seconds", "responsible"), [(1.25, "both"), (0.0, "npc")])
+def test_page_shows_the_verdict_that_a_careful_driver_has_decided(seconds, responsible, monkeypatch):
+    """The rules alone excuse this ego; the page and the deed in its headline follow the run that the search judged."""
+    monkeypatch.setattr(takeovers, "latest", lambda trace, take_over: seconds)
+    run = Run(leader_stops_dead(), take_over=TakingOver(pafot.Highway()))
+    seen = seen_of(run.trace)
+    view = Viewed(seen=seen, view=finding_view(replace(seen, observed=replace(seen.observed, run=run))))
+    assert run.responsibility == responsible
+    assert view.sentences == run.sentences
+    assert takeovers.sentence(seconds) in view.sentences
+    told = run.attribution.sentences[1].removeprefix("The ego").removesuffix(".")
+    assert view.deed == (f"the ego{told}" if responsible == "both" else "")
 
 
 class MovingLeft(ControlledVehicle):
