@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pytest_pafot import policies, properties, strategies
-    from pytest_pafot.campaign.explore import Exploration, explore
-    from pytest_pafot.campaign.saved_scenario import SavedScenario, load
+    from pytest_pafot.campaign.explore import explore
+    from pytest_pafot.campaign.saved_scenario import load
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
     from pytest_pafot.model.instructions import (
         Cell,
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
         PositionInstruction,
         ScenarioError,
     )
-    from pytest_pafot.model.scenario import Chromosome, Scenario
-    from pytest_pafot.model.trace import Collision, Outcome, Trace
-    from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN, VehicleType
+    from pytest_pafot.model.scenario import Scenario
+    from pytest_pafot.model.trace import Trace
+    from pytest_pafot.model.vehicle_type import VehicleType
     from pytest_pafot.oracle.run import CheckFailed, Run, check, reject
     from pytest_pafot.plugin.collection import search
     from pytest_pafot.world import (
@@ -37,38 +37,33 @@ if TYPE_CHECKING:
         SimulatorWorld,
         VehicleState,
         World,
-        WorldError,
-        WorldLike,
     )
     from pytest_pafot.world.sumo import sumo
 
 __version__ = "0.1.0"
 
 _NAMES = {
-    "campaign.explore": "Exploration explore",
-    "campaign.saved_scenario": "SavedScenario load",
+    "campaign.explore": "explore",
+    "campaign.saved_scenario": "load",
     "model.crossings": "CrossingVehicle Zone",
     "model.instructions": "Cell CrossingInstruction LaneInstruction PositionInstruction ScenarioError",
-    "model.scenario": "Chromosome Scenario",
-    "model.trace": "Collision Outcome Trace",
-    "model.vehicle_type": "CAR MOTORCYCLE TRUCK VAN VehicleType",
+    "model.scenario": "Scenario",
+    "model.trace": "Trace",
+    "model.vehicle_type": "VehicleType",
     "oracle.run": "CheckFailed Run check reject",
     "plugin.collection": "search",
     "world.sumo": "sumo",
-    "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState "
-    "World WorldError WorldLike",
+    "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState World",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 _MODULES = ("policies", "properties", "strategies")
 
 __all__ = [
-    "CAR", "MOTORCYCLE", "TRUCK", "VAN", "Cell", "CheckFailed", "Chromosome", "Collision", "CrossingInstruction",
-    "CrossingVehicle", "Drive", "Exploration", "Highway", "LaneInstruction", "NpcLimits",
-    "Observation", "Outcome", "Perception", "PositionInstruction", "Run", "SavedScenario",
-    "Scenario", "ScenarioError", "Simulator", "SimulatorWorld", "Trace",
-    "VehicleState", "VehicleType", "World", "WorldError", "WorldLike", "Zone", "check", "explore", "load",
-    "policies", "properties", "reject", "search", "strategies", "sumo",
+    "Cell", "CheckFailed", "CrossingInstruction", "CrossingVehicle", "Drive", "Highway", "LaneInstruction",
+    "NpcLimits", "Observation", "Perception", "PositionInstruction", "Run", "Scenario", "ScenarioError",
+    "Simulator", "SimulatorWorld", "Trace", "VehicleState", "VehicleType", "World", "Zone",
+    "check", "explore", "load", "policies", "properties", "reject", "search", "strategies", "sumo",
 ]  # fmt: skip
 
 

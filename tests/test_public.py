@@ -6,11 +6,19 @@ import sys
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.campaign.options import OPTIONS
+from pytest_pafot.campaign.request import SearchArguments
 
 
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'serach'"):
         pafot.serach  # noqa: B018
+
+
+def test_users_have_few_names_options_and_arguments_to_learn():
+    assert len(pafot.__all__) <= 32
+    assert len(OPTIONS) <= 21
+    assert len(SearchArguments.__annotations__) <= 20
 
 
 def test_dir_lists_the_catalogue_in_an_interactive_session(monkeypatch):

@@ -11,9 +11,10 @@ from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 
 import pytest_pafot
-from pytest_pafot import CAR, TRUCK, Highway, strategies
+from pytest_pafot import Highway, strategies
 from pytest_pafot.model.instructions import LaneInstruction, is_adjacent
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.vehicle_type import CAR, TRUCK
 from tests.helpers.tables import table
 
 SIMPLEST = settings(max_examples=500, phases=[Phase.generate, Phase.shrink])  # no need to explain which parts matter

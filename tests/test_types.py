@@ -86,13 +86,13 @@ print(run.colision)
 print(run.ego.spede)
 print(run.npcs[0].gapp)
 print(run.responsibility == "egoo")
-print(pafot.Outcome.SAF)
+print(pafot.Cell.FRNT)
 """.strip().splitlines()
 
 RIGHT = """
 pafot.search(test)
-pafot.search(ads=Planner, vehicles=("car", pafot.VAN), traffic="everyday", algorithm="random", fitness="npcs.ttc")
-pafot.search(ads=make, world=pafot.World("highway-v0", ends="duration", ego=pafot.TRUCK), vehicles="truck")
+pafot.search(ads=Planner, vehicles=("car", "van"), traffic="everyday", algorithm="random", fitness="npcs.ttc")
+pafot.search(ads=make, world=pafot.World("highway-v0", ends="duration", ego="truck"), vehicles="truck")
 pafot.search(ads=pafot.Perception(Planner, latency=0.3, noise={"speed": 0.1}), world=pafot.sumo("net.xml", ads_hz=5))
 pafot.search(ads=pafot.policies.sb3("model.zip"), against=pafot.policies.process(["./planner"]), world=World())
 pafot.search(ads="planner:Planner", against="ads", world="module:factory", fitness=lambda trace: trace.duration)
@@ -140,7 +140,7 @@ def test_names_are_those_that_types_list(typed, names):
 
 
 def test_explore_takes_the_arguments_of_the_mark_and_options_of_sessions():
-    common = SearchArguments.__annotations__.keys() - {"ads", "arg", "world", "runs", "generations", "seed"}
+    common = SearchArguments.__annotations__.keys() - {"ads", "world", "runs", "generations", "seed"}
     own = ExploreArguments.__annotations__.keys() - common
     assert common <= ExploreArguments.__annotations__.keys()
     assert not any(BY_NAME[name].is_argument for name in own)

@@ -65,8 +65,6 @@ REFERENCE = [*sorted(DOCS.glob("reference/*.md")), *sorted(DOCS.glob("guide/*.md
 
 _SECTION = re.compile(r"(<!-- generated: ([a-z-]+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
-ROAD = ("lanes", "speed_limit", "clearance")
-"""The arguments of the mark about the road."""
 OF_SEARCH = ("traffic", "blame", "runs", "seed", "against")
 """The options of ``search`` that are arguments of the mark."""
 _WORLD = re.compile(
@@ -78,7 +76,6 @@ MARKER_TEXTS: Mapping[str, str] = {
     "world": "`pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
     "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
-    "arg": "Parameter of the test that receives the run.",
     "fitness": "[The fitness](fitness.md): a name, a measure, or a function of the trace.",
     "blame": '[Which failures count](../explanation/findings.md#what-counts-as-a-failure): `"any"` or `"ego"`.',
     "traffic": '[How the others drive](../explanation/traffic.md): `"hostile"`, `"assertive"`, `"everyday"`, '
@@ -268,11 +265,10 @@ def _traffic_table() -> str:
 def _vehicles_table() -> str:
     names = ("length", "width", "acceleration", "braking", "lateral_acceleration", "top_speed")
     rows = [
-        [f"`pafot.{name.upper()}`", _code(name)]
-        + ["" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
+        [f'`"{name}"`'] + ["" if getattr(each, one) == math.inf else f"{getattr(each, one):g}" for one in names]
         for name, each in READY.items()
     ]
-    return _table(["Vehicle", "Name", *map(_code, names)], rows)
+    return _table(["Name", *map(_code, names)], rows)
 
 
 def _code(names: str) -> str:
@@ -348,18 +344,16 @@ def _option_default(option: Option) -> str:
     stated = {
         "runs": f"`{RUNS}`",
         "shrink_rollouts": "by the ADS",
-        "population": "by the algorithm",
     }
     return stated.get(option.name, plain)
 
 
 def _marker_table() -> str:
-    texts = {**dict(_attributes(SearchSpace)), **dict(_attributes(Highway)), **MARKER_TEXTS}
-    defaults = {**_defaults(Request), **_defaults(Highway), **_defaults(SearchSpace), **MARKER_DEFAULTS}
+    texts = {**dict(_attributes(SearchSpace)), **MARKER_TEXTS}
+    defaults = {**_defaults(Request), **_defaults(SearchSpace), **MARKER_DEFAULTS}
     given = sorted(SearchArguments.__annotations__, key=lambda name: name not in ("world", "ads"))
-    names = [name for name in given if name not in (*BY_NAME, *ROAD)]
+    names = [name for name in given if name not in BY_NAME]
     rows = [[_code(name), defaults[name].replace("'", '"'), _capital(texts[name])] for name in names]
-    rows.append([_code(", ".join(ROAD)), "as in `Highway`", "[Of the fixture's `pafot.Highway`](worlds.md)."])
     return _table(["Argument", "Default", "Meaning"], rows)
 
 

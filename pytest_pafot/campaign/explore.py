@@ -285,7 +285,7 @@ def request_of(given: dict[str, Any]) -> Request:
     """
     known = {**SearchArguments.__annotations__, **ExploreArguments.__annotations__}
     for name in given:
-        if name == "arg" or (name in BY_NAME and name not in known):
+        if name in BY_NAME and name not in known:
             raise RequestError(
                 f"{PLACE}({name}=...): expected an argument of a search without pytest, received one that only works "
                 "with pytest; remove it"

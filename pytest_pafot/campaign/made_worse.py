@@ -26,6 +26,9 @@ from pytest_pafot.searching.space import SearchSpace, sample
 from pytest_pafot.support.errors import OutOfTime
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
+PAIRS = 700
+"""The largest number of random scenarios that both policies drive."""
+
 
 @dataclass(slots=True, kw_only=True)
 class MadeWorse:
@@ -33,7 +36,6 @@ class MadeWorse:
 
     Attributes:
         state, bench, store: the parts of the search, which has a reference.
-        most: the largest number of random scenarios.
         end: the time at which random scenarios must end [s], or infinity.
         paired: the counts of the random scenarios.
     """
@@ -41,12 +43,8 @@ class MadeWorse:
     state: State
     bench: Bench
     store: Store
-    most: int
     end: float
-    paired: Paired = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.paired = Paired(most=self.most)
+    paired: Paired = field(default_factory=lambda: Paired(most=PAIRS))
 
     def compare(self, space: SearchSpace) -> Refining[None]:
         """Drive random scenarios with both policies, and dismiss the findings if the new one does not fail more often.
@@ -56,13 +54,13 @@ class MadeWorse:
         """
         __tracebackhide__ = True
         # Numbers that follow those of a generation, so no generation of the search draws the same.
-        drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(self.most))
+        drawn = (sample(space, rng_of(self.store.seed, 0, 0, number)) for number in range(PAIRS))
         scenarios, ahead = tee(drawn)
         bench, fatal = self.bench, self.state.fatal
         results = bench.results(ahead, self.state, fatal.__contains__)
         with bench.runner, suppress(OutOfTime):
             for scenario in scenarios:
-                yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {self.most}", "comparison")
+                yield Phase(f"comparing in random scenario {self.paired.runs + 1} of {PAIRS}", "comparison")
                 with runs_end_in(self.end - self.state.clock()):
                     new, old = (False, False) if scenario in fatal else (yield from self._fail(next(results)))
                 self.paired = self.paired.with_run(new=new, old=old)

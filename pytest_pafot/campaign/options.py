@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pytest_pafot.searching.plan import Algorithm
 
 Kind = Literal[
-    "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "commit", "file"
+    "integer", "seconds", "text", "page", "switch", "workers", "address", "day", "file"
 ]  # fmt: skip
 
 AlgorithmName = Literal["random", "pafot", "av-fuzzer", "random-manoeuvre"]
@@ -30,9 +30,6 @@ SEED_LIMIT = 2**63
 
 MOST_WORKERS = 1024
 """The largest number of processes that can be requested. More do not fit into the memory of any machine so far."""
-
-MOST_OF_COMMIT = 100
-"""The largest number of characters in the name of a commit."""
 
 OF_COMMAND = "PYTEST_PAFOT_POLICY"
 """The environment variable with the policy that a command names, for the pytest session that it starts."""
@@ -122,13 +119,6 @@ class Settings:
         "Only algorithms that breed have generations: without `--pafot-algorithm` it is `pafot`, the genetic algorithm "
         "of the paper with its local fuzzer and restarts. With 0, only saved scenarios run. At least 1 in the mark.",
     )
-    population: int | None = option(
-        "integer",
-        "Draw N scenarios for each generation.",
-        "At most 10000. By default 4, except for `random`, which has no generations.",
-        least=2,
-        most=10_000,
-    )
     seed: int = option(
         "integer",
         "Derive the seed of each search from the base seed N.",
@@ -150,14 +140,6 @@ class Settings:
         "It is the reference, a second ADS: [how to compare two versions](../guide/what-broke.md). In the mark also a "
         "factory, or the name of its fixture.",
         or_class=True,
-    )
-    pairs: int = option(
-        "integer",
-        "Compare with the reference in at most N random runs.",
-        "ADS and reference both drive them if a search has findings, to decide whether [its findings "
-        "count](../guide/what-broke.md).",
-        default=700,
-        least=1,
     )
     max_time: float | None = option(
         "seconds",
@@ -226,13 +208,6 @@ class Settings:
         "day",
         "Compare accepted failures' last days with this day.",
         "Without it they are compared with today.",
-        everywhere=False,
-        is_argument=False,
-    )
-    commit: str | None = option(
-        "commit",
-        "Name the tested commit in the file of --pafot-json.",
-        "At most 100 characters without spaces.",
         everywhere=False,
         is_argument=False,
     )
@@ -341,18 +316,6 @@ def _read_day(option: Option, value: object) -> str:
     return value
 
 
-def _read_commit(option: Option, value: object) -> str:
-    text = value if isinstance(value, str) else ""
-    if not 0 < len(text) <= MOST_OF_COMMIT or not text.isprintable() or " " in text:
-        from pytest_pafot.support.text import shown  # noqa: PLC0415  (for few sessions)
-
-        raise RequestError(
-            f"expected the name of a commit, at most {MOST_OF_COMMIT} printable characters without spaces, received "
-            f"{shown(value)}"
-        )
-    return text
-
-
 def _read_page(option: Option, value: object) -> str:
     from pytest_pafot.support.files import is_stream  # noqa: PLC0415  (only for sessions with a page)
 
@@ -388,6 +351,5 @@ _READERS: Mapping[Kind, Callable[[Option, object], Any]] = {
     "workers": _read_workers,
     "address": _read_text,
     "day": _read_day,
-    "commit": _read_commit,
     "file": _read_file,
 }

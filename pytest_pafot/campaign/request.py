@@ -62,14 +62,6 @@ class AgainstError(RequestError):
     """An error for a reference that cannot be compared with the policy, so that no failure would count rightly."""
 
 
-class RoadArguments(TypedDict, total=False):
-    """The types of the arguments of a search for a Highway."""
-
-    lanes: int
-    speed_limit: float
-    clearance: float
-
-
 class SpaceArguments(TypedDict, total=False):
     """The types of the arguments of a search for a SearchSpace."""
 
@@ -83,15 +75,13 @@ class SpaceArguments(TypedDict, total=False):
     vehicles: VehicleName | VehicleType | Sequence[VehicleName | VehicleType]
 
 
-class CommonArguments(RoadArguments, SpaceArguments, total=False):
+class CommonArguments(SpaceArguments, total=False):
     """The types of the arguments of :func:`pytest_pafot.search` that are settings of ``pafot.explore``, too."""
 
     fitness: FitnessName | Fitness
     blame: Blame
-    population: int
     algorithm: AlgorithmName | type[Algorithm[Any]]
     against: str | AdsFactory
-    pairs: int
     shrink_rollouts: int
     isolate: bool
 
@@ -101,7 +91,6 @@ class SearchArguments(CommonArguments, total=False):
 
     world: WorldLike | str
     ads: AdsFactory | str
-    arg: str
     runs: int
     generations: int
     seed: int
@@ -114,12 +103,10 @@ class Request:
     settings: Settings
     algorithm: AlgorithmClass
     ads: str | AdsFactory  # the name of the fixture that returns the factory, or the factory itself
-    arg: str = "run"  # the parameter of the test function that receives the run
     # ``any``: the test function is called for every run. ``ego``: not if only an NPC is responsible for the collision.
     blame: str = "any"
     fitness: str | Fitness = "default"
     world: Any = None  # the world of the mark, or None for the fixture's
-    road: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a Highway
     space: Mapping[str, Any] = field(default_factory=dict)  # arguments of the mark for a SearchSpace
     place: str = "@pafot.search"  # where the arguments are, for messages
 
@@ -148,7 +135,7 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
             f"generations, which only algorithms that breed have; give a number of runs, or leave the algorithm out, "
             "since generations are by default those of the paper's algorithm, pafot"
         )
-    names = ("ads", "arg", "blame", "world")
+    names = ("ads", "blame", "world")
     own = {name: arguments[name] for name in names if name in arguments}
     if isinstance(own.get("ads"), str) and ":" in own["ads"]:
         try:
@@ -161,24 +148,17 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         settings=settings,
         algorithm=algorithm,
         fitness=algorithm.fitness if arguments.get("fitness") is None else arguments["fitness"],
-        road={name: arguments[name] for name in RoadArguments.__annotations__ if arguments.get(name) is not None},
         space={name: arguments[name] for name in SpaceArguments.__annotations__ if arguments.get(name) is not None},
         place=place,
         **own,
     )
     world, goal = request.world, request.fitness
-    if world is not None and request.road:
-        part = next(iter(request.road))
-        problem = f"expected either world= or arguments of the road, received both; pass {part} to the world"
-        raise request.error(f"world=..., {part}=...", problem)
     if world is not None and (isinstance(world, type) or not callable(getattr(world, "rollout", None))):
         problem = f"expected a world such as pafot.Highway(...), received {world!r}{hint_at_world(world)}"
         raise request.error("world=...", problem)
     problem_of_ads = _problem_of_ads(request.ads)
     if problem_of_ads:
         raise request.error("ads=...", problem_of_ads)
-    if not _is_name(request.arg):
-        raise request.error("arg=...", f"expected a name, received {request.arg!r}")
     if request.blame not in BLAMES:
         raise request.error(
             "blame=...",
@@ -219,34 +199,22 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
 
 
 def build_world(request: Request, fixture_world: Any) -> BaseWorld:
-    """Return the world of a search: the mark's world, or else the fixture's world with the mark's road arguments.
+    """Return the world of a search: the mark's world, or else the fixture's.
 
     If the mark gives no world but the length of the chains, runs on the fixture's Highway last as long as the chains.
 
     Raises:
-        RequestError: if the road arguments do not fit the world, or if the world lacks something that a search needs.
+        RequestError: if the chains do not fit the world, or if the world lacks something that a search needs.
     """
     if request.world is not None:
-        return _checked_world(request, request.world, "world= to be")
-    changes = dict(request.road)
-    if not isinstance(fixture_world, Highway):
-        if not changes:
-            return _checked_world(request, fixture_world, "the fixture pafot_world to give")
-        raise request.error(
-            f"{next(iter(changes))}=...",
-            f"expected the fixture pafot_world to return a pafot.Highway, received {fixture_world!r}; describe the "
-            "whole road with world= instead",
-        )
-    if "genes" in request.space or "gene_seconds" in request.space:
+        return _checked_world(request.world, "world= to be")
+    if isinstance(fixture_world, Highway) and not {"genes", "gene_seconds"}.isdisjoint(request.space):
         try:
             space = SearchSpace(**request.space)
+            fixture_world = replace(fixture_world, duration=space.genes * space.gene_seconds)
         except (TypeError, ValueError) as error:
             raise request.error(", ".join(request.space), error) from None
-        changes["duration"] = space.genes * space.gene_seconds
-    try:
-        return base_world(replace(fixture_world, **changes) if changes else fixture_world)
-    except (TypeError, ValueError) as error:
-        raise request.error(f"{', '.join(request.road) or 'genes'}=...", error) from None
+    return _checked_world(fixture_world, "the fixture pafot_world to give")
 
 
 def build_space(request: Request, world: Any) -> SearchSpace:
@@ -355,7 +323,7 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
     return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
 
 
-def _checked_world(request: Request, given: Any, origin: str) -> BaseWorld:
+def _checked_world(given: Any, origin: str) -> BaseWorld:
     own = f"your own world with {', '.join(REQUIRED)}"
     return _whole_world(given, f"expected {origin} pafot.Highway(...) or pafot.World(...), or {own}, received ")
 
@@ -432,12 +400,8 @@ def hint_at_world(given: Any) -> str:
     return f'; did you mean pafot.World("{env_id}"{config})?'
 
 
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and value.isidentifier()
-
-
 def _problem_of_ads(value: object) -> str:
-    if callable(value) or _is_name(value):
+    if callable(value) or (isinstance(value, str) and value.isidentifier()):
         return ""
     hint = hint_at_object(value)
     if isinstance(value, str):

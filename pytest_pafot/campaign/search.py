@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Progress, SearchEvent
 from pytest_pafot.campaign.harness import SetupFaultError, cause_of
+from pytest_pafot.campaign.made_worse import PAIRS
 from pytest_pafot.campaign.refine.simplest import rollouts_for
 from pytest_pafot.campaign.results import Counts, Failed, Result, State, lost
 from pytest_pafot.campaign.scenarios import FIRST, Bred, Early, Numbers
@@ -128,7 +129,7 @@ class TimedWatch(Watch):
         if self.limit == math.inf:
             return self.earliest_end
         to_simplify = RUNS_TO_CONFIRM + rollouts_for(harness) + RUNS_FOR_MOMENT
-        to_compare = 0 if harness.against is None else 2 * settings.pairs
+        to_compare = 0 if harness.against is None else 2 * PAIRS
         run_seconds = (state.clock() - self.began) * settings.workers / max(state.runs - self._runs_before, 1)
         seconds = (firm * to_simplify + to_compare or RUNS_TO_CONFIRM) * run_seconds
         return max(self.earliest_end, self.limit - seconds)

@@ -359,7 +359,6 @@ class SearchSession:
                     state=state,
                     bench=bench,
                     store=store,
-                    most=harness.request.settings.pairs,
                     end=now + (self.limit - now) / 2,
                 )
                 yield from self._events(self._worse.compare(state.space))
@@ -500,9 +499,8 @@ class SearchSession:
         if space is None:
             return Ending.REPLAYS
         request, settings = self.harness.request, self.harness.request.settings
-        given = {} if settings.population is None else {"population": settings.population}  # or the algorithm's own
         try:
-            algorithm = request.algorithm.make(space, **given)
+            algorithm = request.algorithm.make(space)
         except ValueError as error:
             raise RequestError(str(error)) from None
         state.is_random = isinstance(algorithm, RandomSearch)

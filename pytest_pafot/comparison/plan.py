@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from pytest_pafot import Highway, Run, World, WorldLike
+from pytest_pafot import Highway, Run, World
 from pytest_pafot.campaign.explore import AlgorithmRun
 from pytest_pafot.campaign.harness import SetupFaultError
 from pytest_pafot.campaign.request import drawn_space
@@ -20,6 +20,7 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import plural
+from pytest_pafot.world import WorldLike
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 

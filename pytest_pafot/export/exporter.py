@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pytest_pafot import Outcome, Trace, load
+from pytest_pafot import Trace, load
 from pytest_pafot.commands.policy_reference import add_world_arguments, ads_factory, chosen_world
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.model.trace import HEADING, LANE, STEERING, FloatArray, Lane, Y
+from pytest_pafot.model.trace import HEADING, LANE, STEERING, FloatArray, Lane, Outcome, Y
 from pytest_pafot.support.errors import FieldError, install
 from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.process import postponed

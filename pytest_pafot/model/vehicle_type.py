@@ -119,8 +119,8 @@ LONGEST_NAME = 40
 class VehicleType(Pasteable):
     """A kind of vehicle: its size, and limits that it has in addition to those of the world for all NPCs.
 
-    ``pafot.CAR``, ``pafot.VAN``, ``pafot.TRUCK`` and ``pafot.MOTORCYCLE`` are ready ones. A limit that is not given is
-    that of the world, and so is a limit that is higher than the world's.
+    ``"car"``, ``"van"``, ``"truck"`` and ``"motorcycle"`` are ready ones: where a vehicle is asked for, their names
+    are enough. A limit that is not given is that of the world, and so is a limit that is higher than the world's.
 
     Attributes:
         name: such as ``"truck"``.
@@ -162,7 +162,10 @@ class VehicleType(Pasteable):
             expected = f"at least the width, {self.width:g}"
             raise FieldError(field="length", expected=expected, received=f"{self.length:g}")
         if READY.get(self.name, self) != self:
-            expected, fix = f"a name other than {', '.join(READY)}", f"write pafot.{self.name.upper()}, or another name"
+            expected, fix = (
+                f"a name other than {', '.join(READY)}",
+                f"write the text {self.name!r}, or another name",
+            )
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -171,7 +174,7 @@ class VehicleType(Pasteable):
 
     def __repr__(self) -> str:
         # Not super(), which a dataclass with slots does not have.
-        return self.name.upper() if self.name in READY else Pasteable.__repr__(self)
+        return repr(self.name) if self.name in READY else Pasteable.__repr__(self)
 
     def plain(self) -> str | dict[str, Any]:
         """Return the name of a ready vehicle, or a mapping with all fields that were given."""

@@ -33,7 +33,7 @@ SAVED_PART = "saved-"
 ANY_MARK = "pafot"
 WORLD_FIXTURE = "pafot_world"
 DEFAULT_ADS = "ads"
-DEFAULT_ARG = "run"
+RUN = "run"  # the parameter of the test function that receives the run
 MARKED: WeakKeyDictionary[ModuleType, list[Any]] = WeakKeyDictionary()  # what is marked, by the module that exists
 REPEAT = "repeat="  # the part of an item's name by which a plugin repeats its test, followed by a number
 POSITIONAL = "<positional>"  # stores positional arguments, which a search does not take, for the item's error message
@@ -68,7 +68,7 @@ def _may_be_decorated(target: object) -> bool:
         return not is_vehicle and not any("__call__" in vars(base) for base in target.__mro__)
     if not inspect.isfunction(target):
         return False
-    return target.__name__.startswith("test") or DEFAULT_ARG in inspect.signature(target).parameters
+    return target.__name__.startswith("test") or RUN in inspect.signature(target).parameters
 
 
 def _check_name(target: object) -> None:
@@ -76,7 +76,7 @@ def _check_name(target: object) -> None:
     if getattr(target, "__name__", "<lambda>") == "<lambda>":
         raise TypeError(
             f"expected a test function or a class of tests, received {target!r}, which pytest does not collect; write "
-            f"a function `def test_...({DEFAULT_ARG})` that calls it, and decorate that"
+            f"a function `def test_...({RUN})` that calls it, and decorate that"
         )
 
 
@@ -251,8 +251,7 @@ class Collection:
         gives them a parameter whose name begins with two underscores. Its part of the name is replaced by one that is
         known again, since the repetitions of a test have the same saved scenarios.
         """
-        arguments = arguments_of(metafunc.definition)
-        if arguments is None:
+        if arguments_of(metafunc.definition) is None:
             return (yield)
         parametrize = metafunc.parametrize
 
@@ -266,15 +265,14 @@ class Collection:
 
         metafunc.parametrize = parametrize_repeated  # type: ignore[method-assign]
         yield
-        arg = arguments.get("arg", DEFAULT_ARG)
-        if arg not in metafunc.fixturenames or is_parametrised(metafunc, arg):
+        if RUN not in metafunc.fixturenames or is_parametrised(metafunc, RUN):
             return  # One item is left. It reports what is wrong when it is set up.
         # The values differ, because other tools tell items apart by them. Nothing else reads them.
         saved = [
             pytest.param(part := saved_part(each.id), id=part, marks=[getattr(pytest.mark, SAVED_MARK)(each)])
             for each in self._saved_by_id(metafunc.definition)
         ]
-        parametrize(arg, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
+        parametrize(RUN, [pytest.param(SEARCH, id=layout.SEARCH_PART), *saved])
 
     def _saved_by_id(self, definition: pytest.Item) -> Iterable[Saved]:
         """Return the saved scenarios of a test in all its parametrisations, one scenario per id."""

@@ -23,9 +23,9 @@ from pytest_pafot.plugin import messages
 from pytest_pafot.plugin.collection import (
     ANY_MARK,
     DEFAULT_ADS,
-    DEFAULT_ARG,
     POSITIONAL,
     REQUEST,
+    RUN,
     SEARCH_MARK,
     WORLD_FIXTURE,
     arguments_of,
@@ -57,7 +57,7 @@ class Checks:
         arguments = arguments_of(item)
         if arguments is None:
             # The mark that selects tests does not make a test a search. Only the decorator does.
-            if item.get_closest_marker(ANY_MARK) is not None and DEFAULT_ARG in getattr(item, "fixturenames", ()):
+            if item.get_closest_marker(ANY_MARK) is not None and RUN in getattr(item, "fixturenames", ()):
                 pytest.fail(
                     f"expected the decorator @pafot.search, received the mark @pytest.mark.{ANY_MARK}, which only "
                     f"selects tests, as in `pytest -m {ANY_MARK}`; write `import pytest_pafot as pafot` and "
@@ -132,18 +132,16 @@ def _check_function(item: pytest.Item) -> None:
 
 
 def _check_parameters(item: pytest.Item, request: Request) -> None:
-    arg = request.arg
     names = list(inspect.signature(item.obj).parameters)  # type: ignore[attr-defined]
-    if arg not in names:
-        example = f"name it, as in `def {item.name.partition('[')[0]}({arg})`"
+    if RUN not in names:
         raise RequestError(
-            f"expected a parameter {arg!r} that receives the simulated run, received the parameters "
-            f"({', '.join(names)}); {example if arg == DEFAULT_ARG else 'correct @pafot.search(arg=...)'}"
+            f"expected a parameter {RUN!r} that receives the simulated run, received the parameters "
+            f"({', '.join(names)}); name it, as in `def {item.name.partition('[')[0]}({RUN})`"
         )
     if saved_of(item) is None and SEARCH_PART not in item.name.removeprefix(item.originalname or ""):  # type: ignore[attr-defined]
         raise RequestError(
-            f"expected the parameter {arg!r} to be free for the simulated run, but the test is "
-            "already parametrised with it; rename that parameter, or name another with @pafot.search(arg=...)"
+            f"expected the parameter {RUN!r} to be free for the simulated run, but the test is already parametrised "
+            "with it; rename that parameter"
         )
     for name in (request.ads, WORLD_FIXTURE):
         if isinstance(name, str) and name not in item.fixturenames:  # type: ignore[attr-defined]
@@ -303,7 +301,7 @@ def request_of_mark(config: pytest.Config, arguments: Mapping[str, Any]) -> Requ
     Raises:
         RequestError: on the first wrong argument or option.
     """
-    given = {"ads": DEFAULT_ADS, "arg": DEFAULT_ARG, **arguments}
+    given = {"ads": DEFAULT_ADS, **arguments}
     positional = given.pop(POSITIONAL, ())
     if positional:
         name = getattr(positional[0], "__name__", "")

@@ -114,8 +114,8 @@ class Files:
         path = Path(os.path.normpath(self._config.invocation_params.dir / self._json))
         if not is_over and is_stream(path):
             return  # It keeps all that it receives, so it receives only the last record.
-        commit, day = (self._config.getoption(BY_NAME[name].key) for name in ("commit", "today"))
-        text = to_text(self._session, root=str(self._config.rootpath), commit=commit, day=day)
+        day = self._config.getoption(BY_NAME["today"].key)
+        text = to_text(self._session, root=str(self._config.rootpath), day=day)
         problem = not_written(self._config, self._json, path.parent, lambda: write_whole(path, text))
         took = self._clock() - began
         self._next = began + (REST * took if took > QUICK else 0.0)

@@ -44,7 +44,7 @@ from pytest_pafot.findings.finding import message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.oracle.run import CheckFailed
 from pytest_pafot.plugin import collection, messages
-from pytest_pafot.plugin.collection import COLLECTED, REQUEST
+from pytest_pafot.plugin.collection import COLLECTED, REQUEST, RUN
 from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, explained, of_findings, set_properties
 from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import SHARED, is_worker
@@ -116,7 +116,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         request=request,
         world=world,
         policy=policy,
-        test=bound_test(item, request.arg),
+        test=bound_test(item),
         test_file=source_file(item.obj, str(item.path)),
         node_id=collection.base_id(item),
         saved_node_id=partial(collection.saved_node_id, item),
@@ -126,7 +126,7 @@ def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) 
         versions=installed_versions(world.packages),
         against=reference_of(against, lambda name: checked_factory(item.funcargs[name], name), policy),
         cluster=_cluster_of(item.config),
-        needs_only_run=_needs_only_run(item, request.arg),
+        needs_only_run=_needs_only_run(item),
     )
 
 
@@ -168,7 +168,7 @@ def policy_of(item: pytest.Item) -> Callable[..., Any]:
     return checked_factory(item.funcargs[ads], ads) if isinstance(ads, str) else ads  # type: ignore[attr-defined]
 
 
-def bound_test(item: pytest.Function, arg: str) -> Test:
+def bound_test(item: pytest.Function) -> Test:
     """Return a function of a run that calls the test function with that run and with its fixtures, as pytest does.
 
     Raises:
@@ -196,7 +196,7 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
         # No __tracebackhide__ is needed: pytest's traceback filter cuts everything above the user's function.
         try:
             with recorded.call(run), REPLACED.shown(True):
-                result = item.obj(**{**fixed, arg: run})
+                result = item.obj(**{**fixed, RUN: run})
         finally:  # and not before the call, as the ADS may have logged in this run
             for each in recorders_here:
                 each.clear()
@@ -209,12 +209,12 @@ def bound_test(item: pytest.Function, arg: str) -> Test:
     return test
 
 
-def _needs_only_run(item: pytest.Function, arg: str) -> bool:
+def _needs_only_run(item: pytest.Function) -> bool:
     """Return whether a process that was forked from this one can judge runs: the test function takes only the run.
 
     With a debugger, and with pytest-check, which collects failures, this process judges all runs.
     """
-    is_plain = set(inspect.signature(item.obj).parameters) <= {arg} and "pytest_check" not in sys.modules
+    is_plain = set(inspect.signature(item.obj).parameters) <= {RUN} and "pytest_check" not in sys.modules
     return is_plain and not item.config.getoption("usepdb", False)
 
 
@@ -339,7 +339,7 @@ class SearchMessages:
             if seen.is_firm and settings.shrink_rollouts != 0:
                 story.append("as found; at the end, shrinking changes times and numbers of NPCs")
             # A file whose finding does not count in a comparison will be removed.
-            is_sure = settings.against is None or not settings.pairs
+            is_sure = settings.against is None
             # A file in a corpus of the command line can only be run with the same option.
             corpus = item.config.getoption(BY_NAME["corpus"].key)
             where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]

@@ -1,7 +1,7 @@
 """The result of a session for programs, as ``--pafot-json`` writes it.
 
 The record contains no clock time and no duration, and nothing on processes, and its keys and entries are sorted. So the
-same seed gives the same text, for any number of workers. Its day and its commit are what the options say.
+same seed gives the same text, for any number of workers. Its day is what the option says.
 
 The same result in a few lines of Markdown is for the page of a CI job.
 """
@@ -140,12 +140,12 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
     return dict(zip(FINDING, values, strict=True)) | more
 
 
-def to_text(session: Session, *, root: str, commit: str | None = None, day: str | None = None) -> str:
+def to_text(session: Session, *, root: str, day: str | None = None) -> str:
     """Write the record of a session as JSON with sorted keys; paths in texts are relative to the folder ``root``.
 
     Keys:
         exit: pytest's exit code; null while the session runs, or if it was killed.
-        commit, day: values of `--pafot-commit` and `--pafot-today`, or null.
+        day: the value of `--pafot-today`, or null.
         versions: of the packages on which a run depends.
         searches, findings: in the order of node ids; `findings` are new or replayed.
         orphans: folders with saved scenarios that the session left out.
@@ -179,7 +179,6 @@ def to_text(session: Session, *, root: str, commit: str | None = None, day: str 
     data = {
         "pafot_json": VERSION,
         "exit": session.exit,
-        "commit": commit,
         "day": day,
         "versions": installed_versions(),
         "searches": searches,

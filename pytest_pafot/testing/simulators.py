@@ -21,18 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import (
-    TRUCK,
-    Cell,
-    PositionInstruction,
-    Scenario,
-    ScenarioError,
-    Simulator,
-    SimulatorWorld,
-    WorldError,
-)
+from pytest_pafot import Cell, PositionInstruction, Scenario, ScenarioError, Simulator, SimulatorWorld
 from pytest_pafot.model.trace import HEADING, SPEED, FloatArray, X, Y
+from pytest_pafot.model.vehicle_type import TRUCK
 from pytest_pafot.testing.traces import Promises, wrapped
+from pytest_pafot.world import WorldError
 
 SECONDS, SETTLED = 1.5, 1.0
 """How long an experiment lasts, and the time after which a simulator with a lag does as it is asked [s]."""

@@ -14,9 +14,22 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot import CAR, Cell, Collision, NpcLimits, Outcome, Scenario, SimulatorWorld, Trace
+from pytest_pafot import Cell, NpcLimits, Scenario, SimulatorWorld, Trace
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, FloatArray, Lane, X, Y
+from pytest_pafot.model.trace import (
+    ACCELERATION,
+    HEADING,
+    LANE,
+    SPEED,
+    STEERING,
+    Collision,
+    FloatArray,
+    Lane,
+    Outcome,
+    X,
+    Y,
+)
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import plain_whole
 from pytest_pafot.world.guard.own_worlds import base_world
 

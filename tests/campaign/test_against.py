@@ -7,6 +7,7 @@ import pytest
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
+from pytest_pafot.campaign import made_worse
 from pytest_pafot.campaign.harness import same_policy
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Failure, Verdict
@@ -106,11 +107,11 @@ def test_finding_fails_with_policy_and_passes_with_reference():
         assert finding.expect.against == "pytest_pafot.world.reference_drivers:CarefulHuman"
 
 
-def test_reference_runs_only_where_the_policy_fails():
+def test_reference_runs_only_where_the_policy_fails(monkeypatch):
+    monkeypatch.setattr(made_worse, "PAIRS", 1)
     reference = Counted()
-    summary = pafot.explore(
-        constant_speed.make, against=reference, holds=never_collides, pairs=1, **SHORT | {"shrink_rollouts": 0}
-    ).summary
+    given = {**SHORT, "shrink_rollouts": 0}
+    summary = pafot.explore(constant_speed.make, against=reference, holds=never_collides, **given).summary
     again = 2 * len(summary.finds)  # each finding is run once more at the end, and once for its moment
     compared = summary.paired.runs
     assert reference.runs == summary.failing + summary.kinds["common"] + again + compared
@@ -118,14 +119,14 @@ def test_reference_runs_only_where_the_policy_fails():
     assert summary.against == "the reference"
 
 
-def test_reference_failing_on_repeat_makes_finding_flaky():
+def test_reference_failing_on_repeat_makes_finding_flaky(monkeypatch):
+    monkeypatch.setattr(made_worse, "PAIRS", 1)
     told = []
     summary = pafot.explore(
         constant_speed.make,
         against=lambda: Breaks() if any(isinstance(event, Seen) for event in told) else CAREFUL(),
         holds=never_collides,
         on_event=told.append,
-        pairs=1,
         **SHORT | {"stop_after": 1, "shrink_rollouts": 0},
     ).summary
     assert [find.finding.flaky for find in summary.finds] == ["the reference failed when it ran again"]

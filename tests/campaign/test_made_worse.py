@@ -5,8 +5,8 @@ from zlib import crc32
 import pytest
 
 import pytest_pafot as pafot
+from pytest_pafot.campaign import made_worse
 from pytest_pafot.campaign.events import Paired
-from pytest_pafot.campaign.made_worse import MadeWorse
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.support.errors import OutOfTime
 
@@ -61,8 +61,9 @@ def test_error_of_the_policy_itself_always_counts():
     assert [finding.expect.failure for finding in found.findings] == ["KeyError"]
 
 
-def test_what_the_random_scenarios_cannot_decide_counts():
-    found, _ = compared(ALL, NONE, pairs=6)
+def test_what_the_random_scenarios_cannot_decide_counts(monkeypatch):
+    monkeypatch.setattr(made_worse, "PAIRS", 6)
+    found, _ = compared(ALL, NONE)
     assert found.summary.paired.is_worse is None
     assert found.findings
 
@@ -71,7 +72,7 @@ def test_what_no_time_is_left_to_decide_counts(monkeypatch):
     def fail(self, scenario):
         raise OutOfTime
 
-    monkeypatch.setattr(MadeWorse, "_fail", fail)
+    monkeypatch.setattr(made_worse.MadeWorse, "_fail", fail)
     found, _ = compared(EVEN, ODD)
     assert found.findings
     assert "of 0 random scenarios, where the time was over" in found.summary.compared

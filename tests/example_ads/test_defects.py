@@ -9,8 +9,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from example_ads import defects
-from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, World
-from pytest_pafot.model.trace import SPEED
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import SPEED, Outcome
 from tests.helpers.c_library import c_library
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table

@@ -7,7 +7,8 @@ from functools import cache
 import pytest
 
 from example_ads import blind_lane_change, constant_speed, idm_mobil, ppo
-from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import Outcome
 from tests.helpers.stages import oracle
 
 HIGHWAY = Highway(duration=20.0)

@@ -2,7 +2,8 @@
 
 import pytest
 
-from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario
+from pytest_pafot.model.trace import Outcome
 from tests.benchmarks.planted import PLANTED
 
 WORLD = Highway(duration=8.0)

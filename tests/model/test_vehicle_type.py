@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_pafot import CAR, MOTORCYCLE, TRUCK, VAN, PositionInstruction, Scenario, ScenarioError, VehicleType
-from pytest_pafot.model.vehicle_type import PAPERS, STYLES
+from pytest_pafot import PositionInstruction, Scenario, ScenarioError, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, PAPERS, STYLES, TRUCK, VAN
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import FieldError
 from pytest_pafot.world import NpcLimits
@@ -77,7 +77,7 @@ def test_plain_form_text_pickle_and_repr_are_read_back(traffic):
     assert Scenario.from_canonical(json.loads(scenario.canonical())) == scenario
     assert Scenario.from_canonical(scenario.plain()) == scenario
     assert pickle.loads(pickle.dumps(scenario)) == scenario
-    assert eval(repr(scenario), {**names, "Cell": cell, "CAR": CAR, "TRUCK": TRUCK}) == scenario
+    assert eval(repr(scenario), {**names, "Cell": cell}) == scenario
     assert scenario.id != of("car", TRUCK, BUS).id != of().id
 
 

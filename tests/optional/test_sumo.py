@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import pytest_pafot as pafot
-from pytest_pafot import Cell, Highway, Outcome, PositionInstruction, Scenario, SimulatorWorld, WorldError
+from pytest_pafot import Cell, Highway, PositionInstruction, Scenario, SimulatorWorld
+from pytest_pafot.model.trace import Outcome
+from pytest_pafot.world import WorldError
 from tests.helpers.tables import table
 from tests.helpers.world_cases import constant_speed
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot import Cell, Highway, LaneInstruction, NpcLimits, Outcome, PositionInstruction, Scenario, World
-from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, X, Y
+from pytest_pafot import Cell, Highway, LaneInstruction, NpcLimits, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Outcome, X, Y
 from pytest_pafot.testing import OBSERVED, _Calls, _check_obedience, _run, check_world
 from pytest_pafot.testing.traces import contacts, end, form, motion, of_runs, places_at_start, touching
 from tests.helpers.stopped_clock import StoppedClock

@@ -8,7 +8,8 @@ import pytest
 from gymnasium.wrappers import FlattenObservation, MaxAndSkipObservation
 from highway_env.vehicle.kinematics import Vehicle
 
-from pytest_pafot import Outcome, PositionInstruction, Scenario, World
+from pytest_pafot import PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.testing import check_world
 from pytest_pafot.testing.traces import contacts, end
 from tests.world.test_gym_environment import (

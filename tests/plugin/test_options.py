@@ -4,10 +4,9 @@ import re
 
 import pytest
 
-from pytest_pafot.campaign.options import BY_NAME, OPTIONS, is_ci
-from pytest_pafot.campaign.request import RoadArguments, SearchArguments, SpaceArguments
+from pytest_pafot.campaign.options import OPTIONS, is_ci
+from pytest_pafot.campaign.request import SearchArguments, SpaceArguments
 from pytest_pafot.plugin.session import resolve
-from pytest_pafot.searching import SearchSpace, resolve_algorithm
 from pytest_pafot.support.errors import RequestError
 
 
@@ -34,7 +33,7 @@ def test_search_without_options_repeats_itself_everywhere(project, monkeypatch):
     for value in ("", "true"):
         monkeypatch.setenv("CI", value)
         found = settings(project)
-        assert (found.runs, found.generations, found.population, found.seed) == (100, None, None, 0)
+        assert (found.runs, found.generations, found.seed) == (100, None, 0)
         assert not found.isolate
 
 
@@ -98,10 +97,8 @@ def test_native_toml_takes_native_types(project):
 @pytest.mark.parametrize(("source", "place"), [
     ({"marker": {"generations": -1}},
      r"@pafot.search\(generations=...\): expected a whole number, at least 0, received -1"),
-    ({"marker": {"population": 1}}, "at least 2, received 1"),
+    ({"marker": {"shrink_rollouts": -1}}, "at least 0, received -1"),
     ({"marker": {"seed": 2**80}}, rf"at least 0 and at most {2**63 - 1}, received {2**80}"),
-    ({"marker": {"population": 10**9}}, r"population=...\): .* at least 2 and at most 10000, received 1000000000"),
-    ({"ini": "pafot_population = 10001"}, "ini key pafot_population: .* at most 10000, received 10001"),
     ({"ini": "pafot_workers = 5000"}, "pafot_workers: expected auto or a whole number, .* at most 1024"),
     ({"marker": {"isolate": "perhaps"}}, "expected true or false, received 'perhaps'"),
     ({"ini": "pafot_max_time = nan"}, "pafot_max_time: expected seconds"),
@@ -122,16 +119,14 @@ def test_wrong_argument_is_an_error_though_an_option_replaces_it(project):
         settings(project, "--pafot-generations=5", marker={"generations": -3})
 
 
-NO_COMMIT = "expected the name of a commit, at most 100 printable characters without spaces, received"
 NO_PAGE = "expected the name of a page FILE.html, received"
 
 
 @pytest.mark.parametrize(("option", "told"), [
-    ("population=one", "expected a whole number, at least 2, received 'one'"),
+    ("stop-after=one", "expected a whole number, at least 1, received 'one'"),
     ("today=31.1.2027", "expected a day of the calendar, such as 2027-01-31, received '31.1.2027'"),
     ("json=new/", "expected the name of a file, received 'new/'*new/pafot.json"),
     *((f"report={name}", NO_PAGE) for name in ("report.pdf", "report/", "report")),
-    *((f"commit={name}", NO_COMMIT) for name in ("", "a b", "a\tb", "a\u00a0b", "\x1b[31m", "a" * 101)),
 ])  # fmt: skip
 def test_wrong_command_line_value_is_a_usage_error(project, option, told):
     project.write("def test_ordinary():\n    pass\n")
@@ -140,13 +135,6 @@ def test_wrong_command_line_value_is_a_usage_error(project, option, told):
     result.stderr.fnmatch_lines([f"*--pafot-{option.partition('=')[0]}: {told}*"])
     assert "\x1b" not in result.stderr.str()
     assert not (project.path / "new").exists()
-
-
-def test_largest_population_is_the_same_for_options_and_algorithms():
-    most = BY_NAME["population"].most
-    assert resolve_algorithm("random-manoeuvre").make(SearchSpace(), population=most).population == most
-    with pytest.raises(ValueError, match=f"population: expected a count from 1 to {most}, received {most + 1}"):
-        resolve_algorithm("random-manoeuvre").make(SearchSpace(), population=most + 1)
 
 
 def test_wrong_value_elsewhere_fails_only_marked_items(project):
@@ -160,7 +148,7 @@ def test_wrong_value_elsewhere_fails_only_marked_items(project):
 
 
 def test_search_arguments_match_the_table_of_options():
-    own = {"world", "ads", "arg", "fitness", "blame", *RoadArguments.__annotations__, *SpaceArguments.__annotations__}
+    own = {"world", "ads", "fitness", "blame", *SpaceArguments.__annotations__}
     options = {option.name for option in OPTIONS if option.everywhere and option.is_argument}
     assert set(SearchArguments.__annotations__) == own | options
 

@@ -76,11 +76,9 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert find.runs == search.failing > 0
 
 
-def test_record_has_the_day_and_commit_of_the_options(project):
-    record = recorded(project, "--pafot-today=2027-01-31", "--pafot-commit=v1-##[é]")
-    assert (record.day, record.commit) == ("2027-01-31", "v1-##[é]")
-    record = recorded(project)
-    assert (record.day, record.commit) == (None, None)
+def test_record_has_the_day_of_the_option(project):
+    assert recorded(project, "--pafot-today=2027-01-31").day == "2027-01-31"
+    assert recorded(project).day is None
 
 
 def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):

@@ -36,7 +36,7 @@ def misspelt(arguments=""):
 
 class TestAFaultOfTheSetUpIsOneErrorAndNoFile:
     def test_misspelt_run_attribute_is_one_error_with_suggestion(self, project):
-        each = ["", "blame='ego'", "algorithm='pafot'", "algorithm='pafot', population=2"]
+        each = ["", "blame='ego'", "algorithm='pafot'"]
         project.write("".join(misspelt(each[n]).replace("test_drive", f"test_drive_{n}") for n in range(len(each))))
         result = project.run(runs=12)
         result.assert_outcomes(failed=len(each))

@@ -4,8 +4,9 @@ import functools
 
 import pytest
 
-from pytest_pafot import Highway, WorldError
+from pytest_pafot import Highway
 from pytest_pafot.support.references import described, factory_named, imported, referred_to
+from pytest_pafot.world import WorldError
 
 MODULE = """\
 import functools

@@ -19,16 +19,16 @@ from pytest_pafot import (
     Drive,
     Highway,
     LaneInstruction,
-    Outcome,
     PositionInstruction,
     Scenario,
     Simulator,
     SimulatorWorld,
-    WorldError,
     explore,
 )
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.process import installed_versions
+from pytest_pafot.world import WorldError
 from pytest_pafot.world.codec import described, is_code, named
 from pytest_pafot.world.engines.simulation import Simulators
 from pytest_pafot.world.roads.survey import network_of, straight_along

@@ -11,10 +11,6 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 from pytest_pafot import (
-    CAR,
-    MOTORCYCLE,
-    TRUCK,
-    VAN,
     CrossingInstruction,
     Drive,
     LaneInstruction,
@@ -22,14 +18,14 @@ from pytest_pafot import (
     Scenario,
     ScenarioError,
     VehicleType,
-    WorldError,
-)  # fmt: skip
+)
 from pytest_pafot.criticality.measures import Encounters, overlaps
 from pytest_pafot.findings.finding import disagreement
 from pytest_pafot.model.trace import ACCELERATION, HEADING, OFFSET, SPEED, Outcome
+from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
-from pytest_pafot.world import Highway, World
+from pytest_pafot.world import Highway, World, WorldError
 from tests.helpers.road_cases import ROADS, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.world_cases import idm

@@ -7,7 +7,6 @@ and learn nothing.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
@@ -97,18 +96,9 @@ class AlgorithmClass:
         """True if it draws each scenario by its number, and has no generations."""
         return self.made_by is RandomSearch
 
-    def make(self, space: SearchSpace, **parameters: Any) -> Algorithm[Any] | RandomSearch:
-        """Make the algorithm for a space, with its own parameters, such as ``population=4``.
-
-        Raises:
-            ValueError: for an unknown parameter, in a message that lists the known ones.
-        """
-        known = [parameter for parameter in inspect.signature(self.made_by).parameters if parameter != "space"]
-        for parameter in parameters:
-            if parameter not in known:
-                own = ", ".join(known) or "none"
-                raise ValueError(f"{parameter}: expected a parameter of the algorithm {self.name!r}, which takes {own}")
-        made: Algorithm[Any] | RandomSearch = self.made_by(space, **parameters)
+    def make(self, space: SearchSpace) -> Algorithm[Any] | RandomSearch:
+        """Make the algorithm for a space."""
+        made: Algorithm[Any] | RandomSearch = self.made_by(space)
         return made
 
 
@@ -140,7 +130,7 @@ def _check_class(given: Any) -> None:
     if not isinstance(given, type):
         raise ValueError(
             f"algorithm: expected one of {', '.join(ALGORITHMS)}, a class, or module:Class, received {given!r}; give "
-            "the class itself, which is called with the space and population="
+            "the class itself, which is called with the space"
         )
     name = getattr(given, "name", None)
     if given is RandomSearch:

@@ -201,7 +201,7 @@ def test_statistics_beside_the_zip_are_a_hint(tmp_path, statistics):
 
 def test_search_notes_the_hint_of_its_policy_once():
     def notes(ads):
-        return pafot.explore(ads, holds=lambda run: None, world=WORLD, population=2, generations=2).summary.notes
+        return pafot.explore(ads, holds=lambda run: None, world=WORLD, generations=1).summary.notes
 
     hinting = Loader(loading_hint="mind the statistics")
     assert notes(hinting) == ("mind the statistics",)

@@ -15,7 +15,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from example_ads import defects
-from pytest_pafot import Highway, Outcome, PositionInstruction, Scenario, World
+from pytest_pafot import Highway, PositionInstruction, Scenario, World
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.environment import ObjectDriver
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.engines import run as egos

@@ -13,6 +13,7 @@ from highway_env.vehicle.controller import MDPVehicle
 import pytest_pafot as pafot
 from example_ads import constant_speed, idm_mobil
 from pytest_pafot.support.errors import AdsFactoryError
+from pytest_pafot.world import WorldError
 from pytest_pafot.world.engines.episode import Episode, drive_episode
 from pytest_pafot.world.gym_environment import vehicle_classes_kept
 
@@ -121,7 +122,7 @@ def test_failing_or_hanging_ads_ends_its_episode():
 
 
 def test_a_planner_needs_a_straight_road():
-    with pytest.raises(pafot.WorldError, match=r"expected a straight road for a planner in SI units, received .*Merge"):
+    with pytest.raises(WorldError, match=r"expected a straight road for a planner in SI units, received .*Merge"):
         drive_episode(pafot.World("merge-v0"), constant_speed.make, 0, is_planner=True)
 
 

@@ -11,10 +11,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import CrossingInstruction, Drive, Perception, PositionInstruction, Scenario, World, WorldError
+from pytest_pafot import CrossingInstruction, Drive, Perception, PositionInstruction, Scenario, World
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import ALONG
-from pytest_pafot.world import AdsFactoryError, from_dict
+from pytest_pafot.world import AdsFactoryError, WorldError, from_dict
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.observation import RoadSensor
 from pytest_pafot.world.kernel.places import Places

@@ -10,8 +10,9 @@ from functools import cached_property
 import numpy as np
 
 import pytest_pafot as pafot
-from pytest_pafot import CAR, Highway, LaneInstruction, PositionInstruction, Scenario
+from pytest_pafot import Highway, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, SPEED
+from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.world.kernel.bodies import COLUMNS
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
