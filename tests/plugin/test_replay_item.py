@@ -252,12 +252,12 @@ OTHER_WORLD = "run in the world of the file, which is not the test's: world.lane
 
 def test_replay_says_that_the_test_names_another_world(saved):
     saved.run("-v", runs=0).stdout.no_fnmatch_line("*in the world of*")
-    saved.write(FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5), "))
+    saved.write(FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
     assert f"replay: still failing, {OTHER_WORLD}" in " ".join(result.stdout.str().split())
     assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
-    saved.write(PASSES.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5), "))
+    saved.write(PASSES.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run(runs=0)
     assert OTHER_WORLD in " ".join(result.stdout.str().split())
     result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
