@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypedDict, get_args
 
 from pytest_pafot.campaign.options import BUDGETS, BY_NAME, AlgorithmName, Settings
@@ -192,6 +192,11 @@ def check_names(arguments: Iterable[str], *, place: str = "@pafot.search") -> No
         raise RequestError(
             f"{place}({unknown}=...): this applies to the whole session; give {BY_NAME[unknown].flag} on the command "
             "line"
+        )
+    if unknown in {each.name for each in fields(Highway)}:
+        raise RequestError(
+            f"{place}({unknown}=...): expected an argument of a search, received one of its world; write "
+            f"world=pafot.Highway({unknown}=...)"
         )
     near = difflib.get_close_matches(unknown, known, n=1)
     expected = f"did you mean {near[0]!r}? Expected" if near else "expected"

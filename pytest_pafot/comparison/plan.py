@@ -9,18 +9,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from pytest_pafot import Highway, Run, World
 from pytest_pafot.campaign.explore import AlgorithmRun
 from pytest_pafot.campaign.harness import SetupFaultError
 from pytest_pafot.campaign.request import drawn_space
 from pytest_pafot.commands.policy_reference import ads_factory, chosen_world
-from pytest_pafot.oracle.run import require
+from pytest_pafot.oracle.run import Run, require
 from pytest_pafot.searching.algorithms.catalogue import ALGORITHMS, AlgorithmClass, resolve_algorithm
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import plural
-from pytest_pafot.world import WorldLike
+from pytest_pafot.world import Highway, World, WorldLike
 from pytest_pafot.world.driving.policy import Policy
 from pytest_pafot.world.guard.own_worlds import base_world
 

@@ -162,10 +162,7 @@ class VehicleType(Pasteable):
             expected = f"at least the width, {self.width:g}"
             raise FieldError(field="length", expected=expected, received=f"{self.length:g}")
         if READY.get(self.name, self) != self:
-            expected, fix = (
-                f"a name other than {', '.join(READY)}",
-                f"write the text {self.name!r}, or another name",
-            )
+            expected, fix = f"a name other than {', '.join(READY)}", f"write only {self.name!r}, or another name"
             raise FieldError(field="name", expected=expected, received=repr(self.name), fix=fix)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -16,19 +16,7 @@ import numpy as np
 
 from pytest_pafot import Cell, NpcLimits, Scenario, SimulatorWorld, Trace
 from pytest_pafot.criticality.measures import Encounters
-from pytest_pafot.model.trace import (
-    ACCELERATION,
-    HEADING,
-    LANE,
-    SPEED,
-    STEERING,
-    Collision,
-    FloatArray,
-    Lane,
-    Outcome,
-    X,
-    Y,
-)
+from pytest_pafot.model.trace import ACCELERATION, HEADING, LANE, SPEED, STEERING, Collision, FloatArray, Lane, X, Y
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import plain_whole
 from pytest_pafot.world.guard.own_worlds import base_world
@@ -117,7 +105,7 @@ def form(world: Any, scenario: Scenario, trace: Trace) -> Promises:
         "the column lane is an index of lanes, or -1": np.isin(states[..., LANE], range(-1, len(trace.lanes))).all(),
         "ads_hz divides physics_hz": trace.physics_hz % trace.ads_hz == 0,
         "no run is longer than longest_run, or its scenario": trace.duration <= longest + 1.5 * trace.dt,
-        "there is a collision if the outcome says so": (trace.outcome is Outcome.COLLISION) == bool(trace.collision),
+        "there is a collision if the outcome says so": (trace.outcome == "collision") == bool(trace.collision),
         "acceleration and steering of the first row are 0": not start[:, [ACCELERATION, STEERING]].any(),
         "states[..., STEERING] is in rad": (np.abs(states[..., STEERING]) <= math.pi / 2).all(),
         "zones are those of the instructions": [None if zone is None else zone.way for zone in trace.zones] == ways,
@@ -391,7 +379,7 @@ def contacts(trace: Trace) -> Promises:
     """Yield that no boxes touch before the end of a run, and that its outcome and its collision agree with them."""
     hit, end, rows = trace.collision, trace.ticks + 1, trace.states[-2:]
     pairs, (least, most) = list(combinations(range(trace.states.shape[1]), 2)), _depths(trace)
-    is_contact = trace.outcome in (Outcome.COLLISION, Outcome.INVALID)
+    is_contact = trace.outcome in ("collision", "invalid")
     velocities = rows[..., [SPEED]] * np.stack([np.cos(rows[..., HEADING]), np.sin(rows[..., HEADING])], axis=-1)
     for pair, deep in zip(pairs, least, strict=True):
         # Some worlds look for contacts before they move, and several vehicles may touch in the last tick.
@@ -408,7 +396,7 @@ def contacts(trace: Trace) -> Promises:
     gaps = [-deep[-1] - np.abs(rows[:, a, SPEED] - rows[:, b, SPEED]).max() * trace.dt
             for (a, b), deep in zip(pairs, most, strict=True)]  # fmt: skip
     count = trace.states.shape[1] - 1  # The pairs with the ego come first.
-    if trace.outcome is Outcome.INVALID and not trace.users_error_text:
+    if trace.outcome == "invalid" and not trace.users_error_text:
         gap, at_object = min(gaps[count:], default=np.inf), any(_at_object(trace, npc + 1) for npc in range(count))
         promise = "boxes of two NPCs, or of one and an obstacle, touch at the end of a run with the outcome invalid"
         yield gap <= DEEP or at_object, promise, f"{gap:.1f} m"
@@ -511,7 +499,7 @@ def end(world: Any, trace: Trace) -> Promises:
     longest = min(float(world.longest_run), scenario.seconds) if not scenario.crossings else 0.0
     # A search names the world's rollout where a run ends early and does not say why.
     says_why = bool(trace.ended) and not trace.ended.endswith(".rollout")
-    is_whole = trace.outcome is not Outcome.SAFE or says_why or trace.duration >= longest - 2.5 * trace.dt
+    is_whole = trace.outcome != "safe" or says_why or trace.duration >= longest - 2.5 * trace.dt
     promise = f"states of a run with the outcome safe last {longest:g} s, with physics_hz rows a second"
     received = f"{trace.ticks} ticks at {trace.physics_hz} Hz, {trace.duration:g} s"
     if touching := np.flatnonzero(_depths(trace, slice(-1, None))[1][: len(scenario.npcs), 0] > 0).tolist():
@@ -521,7 +509,7 @@ def end(world: Any, trace: Trace) -> Promises:
     received = f"off_road_tick {trace.off_road_tick}, outcome {trace.outcome}, and the first such row of states {first}"
     promise = "off_road_tick is the first tick with the ego in lane -1, or None"
     yield trace.off_road_tick in (None, first), promise, received
-    is_told = trace.outcome is not (Outcome.OFF_ROAD if first is None else Outcome.SAFE)
+    is_told = trace.outcome != ("off_road" if first is None else "safe")
     yield is_told, "the outcome is off_road if the ego was in lane -1 and nothing else ended the run", received
 
 
