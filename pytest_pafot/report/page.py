@@ -6,6 +6,7 @@ A page has a list of findings, an article on each, and each search. Without its 
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,7 +26,7 @@ from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import Session
 from pytest_pafot.support.process import installed_versions
-from pytest_pafot.support.text import content_hash, json_in_script, plural, visible_lines
+from pytest_pafot.support.text import capitalised, content_hash, json_in_script, plural, visible_lines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,8 +65,14 @@ def text(value: object) -> str:
     return escape(visible_lines(str(value)), quote=True)
 
 
+def prose(value: object) -> str:
+    """Escape a text for HTML. A line ends after no number with a unit, and inside a name only between its words."""
+    joined = re.sub(r"(?<=\d) (?=m\b|s\b)|(?<=NPC) (?=\d)", "\u00a0", text(value))
+    return re.sub(r"(?<=\w\w)/|_|::|\[", r"\g<0><wbr>", joined)
+
+
 def _facts(pairs: Iterable[tuple[str, object]]) -> str:
-    rows = "".join(f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in pairs)
+    rows = "".join(f"<div><dt>{text(name)}</dt><dd>{prose(value)}</dd></div>" for name, value in pairs if value != "")
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
@@ -113,7 +120,7 @@ def finding_list(findings: Sequence[Shown]) -> str:
             listed += (
                 f'<li><a href="#finding={text(quote(key, errors="replace"))}" data-key="{text(key)}">{mark(finding)}'
                 f'<span><span class="id">{text(finding.seen.id)}</span><span class="brief">'
-                f"{text(finding.view['headline'])}{text(f' ({finding.label})' if finding.label else '')}</span></span>"
+                f"{text('; '.join(filter(None, [finding.view['headline'], finding.label])))}</span></span>"
                 "</a></li>"
             )
         listed += "</ol>"
@@ -124,44 +131,41 @@ def finding_article(finding: Shown, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     seen, view, is_check, responsible = finding.seen, finding.view, finding.who == "check", finding.seen.responsible
     besides, traffic = view["besides"], STYLES[seen.finding.scenario.traffic].described
-    tags = [] if view["sentences"] or is_check else [WHO.get(finding.who, responsible)]  # else said above
+    tags = [finding.label, view["assertion"] * (not is_check), traffic, seen.on_alike or plural(finding.runs, "run")]
     if is_check and responsible != "none" and not besides:
         tags.append(f"{WHO.get(responsible, responsible)} for the collision")
-    tags += [plural(finding.runs, "run"), f"found in generation {seen.finding.found.generation}"]
-    tags += filter(None, [finding.label, traffic, seen.on_alike])
-    deed = f'; <span class="deed">{text(view["deed"])}</span>' if view["deed"] else ""
     parts = [
         f'<article id="finding-{index}" tabindex="-1" aria-labelledby="headline-{index}"><header>',
-        f'<p class="id">{text(seen.id)}</p><h2 id="headline-{index}">{mark(finding)} {text(view["headline"])}',
-        "</h2>" if besides else f"{deed}</h2>",
-        *(f'<p class="sentence">{text(each)}</p>' for each in view["sentences"]),
+        f'<p class="id">{prose(finding.test)} <span>{text(seen.id)}</span></p>',
+        f'<h2 id="headline-{index}">{mark(finding)} {prose(capitalised(view["headline"]))}</h2>',
+        '<div class="told"><div>',
+        *(f'<p class="sentence{" deed" * (each == view["deed"])}">{prose(each)}</p>' for each in view["sentences"]),
     ]
-    if view["assertion"] and not is_check:
-        parts.append(f'<p class="assertion"><code>{text(view["assertion"])}</code></p>')
     if besides:
-        parts.append(f'<p class="besides">{text(besides)}{deed}</p>')
+        parts.append(f'<p class="besides">{prose(besides)} <span class="deed">{prose(view["deed"])}</span></p>')
     parts += [
-        _with_button(finding.command) if finding.command else "",
-        f'<ul class="tags">{"".join(f"<li>{text(tag)}</li>" for tag in tags)}</ul></header>',
+        f"</div>{_paragraphs(view['moment'])}</div></header>",
         '<div class="player"></div>' if view["times"] else '<p class="empty">There is no run to draw.</p>',
-        _happened(view["happened"]) if view["happened"] else "",
-        f'<section class="yaml"><div class="bar"><h4>{text(seen.path or seen.id + SUFFIX)}</h4>',
+        f"<footer><ul>{''.join(f'<li>{text(tag)}</li>' for tag in tags if tag)}</ul>",
+        f"{_with_button(finding.command)}</footer>",
+        f"<h3>What happened</h3>{_paragraphs(view['happened'])}" if view["happened"] else "",
+        f'<section class="yaml"><div class="bar"><h4>{prose(seen.path or seen.id + SUFFIX)}</h4>',
         '<button type="button" data-copy="pre">Copy the file</button></div>',
         f'<pre tabindex="0" aria-label="The file of this finding">{text(view["yaml"])}</pre></section></article>',
     ]
     return "".join(parts)
 
 
-def _happened(paragraphs: Iterable[Sequence[Any]]) -> str:
-    """Return the HTML of what is known of a finding beside the sentences above its picture."""
+def _paragraphs(paragraphs: Iterable[Sequence[Any]]) -> str:
+    """Return the HTML of paragraphs, each with lines of the user's code by whom they are about."""
     shown = ""
     for title, sentences, groups in paragraphs:
         run_in = f"<b>{text(title)}.</b> " if title else ""
-        shown += f"<p>{run_in}{text(sentences)}</p>"
+        shown += f"<p>{run_in}{prose(sentences)}</p>"
         for whom, rows in groups:
             lines = "".join(f"<li><code>{text(each)}</code></li>" for each in rows)
             shown += (f"<h4>{text(whom)}</h4>" if whom else "") + f"<ul>{lines}</ul>"
-    return f'<section class="happened"><h3>What happened</h3>{shown}</section>'
+    return f'<section class="happened">{shown}</section>' if shown else ""
 
 
 def _further(findings: Sequence[Seen], whole: int, session: Session) -> str:
@@ -187,8 +191,7 @@ def _search(search: Search) -> str:
     figures = (
         ("runs", search.runs),
         ("failing", search.failing),
-        ("generations", made if asked == made else f"{made} of {asked}"),
-        ("not run again", search.more_runs["known"]),
+        ("generations", (made or "") if asked == made else f"{made} of {asked}"),
         ("outcomes", _counts(search.outcomes)),
         ("responsibility", _counts(search.responsibilities)),
         ("algorithm", search.algorithm),
@@ -196,7 +199,7 @@ def _search(search: Search) -> str:
         ("ended", search.reason.after_ended),
     )
     warnings = "".join(f'<p class="warning"><b>Warning</b> {text(warning)}</p>' for warning in search.warnings)
-    return f'<article class="campaign"><h3 class="id">{text(search.node_id)}</h3>{_facts(figures)}{warnings}</article>'
+    return f'<article class="campaign"><h3 class="id">{prose(search.node_id)}</h3>{_facts(figures)}{warnings}</article>'
 
 
 def _counts(counts: Mapping[str, int]) -> str:
@@ -230,7 +233,9 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
     policy = f"default-src 'none'; style-src {content_hash(style)}; script-src {content_hash(script)}"
     seen, searches = session.findings, sorted(session.ended, key=lambda each: each.node_id)
     found = sorted((seen[node_id] for node_id in session.views), key=lambda each: (each.label != "new", *each.rank))
-    views, more = by_test([_shown(each, session) for each in found[:WHOLE]]), found[WHOLE:]
+    views, more = [_shown(each, session) for each in found[:WHOLE]], found[WHOLE:]
+    tests = [each.test for each in views]
+    views.sort(key=lambda each: tests.index(each.test))  # those of each test together, the worst finding first
     # Searches fail because of their findings, too.
     shown = {*session.views, *(each.node_id for each in searches if each.finds and each.reason is not Ending.ERROR)}
     failures = {key: text for key, text in session.failures.items() if key[1] != "call" or key[0] not in shown}
@@ -252,6 +257,7 @@ def render_page(session: Session, *, title: str, command: str) -> tuple[str, str
         style=style,
         script=script,
         above=(INTERRUPTED if is_interrupted else "") + errors,
+        layout="single" if len(views) < 2 else "",
         count=f"{len(views)} of {len(found)}" if more else len(views),
         list=finding_list(views)
         or f'<p class="empty">{_nothing_found(searches, has_errors=bool(failures), is_interrupted=is_interrupted)}</p>',
@@ -309,12 +315,6 @@ def _asset(name: str) -> str:
 # What a page says of a session.
 
 
-def by_test(findings: Sequence[Shown]) -> tuple[Shown, ...]:
-    """Put the findings of each test together, the test with the worst finding first."""
-    tests = list(dict.fromkeys(finding.test for finding in findings))
-    return tuple(sorted(findings, key=lambda finding: tests.index(finding.test)))
-
-
 def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterator[tuple[str, str]]:
     """Yield names and values of facts on a session: seeds, replays, versions."""
     if seeds := dict.fromkeys(search.base_seed for search in searches):
@@ -325,7 +325,7 @@ def session_facts(searches: Iterable[Search], replays: Iterable[Seen]) -> Iterat
         results = ", ".join(f"{count} {result}" for result, count in counts)
         yield "replayed", f"{plural(len(replays), 'saved scenario')}: {results}"
     for each in replays:
-        if each.label == "drifted" or (each.label == "still failing" and each.on_search):
-            yield each.label, f"{each.node_id}: {each.on_search or each.detail}"
+        if each.label in ("drifted", "passes", "fixed") or (each.label == "still failing" and each.on_search):
+            yield each.label, ": ".join(filter(None, [each.node_id, each.on_search or each.detail]))
     yield from installed_versions().items()
     yield "written", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")

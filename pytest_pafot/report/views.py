@@ -19,7 +19,7 @@ from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.criticality import Encounters, gap, passages, time_advantage, ttc
 from pytest_pafot.criticality.measures import stretches
 from pytest_pafot.findings.decisions import fact_on, is_si, moved_over
-from pytest_pafot.findings.finding import Expect
+from pytest_pafot.findings.finding import Expect, Finding
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.scenario import Scenario
@@ -136,11 +136,10 @@ def check_view(check: Check, trace: Trace, ticks: Sequence[int]) -> View:
         "at_least": check.at_least,
         "time": time,
         "begin": time,
-        "values": (),
+        **dict.fromkeys(("values", "broken"), ()),
         "low": 0.0,
         "high": 1.0,
         "is_cut": (False, False),
-        "broken": (),
     }
     if check.values is None or len(check.values) != trace.ticks + 1:
         return view
@@ -205,7 +204,8 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         sentences: who did what, what was due or what avoids it, and who is responsible unless the headline says it; of
             a failed check, what the headline does not say of it; otherwise empty.
         besides: the collision of a run in which a check failed, with who is at fault; otherwise empty.
-        deed: what the ego did that decides, in a few words; empty if it is not at fault.
+        deed: the sentence on what the ego did that decides; empty if it is not at fault.
+        moment: where to look in the policy: the decision that could have avoided it, or the traceback of an exception.
         happened: what else is known of the run and of the finding, in prose.
         assertion: the line of the test that failed, or the exception that was raised.
         yaml: text of its file.
@@ -231,6 +231,8 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         who = "The ego's policy" if run.ads_error.is_of_ads else "The environment"
         headline = f"{who} failed at {run.event_time:.1f} s: {headline}"
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
+    if deed and not besides and deed not in sentences:
+        sentences = (deed, *sentences)
     if check is None and headline.endswith("at fault") and run is not None and run.event_npc is not None:
         sentences = sentences[:-1]  # the headline says who is responsible
     view = {
@@ -238,16 +240,14 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
         "sentences": sentences,
         "besides": besides,
         "deed": deed,
-        "happened": (*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting)),
+        "moment": _moment(sighting),
+        "happened": (*((("The collision", collision, ()),) if collision else ()), *_happened(lines, sighting.finding)),
         "assertion": _assertion(expect),
         "road": {"lanes": (), "lane_width": 0.0, "speed_limit": 0.0, "clearance": clearance, "shapes": ()},
-        "vehicles": (),
-        "times": (),
+        **dict.fromkeys(("vehicles", "times", "decisions"), ()),
         "instructions": _instructions(trace, finding.scenario),
-        "decisions": (),
-        "ghost": None,
         "event": {"kind": str(expect.outcome), "time": expect.time, "npc": None, "side": ""},
-        "check": None,
+        **dict.fromkeys(("ghost", "check")),
         "yaml": text_of(finding),
     }
     if run is None or trace is None:
@@ -314,34 +314,32 @@ def _prose(lines: Sequence[str]) -> str:
     return " ".join(f"{capitalised(line)}{'' if line.endswith(('.', ':')) else '.'}" for line in lines)
 
 
-def _happened(lines: Sequence[str], sighting: Seen) -> tuple[Paragraph, ...]:
-    """Return what is known of a finding in addition to the sentences above its picture.
+def _moment(sighting: Seen) -> tuple[Paragraph, ...]:
+    """Return the decision that could have avoided a failure, or the traceback of the policy's exception."""
+    moment, raised = sighting.moment, sighting.finding.expect.traceback
+    if moment is None:
+        return (("The traceback", "", (("", tuple(raised.splitlines()[1:])),)),) if raised else ()
+    listed = ["its conditions then, with their values:"] if moment.conditions else []
+    return (("The moment", _prose([f"at {moment}", *listed]), moment.conditions),)
 
-    Args:
-        lines: the lines that explain its run.
-        sighting: the finding.
-    """
-    finding, moment = sighting.finding, sighting.moment
-    shown: list[tuple[str, list[str], tuple[tuple[str, tuple[str, ...]], ...]]] = [("", [*filter(None, lines)], ())]
-    if moment is not None:
-        about = ", by the NPC that they are about" if any(whom for whom, _ in moment.conditions) else ""
-        listed = [f"its conditions then, with their values{about}:"] if moment.conditions else []
-        shown.append(("The moment", [f"at {moment}", *listed], moment.conditions))
+
+def _happened(lines: Sequence[str], finding: Finding) -> tuple[Paragraph, ...]:
+    """Return what is known of a finding in addition to what stands above its picture: lines that explain its run."""
+    shown: list[tuple[str, list[str]]] = [("", [*filter(None, lines)])]
     runs = "" if finding.shrunk is None else f" in {plural(finding.shrunk.rollouts, 'run')}"
     size = [f"{how}{'' if number else runs}" for number, how in enumerate(shrunk_lines(finding))]
-    shown.append(("Shrunk", size, ()))
+    shown.append(("Shrunk", size))
     perception = finding.perception
-    shown.append(("Others", [] if perception is None else [f"found with {perception.described}"], ()))
-    return tuple((title, _prose(sentences), code) for title, sentences, code in shown if sentences)
+    shown.append(("Others", [] if perception is None else [f"found with {perception.described}"]))
+    return tuple((title, _prose(sentences), ()) for title, sentences in shown if sentences)
 
 
 def _deed(run: Run, names: Sequence[str]) -> str:
-    """Return what the ego did that decides, with the action that began a change of lanes if it has a name."""
+    """Return the sentence on what the ego did that decides, with the name of an action that began a change of lanes."""
     words, number, actions = fact_on(run), moved_over(run), run.trace.actions
-    if not names or number is None or number >= len(actions):  # a vehicle class as the ADS has no actions
-        return words
-    name = _decided(actions[number], names)
-    return f"{words} ({name})" if words and name in names else words
+    # A vehicle class as the ADS has no actions.
+    name = "" if number is None or number >= len(actions) else _decided(actions[number], names)
+    return _prose([f"{words} ({name})" if name in names else words]) if words else ""
 
 
 def _decisions(trace: Trace, world: Mapping[str, Any]) -> tuple[Stretch, ...]:
@@ -491,11 +489,8 @@ def _instructions(trace: Trace | None, scenario: Scenario) -> tuple[View, ...]:
                 "speed": followed.speed,
                 "started": gene < len(begun),
                 "arrived": None if tick is None else round(tick / hz, 3),
-                "requested": 0,
-                "cell": 0,
-                "lane": "",
-                "zone": "",
-                "words": "",
+                **dict.fromkeys(("requested", "cell"), 0),
+                **dict.fromkeys(("lane", "zone", "words"), ""),
             }
             views.append({**view, **followed.shown(requested, apart, "" if zone is None else zone.whence)})
     return tuple(views)

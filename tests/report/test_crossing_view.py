@@ -10,7 +10,7 @@ import pytest_pafot as pafot
 from pytest_pafot.model.instructions import CrossingInstruction
 from pytest_pafot.model.scenario import Scenario
 from tests.helpers.crossing_traces import CROSSES, MERGES, ZONES, junction_trace
-from tests.report.builders import HOSTILE, page_of, view_of
+from tests.report.builders import view_of
 
 
 @cache
@@ -72,13 +72,3 @@ def test_instructions_are_in_words():
     assert (crosses.cell, crosses.requested, crosses.arrived) == (0, 0, 5.6)
     assert merges.words.startswith("from the right, ")
     assert (ahead.zone, ahead.words) == ("", "")
-
-
-def test_hostile_names_of_zones_are_escaped():
-    """Files cannot have such names; a user's own world can."""
-    zone = replace(ZONES[CROSSES], way=HOSTILE[0])
-    view = view_of(replace(junction_trace((CROSSES, 0.0)), zones=(zone,)))
-    rows = tuple(row | {"zone": HOSTILE[0], "words": HOSTILE[2]} for row in view.view["instructions"])
-    page = page_of(view.changed(instructions=rows))
-    assert HOSTILE[0] not in page
-    assert HOSTILE[2] not in page

@@ -157,7 +157,7 @@ def test_deed_is_that_of_a_responsible_ego():
     stopped = braking_ahead()  # 20 m/s behind 10 m/s, 35 m apart: the ego may respond late, but not never
     run = Run(stopped)
     assert run.responsibility == "ego"
-    assert view_of(stopped).deed == f"the ego{run.sentences[1].removeprefix('The ego').removesuffix('.')}"
+    assert view_of(stopped).deed == run.sentences[1]
     assert Run(rear_trace()).responsibility == "npc"
     assert view_of(rear_trace()).deed == ""
 
@@ -172,8 +172,7 @@ def test_page_shows_the_verdict_that_a_careful_driver_has_decided(seconds, respo
     assert run.responsibility == responsible
     assert view.sentences == run.sentences
     assert takeovers.sentence(seconds) in view.sentences
-    told = run.attribution.sentences[1].removeprefix("The ego").removesuffix(".")
-    assert view.deed == (f"the ego{told}" if responsible == "both" else "")
+    assert view.deed == (run.attribution.sentences[1] if responsible == "both" else "")
 
 
 class MovingLeft(ControlledVehicle):
@@ -185,8 +184,11 @@ def test_deed_of_a_vehicle_class_that_changes_lanes_names_no_action():
     world = pafot.World("highway-v0", duration=15.0)
     trace = world.rollout(scenario([(8, 20.0)], gene_seconds=15.0, ego_speed=20.0), lambda: MovingLeft)
     assert (Run(trace).attribution.fault, trace.actions) == ("entered-lane", ())
-    deed = "the ego began to change lanes at 0.0 s, over the line at 0.1 s"  # it moves from the first tick on
-    assert view_of(trace, finding_of(trace, world=world.to_dict())).deed == deed
+    view = view_of(trace, finding_of(trace, world=world.to_dict()))
+    assert (
+        view.deed == "The ego began to change lanes at 0.0 s, over the line at 0.1 s."
+    )  # it moves from the first tick
+    assert view.sentences == (view.deed, *Run(trace).sentences)
 
 
 def test_the_command_survives_a_shell():

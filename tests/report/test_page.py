@@ -23,6 +23,7 @@ from tests.report.builders import (
     REAL_SEARCH,
     as_seen,
     cut_in_trace,
+    finding_of,
     page_of,
     real_page,
     real_views,
@@ -41,7 +42,7 @@ class Reader(HTMLParser):
         self.close()
 
     def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
+        self.tags += [(tag, dict(attrs))] if tag != "wbr" else []  # where a long name may break
         if tag in ("script", "style"):
             self._open = f"{tag}:{dict(attrs).get('type', '')}"
             self.raw[self._open] = ""
@@ -165,12 +166,14 @@ def test_no_text_ends_the_script_element_of_the_data(text):
 
 def test_conditions_stand_below_the_vehicle_that_they_are_about():
     groups = (("NPC 0", ("line 1: a < b  (a = 1)", "line 2")), ("", ("line 3",)))
-    finding = real_views()[0].changed(happened=(("The moment", "At 3 s.", groups),))
+    finding = real_views()[0].changed(moment=(("The moment", "At 3 s.", groups),))
+    article = finding_article(finding, 0)
+    assert article.index('<p class="sentence deed">') < article.index("The moment") < article.index('class="player"')
     assert (
-        "<b>The moment.</b> At 3 s.</p>"
+        "<b>The moment.</b> At 3\u00a0s.</p>"
         "<h4>NPC 0</h4><ul><li><code>line 1: a &lt; b  (a = 1)</code></li><li><code>line 2</code></li></ul>"
         "<ul><li><code>line 3</code></li></ul>"
-    ) in finding_article(finding, 0)
+    ) in article
 
 
 def test_the_list_has_the_findings_of_each_test_under_its_name():
@@ -183,9 +186,14 @@ def test_the_list_has_the_findings_of_each_test_under_its_name():
 
 
 def test_an_error_of_the_policy_is_the_egos():
-    error = AdsError(kind="ValueError", message="no plan", traceback="", tick=30)
+    error = AdsError(
+        kind="ValueError", message="no plan", traceback="Traceback:\n  line 3\nValueError: no plan", tick=30
+    )
     trace = replace(cut_in_trace(), outcome=Outcome.ADS_ERROR, collision=None, error=error)
-    view = view_of(trace, headline="ValueError: no plan")
+    finding = finding_of(trace)
+    expect = replace(finding.expect, traceback=error.traceback)
+    view = view_of(trace, replace(finding, expect=expect), headline="ValueError: no plan")
+    assert view.moment == (("The traceback", "", (("", ("  line 3", "ValueError: no plan")),)),)
     assert view.headline == f"The ego's policy failed at {view.event.time:.1f} s: ValueError: no plan"
     assert "1 policy error" in finding_list([view])
 

@@ -5,7 +5,17 @@ import pytest
 
 from tests.helpers.browser import Browser, find_chromium
 from tests.helpers.traces import trace_of, vehicle
-from tests.report.builders import HOSTILE, as_seen, bend_trace, page_of, real_page, real_views, scenario, view_of
+from tests.report.builders import (
+    HOSTILE,
+    REAL_SEARCH,
+    as_seen,
+    bend_trace,
+    page_of,
+    real_page,
+    real_views,
+    scenario,
+    view_of,
+)
 from tests.report.test_crossing_view import crash
 from tests.report.test_lane_instructions import cut_in
 from tests.report.test_lane_instructions import view_of as view_of_trace
@@ -22,7 +32,26 @@ CURRENT = "[...document.querySelectorAll('#articles > article')].findIndex(each 
 IS_PLAYING = "document.querySelector('article.current .play').textContent === 'Pause'"
 SCRUBBER = "article.current input[type=range]"
 BUTTON = "article.current .controls button"
+CALM = [("prefers-reduced-motion", "reduce")]
+IMPACT = "document.querySelector('article.current .impact').parentElement.getAttribute('visibility')"
 EGO_WIDTH = "document.querySelector('article.current .stage .ego-body').getBoundingClientRect().width"
+CLOCK = (
+    "let now = 0, due = []; window.requestAnimationFrame = each => due.push(each);"
+    "window.cancelAnimationFrame = () => { due = []; };"
+    "window.frame = () => { now += 100; due.splice(0).forEach(each => each(now)); }"
+)
+"""A clock of the page whose frames are a tenth of a second apart, however slow the machine is."""
+SPLIT = """(() => {
+  const found = [], range = document.createRange();
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let at = walker.nextNode(); at; at = walker.nextNode()) for (const word of at.data.matchAll(/[A-Za-z]{2,}/g)) {
+    range.setStart(at, word.index), range.setEnd(at, word.index + word[0].length);
+    const lines = new Set([...range.getClientRects()].map(box => Math.round(box.top)));
+    if (lines.size > 1 && !at.parentElement.closest("pre, code, .id")) found.push(word[0]);
+  }
+  return found;
+})()"""
+"""The words that the page shows on two lines."""
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +81,7 @@ def opened(browser, tmp_path):
 
 @pytest.fixture
 def page(opened):
-    return opened()
+    return opened(media=CALM)
 
 
 def go(page, finding, time):
@@ -60,16 +89,35 @@ def go(page, finding, time):
     page.until(f"Math.abs({TIME} - {time}) < 0.0011")
 
 
-def test_first_finding_is_drawn_at_its_event(page):
+def test_first_finding_is_drawn_at_its_event_if_motion_is_unwelcome(page):
     assert page.evaluate("document.title") == "t: 2 findings"
     assert page.evaluate("document.querySelectorAll('article.current .stage svg [data-vehicle]').length") == 3
     assert page.evaluate("document.querySelectorAll('article.current .charts svg .curve').length") > 5
     assert page.evaluate(CURRENT) == 0
     assert page.evaluate(TIME) == pytest.approx(real_views()[0].event.time, abs=0.001)
-    impact = "document.querySelector('article.current .impact').parentElement.getAttribute('visibility')"
-    assert page.evaluate(impact) == "visible"
+    assert page.evaluate(IMPACT) == "visible"
     page.press("Home")
-    assert page.evaluate(impact) == "hidden"
+    assert page.evaluate(IMPACT) == "hidden"
+
+
+def test_a_finding_opens_a_second_before_its_event_and_plays_once(opened):
+    page, event = opened(), real_views()[0].event.time
+    assert event - 1.001 <= page.evaluate(TIME) <= event
+    page.until(f"{TIME} === {event}")
+    assert page.evaluate(IMPACT) == "visible"
+    assert page.evaluate("location.hash") == f"#finding={real_views()[0].seen.id}"  # so that a reload plays it again
+    page.evaluate(CLOCK)
+    page.press("j")
+    second = real_views()[1].event.time
+    assert page.evaluate(TIME) == pytest.approx(second - 1, abs=0.001)
+    page.evaluate("for (let each = 0; each < 12; each += 1) frame()")
+    assert page.evaluate(f"[{TIME}, due.length]") == [pytest.approx(second, abs=0.001), 0]
+    page.click("article.current .stage")  # plays the whole run
+    assert page.evaluate(TIME) == 0
+    page.evaluate("frame(); frame(); frame()")
+    assert page.evaluate(TIME) == pytest.approx(0.2)
+    page.click("article.current .stage")
+    assert not page.evaluate(IS_PLAYING)
 
 
 def test_failed_check_opens_at_its_moment_with_its_curve(opened):
@@ -77,7 +125,7 @@ def test_failed_check_opens_at_its_moment_with_its_curve(opened):
     values = tuple(30.0 if time > 3 else 1.0 for time in finding.times)
     check = {"name": "jerk", "unit": "m/s^3", "value": 35.1, "at_most": 20.0, "at_least": None, "time": 3.4, "low": 0.0}
     check |= {"values": values, "high": 40.0, "is_cut": (False, False), "broken": ((3.2, 4.0),)}
-    page = opened(page_of(finding.changed(check=check)))
+    page = opened(page_of(finding.changed(check=check)), media=CALM)
     assert page.evaluate(TIME) == 3.4
     page.press("Home")
     page.press("e")
@@ -167,13 +215,9 @@ def test_each_control_does_what_it_says(page):
     assert page.evaluate(EGO_WIDTH) == pytest.approx(width, rel=0.02)
 
 
-def test_the_speed_of_play_is_that_of_the_menu(page):
-    """The page's clock is replaced, so that a frame is a tenth of a second, however slow the machine is."""
-    page.evaluate(
-        "let now = 0, due = []; window.requestAnimationFrame = each => due.push(each);"
-        "window.cancelAnimationFrame = () => { due = []; };"
-        "window.frame = () => { now += 100; due.splice(0).forEach(each => each(now)); }"
-    )
+def test_the_speed_of_play_is_that_of_the_menu(opened):
+    page = opened(fragment=f"#finding={real_views()[0].seen.id}&t=1")
+    page.evaluate(CLOCK)
     menu = "document.querySelector('article.current .controls select')"
     for speed in (1, 0.25, 4):
         page.evaluate(f"{menu}.value = '{speed}'; {menu}.dispatchEvent(new Event('change'))")
@@ -252,13 +296,14 @@ def test_hostile_text_is_shown_and_never_run(opened):
     assert page.evaluate("document.querySelectorAll('img, script').length") == 2
 
 
-@pytest.mark.parametrize("width", [320, 600, 900, 1360, 2200])
-def test_nothing_is_wider_than_the_window(opened, width):
-    page = opened(width=width)
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert page.evaluate("document.querySelector('.stage svg').getBoundingClientRect().width") <= width
-    page.resize(500)
-    page.until("document.querySelector('.stage svg').getBoundingClientRect().width <= 500")
+@pytest.mark.parametrize("text", [real_page, lambda: page_of(crash(), searches=(REAL_SEARCH,))])
+def test_nothing_is_wider_than_the_window_and_no_word_is_split(opened, text):
+    page = opened(text())
+    for width in (320, 360, 390, 600, 641, 768, 901, 1024, 1280, 1920, 2200, 500):
+        page.resize(width)
+        page.until(f"document.querySelector('article.current .stage svg').getBoundingClientRect().width <= {width}")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert (width, page.evaluate(SPLIT)) == (width, [])
 
 
 def test_selected_row_of_a_long_list_is_in_sight(opened):
@@ -272,7 +317,10 @@ def test_selected_row_of_a_long_list_is_in_sight(opened):
     assert 0 <= top < bottom <= window
 
 
-def test_finding_without_a_run_has_no_player_and_steps_go_on(opened):
+def test_page_without_a_player_listens_to_keys_and_steps_go_on(opened):
+    empty = opened(page_of())
+    for key in ("j", " ", "Home"):
+        empty.press(key)
     first, second = real_views()
     unseen = as_seen(first, finding={"id": "crash-1"}).changed(times=(), vehicles=())
     page = opened(page_of(unseen, second))
@@ -282,19 +330,10 @@ def test_finding_without_a_run_has_no_player_and_steps_go_on(opened):
     assert page.evaluate(TIME) > 0
 
 
-def test_empty_page_listens_to_keys_without_complaint(opened):
-    page = opened(page_of())
-    for key in ("j", " ", "Home"):
-        page.press(key)
-
-
 def test_copy_button_says_what_it_did(page):
     page.click("article.current [data-copy=code]")
-    page.until("document.querySelector('article.current [data-copy=code]').textContent !== 'Copy'")
-    assert page.evaluate("document.querySelector('article.current [data-copy=code]').textContent") in (
-        "Copied",
-        "Selected, press Ctrl+C",
-    )
+    said = "document.querySelector('article.current [data-copy=code]').textContent"
+    page.until(f"['Copied', 'Selected, press Ctrl+C'].includes({said})")
 
 
 def test_dark_and_light_differ(opened):

@@ -10,7 +10,7 @@ let player = null;
 document.documentElement.classList.add("js");
 
 function settle() {
-  history.replaceState(null, "", `#${new URLSearchParams({ finding: links[current].dataset.key, t: player ? fixed(player.time, 2) : "0" })}`);
+  history.replaceState(null, "", `#${new URLSearchParams({ finding: links[current].dataset.key, ...(player && !player.isOpening && { t: fixed(player.time, 2) }) })}`);
   if (player) status.textContent = `${fixed(player.time, 1)} seconds`;
 }
 

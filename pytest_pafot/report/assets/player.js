@@ -1,8 +1,8 @@
 // One finding on stage: time, controls, and the drawing at that time.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
-const REPLAY_SECONDS = 6;
 const CALM_STEP = 0.5;
+const isCalm = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 class Player {
   constructor(finding, place, time, onSettle) {
@@ -10,15 +10,17 @@ class Player {
     this.place = place;
     this.onSettle = onSettle;
     this.duration = finding.times[finding.times.length - 1];
-    this.time = clamp(time ?? momentOf(finding), 0, this.duration);
-    this.rate = 1;
-    this.zoom = 1;
+    // As long as nobody has asked for a time, the moment of the finding is shown, and with motion the second before it.
+    this.isOpening = time === null;
+    this.time = clamp(time ?? momentOf(finding) - (isCalm() ? 0 : 1), 0, this.duration);
+    this.rate = this.zoom = 1;
     this.isPlaying = false;
     this.build();
     this.layout();
     // Wait for the next frame: a layout inside the notification could resize the element again.
     this.observer = new ResizeObserver(() => requestAnimationFrame(() => { if (this.stage.clientWidth !== this.width) this.layout(); }));
     this.observer.observe(this.stage);
+    if (this.isOpening) this.play(momentOf(finding));
   }
 
   control(tag, attributes, children, type, listener) {
@@ -28,7 +30,8 @@ class Player {
   }
 
   build() {
-    this.stage = html("div", { class: "stage" });
+    this.stage = this.control("div", { class: "stage" }, [], "click", () => this.toggle());
+    this.legend = html("p", { class: "legend" });
     this.charts = html("div", { class: "charts" });
     this.button = this.control("button", { type: "button", class: "play" }, [], "click", () => this.toggle());
     this.clock = html("output", { class: "clock", "aria-live": "off" });
@@ -50,7 +53,7 @@ class Player {
     ]);
     this.place.replaceChildren(
       this.stage, html("div", { class: "controls" }, [this.button, this.clock, this.scrubber, event, rates, ...zooms]),
-      html("div", { class: "scroll" }, table), this.charts,
+      html("div", { class: "scroll" }, table), this.legend, this.charts,
     );
     const seek = (pointer) => {
       if (pointer.type === "pointermove" && !pointer.buttons) return;
@@ -66,11 +69,11 @@ class Player {
     this.scene = new Scene(this.finding, this.width, this.zoom);
     this.curves = new Charts(this.finding, this.width);
     const isRelative = !this.scene.isWorld;
-    this.stage.replaceChildren(this.scene.root, html("p", { class: "legend" },
-      `E is the ego, numbers are NPCs. Dotted trails: the last ${TRAIL_SECONDS} s${isRelative ? " relative to the ego" : ""}. ` +
+    this.stage.replaceChildren(this.scene.root);
+    this.legend.textContent = `E is the ego, which the policy drives; numbers are NPCs, the other vehicles. Dotted trails: the last ${TRAIL_SECONDS} s${isRelative ? " relative to the ego" : ""}. ` +
       (isRelative ? "Numbered boxes: the cells around the ego. Dashed lines: to where NPCs are to drive. " : "") +
       (isCrossed(this.finding) ? "Dotted lines: the ways of NPCs that cross; shaded: the zones in which they meet the ego's. " : "") +
-      "Bars at the rear: braking." + (this.finding.ghost ? " Shaded box: the ego with a careful driver, who takes over shortly before the impact." : "")));
+      "Bars at the rear: braking." + (this.finding.ghost ? " Shaded box: the ego with a careful driver, who takes over shortly before the impact." : "");
     this.charts.replaceChildren(this.curves.root);
     this.draw();
   }
@@ -82,7 +85,7 @@ class Player {
     this.scrubber.value = this.time;
     this.scrubber.setAttribute("aria-valuetext", `${fixed(this.time, 2)} s of ${fixed(this.duration, 2)} s`);
     this.clock.textContent = `${fixed(this.time, 2)} / ${fixed(this.duration, 2)} s`;
-    this.button.textContent = this.isPlaying ? "Pause" : this.isAtEnd() ? `Replay ${REPLAY_SECONDS} s` : "Play";
+    this.button.textContent = this.isOpening || this.isAtEnd() ? "Play the whole run" : this.isPlaying ? "Pause" : "Play";
     this.place.dataset.time = fixed(this.time, 3);
     states.forEach((state, index) => {
       const row = index && instructionAt(this.finding, index - 1, this.time);
@@ -100,29 +103,33 @@ class Player {
     this.draw();
   }
 
-  jump(time) {
+  jump(time, isOpening = false) {
     this.isPlaying = false;
+    this.isOpening = isOpening;
     cancelAnimationFrame(this.request);
     this.seek(time);
     this.onSettle();
   }
 
   toggle() {
-    if (this.isPlaying) { this.jump(this.time); return; }
-    if (this.isAtEnd()) this.time = Math.max(0, this.duration - REPLAY_SECONDS);
+    if (this.isPlaying && !this.isOpening) { this.jump(this.time); return; }
+    if (this.isOpening || this.isAtEnd()) this.jump(0);
+    this.play(this.duration);
+  }
+
+  play(until) {
     this.isPlaying = true;
     this.draw();
-    const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     let last = null;
     let owed = 0;
     const tick = (now) => {
       owed += last === null ? 0 : Math.min(0.25, (now - last) / 1000) * this.rate;
       last = now;
       // With reduced motion the picture changes in steps instead of gliding.
-      const due = isCalm ? Math.floor(owed / CALM_STEP) * CALM_STEP : owed;
+      const due = isCalm() ? Math.floor(owed / CALM_STEP) * CALM_STEP : owed;
       owed -= due;
-      if (due > 0) this.seek(this.time + due);
-      if (this.isAtEnd()) this.jump(this.time); else this.request = requestAnimationFrame(tick);
+      if (due > 0) this.seek(Math.min(this.time + due, until));
+      if (this.time < until - 1e-6) this.request = requestAnimationFrame(tick); else this.jump(this.time, this.isOpening);
     };
     this.request = requestAnimationFrame(tick);
   }

@@ -90,7 +90,7 @@ const TRAIL_SECONDS = 4;
 const RULER = 24;
 const SHOULDER = 1.4;
 const HALF_HEIGHT = 18; // Half of the height [m] that the picture of a bent road shows ...
-const CROSSED_HALF_HEIGHT = 45; // ... and if a vehicle crosses, which would otherwise come into sight only 2 s before contact.
+const CROSSED_HALF_HEIGHT = 32; // ... and if a vehicle crosses, which would otherwise come into sight only 2 s before contact.
 const STAR = "M0 -13L3 -5L10 -9L6 -2L13 0L6 3L10 9L3 5L0 13L-3 5L-10 9L-6 3L-13 0L-6 -2L-10 -9L-3 -5Z";
 
 class Scene {
@@ -177,7 +177,7 @@ class Scene {
 
   impactText() {
     const { kind, side } = this.finding.event;
-    return kind === "collision" ? `contact, ${side} of the ego` : kind.replace("_", " ");
+    return kind === "collision" ? `contact, ${side} of the ego` : kind.replace("ads_", "policy ");
   }
 
   ruler() {
