@@ -435,6 +435,15 @@ def test_every_documentation_tool_can_be_imported(monkeypatch, capsys):
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.stories
+def test_the_moving_picture_shows_what_its_sample_finds(tmp_path):
+    crash = tool("crash_picture")
+    policy = runpy.run_path(str(crash.SAMPLE))[crash.POLICY]
+    assert crash.drawn(crash.found(tmp_path), policy) == text_of(crash.PICTURE), (
+        "run: python docs/tools/crash_picture.py"
+    )
+
+
 def test_every_page_that_code_names_exists():
     code = [path for room in ("pytest_pafot", "tests", "docs", "example_ads") for path in (ROOT / room).rglob("*.py")]
     named = {name for path in code for name in re.findall(r"\bdocs/[\w/-]+\.md\b", text_of(path))}

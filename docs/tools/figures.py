@@ -59,6 +59,7 @@ WRITERS = {
     "gallery": "docs/tools/gallery.py",
     "samples": "-m pytest -q -p no:cacheprovider tests/test_docs.py -m stories",
     "terminal": "docs/tools/picture.py",
+    "crash": "docs/tools/crash_picture.py",
     "pages": "docs/tools/report_picture.py",
     "roads": "docs/tools/road_pictures.py",
 }

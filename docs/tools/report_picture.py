@@ -1,7 +1,7 @@
-"""Make the pictures of report pages in README.md and guide/triage.md.
+"""Make the pictures of report pages in README.md, start/tutorial.md and guide/triage.md.
 
-It runs searches of two example policies, opens their pages in a headless Chromium, light and dark, and saves
-screenshots. ``report_picture.py constant-speed`` makes one alone, and so does ``fiss``, whose search takes minutes. It
+It runs searches of a sample and of two example policies, opens their pages in a headless Chromium, light and dark, and
+saves screenshots. ``report_picture.py crash`` makes one alone; the search of ``report-fiss`` takes minutes. It
 needs Chromium, and Pillow and fiss-planner in addition to the plugin:
 ``python -m pip install ".[fiss]" pillow && python docs/tools/report_picture.py``.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,70 +29,91 @@ sys.path.insert(0, str(ROOT))
 from tests.helpers.browser import Browser, Page, find_chromium  # noqa: E402
 
 MAX_BYTES = 250_000
-WIDTH, HEIGHT = 1280, 1500
-BEFORE_IMPACT = 0.9
-"""The time of the picture before the end of the run [s]. The vehicles are still apart then."""
 
 
 class Story(NamedTuple):
-    """One picture and the search behind it."""
+    """One picture and the search behind it.
+
+    Attributes:
+        name: the name of the picture.
+        test: node id of the search.
+        options: its further options.
+        sample: the file of the test, if it is alone in a folder.
+        size: width and height of the window [px].
+        before: the time of the picture before the event [s], at which the vehicles may still be apart.
+    """
 
     name: str
     test: str
     options: tuple[str, ...]
+    sample: Path | None = None
+    size: tuple[int, int] = (1280, 1300)
+    before: float = 0.9
 
 
 STORIES = (
+    Story("crash", "test_cruise.py", ("--pafot-seed=1",), DOCS / "start" / "test_cruise.py", (1100, 758), 0.0),
     Story(
-        "constant-speed",
-        "test_never_at_fault_in_a_collision[constant-speed-search]",
-        ("--pafot-runs=80", "--pafot-seed=8"),  # finds what the README's first search finds
+        "report-constant-speed",
+        "example_ads/test_safety.py::test_never_at_fault_in_a_collision[constant-speed-search]",
+        ("--pafot-runs=80", "--pafot-seed=8"),
     ),
-    Story("fiss", "test_fiss_is_never_at_fault_in_a_collision[search]", ("--pafot-runs=80", "--pafot-seed=1")),
+    Story(
+        "report-fiss",
+        "example_ads/test_safety.py::test_fiss_is_never_at_fault_in_a_collision[search]",
+        ("--pafot-runs=80", "--pafot-seed=1"),
+    ),
 )
 
 
 def search(story: Story, folder: Path) -> Path:
-    """Run the search of an example policy, and return its page."""
-    page = folder / f"{story.name}.html"
+    """Run a search, and return its page."""
+    page, place = folder / f"{story.name}.html", ROOT
+    if story.sample is not None:
+        place = folder / "project"
+        place.mkdir()
+        shutil.copy(story.sample, place)
     command = [
-        *(sys.executable, "-m", "pytest", f"example_ads/test_safety.py::{story.test}", "-p", "no:randomly", "-q"),
+        *(sys.executable, "-m", "pytest", story.test, "-p", "no:randomly", "-q"),
         *("--tb=no", f"--pafot-corpus={folder / 'corpus'}", f"--pafot-report={page}"),
         *story.options,
     ]
-    return written(page, command)
+    return written(page, command, place)
 
 
-def written(path: Path, command: Sequence[str]) -> Path:
-    """Run a command that writes a file, and return the path of the file."""
+def written(path: Path, command: Sequence[str], place: Path = ROOT) -> Path:
+    """Run a command in a folder that writes a file, and return the path of the file."""
     environment = {name: value for name, value in os.environ.items() if name not in ("CI", "PYTEST_ADDOPTS")}
-    environment["PYTHONPATH"] = str(ROOT)
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), environment.get("PYTHONPATH")]))
+    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
     if not path.is_file():
         raise SystemExit(f"{command}: expected {path.name}, received this:\n{done.stdout}{done.stderr}")
     return path
 
 
-def shots(browser: Browser, page: Path) -> Iterator[tuple[str, bytes]]:
+def shots(browser: Browser, page: Path, story: Story) -> Iterator[tuple[str, bytes]]:
     """Yield the suffix and the content of each picture of a page."""
     for scheme in ("light", "dark"):
-        opened = browser.open(page.as_uri(), width=WIDTH, height=HEIGHT, media=[("prefers-color-scheme", scheme)])
-        _prepare(opened)
+        media = [("prefers-color-scheme", scheme), ("prefers-reduced-motion", "reduce")]
+        opened = browser.open(page.as_uri(), width=story.size[0], height=story.size[1], media=media)
+        _prepare(opened, story.before)
         shot = opened.send("Page.captureScreenshot", format="png")
         opened.close()
         yield "" if scheme == "light" else "-dark", _small(base64.b64decode(shot["data"]))
 
 
-def _prepare(page: Page) -> None:
-    """Go to the moment before the event, and remove paths of this machine and the date from the page."""
+def _prepare(page: Page, before: float) -> None:
+    """Go to the moment so long before the event [s], and remove paths of this machine and the date from the page."""
     page.evaluate(
         "for (const each of document.querySelectorAll('.campaigns .copyline, .campaigns dl div'))"
         "  if (each.matches('.copyline') || each.textContent.startsWith('written')) each.remove();"
         "document.querySelector('h1').textContent = document.querySelector('h1').textContent.replace(/^.*: /, '');"
     )
+    if not before:
+        return
     shown = "Number(document.querySelector('article.current .player').dataset.time)"
     key = page.evaluate("document.querySelector('#list a[aria-current=true]').dataset.key")
-    moment = round(page.evaluate(shown) - BEFORE_IMPACT, 2)
+    moment = round(page.evaluate(shown) - before, 2)
     page.evaluate(f"location.hash = 'finding={key}&t={moment}'")
     page.until(f"{shown} === {moment}")
     time.sleep(0.3)
@@ -122,8 +144,8 @@ def main() -> None:
         browser = Browser(chromium, folder / "profile")
         try:
             for story in (each for each in STORIES if each.name in chosen):
-                for suffix, content in shots(browser, search(story, folder)):
-                    save(f"report-{story.name}{suffix}.png", content)
+                for suffix, content in shots(browser, search(story, folder), story):
+                    save(f"{story.name}{suffix}.png", content)
         finally:
             browser.close()
 

@@ -96,7 +96,7 @@ class Player {
     });
   }
 
-  isAtEnd() { return this.time >= this.duration - 1e-6; }
+  isAtEnd() { return this.time >= this.duration - 0.006; } // addresses have two digits
 
   seek(time) {
     this.time = clamp(Math.round(time * 1000) / 1000, 0, this.duration);

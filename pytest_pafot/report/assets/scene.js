@@ -287,7 +287,7 @@ class Scene {
 
   drawImpact(states, time) {
     const { event } = this.finding;
-    const isDrawn = time >= event.time - 1e-6 && ["collision", "ads_error", "hang"].includes(event.kind);
+    const isDrawn = time >= event.time - 0.006 && ["collision", "ads_error", "hang"].includes(event.kind);
     this.impact.setAttribute("visibility", isDrawn ? "visible" : "hidden");
     const other = event.npc === null ? null : states[event.npc + 1];
     const place = event.kind === "collision" && other ? this.contact(other) : this.ego;
