@@ -45,6 +45,12 @@ COMMANDS = MappingProxyType({
         "on a web page.",
         is_gate=True,
     ),
+    "replay": Command(
+        "pytest_pafot.commands.replay_command",
+        "run a saved scenario, without a test",
+        "Run the scenario of a saved file, such as one that came by mail, for a policy. No code that it names is run.",
+        is_gate=True,
+    ),
     "corpus": Command(
         "pytest_pafot.commands.corpus_command",
         "list saved scenarios, or accept their failures",
@@ -210,11 +216,15 @@ def _run(given: list[str]) -> int:
         module.add_arguments(parsers[asked])
         parsers[asked].set_defaults(run=module.run)
     # Split at "--" here: argparse would add the arguments after it to the positional arguments before it.
-    own = given.index("--") if given[:1] == ["search"] and "--" in given else len(given)
-    arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
-    if unknown:  # The parser itself would print the usage of all commands.
-        which = commands.choices[arguments_given.command]
-        which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
+    own = given.index("--") if given[:1] in (["search"], ["replay"]) and "--" in given else len(given)
+    bad_use = 4 if asked == "replay" else BAD_USE  # pytest's, because 2 is that of a session in which a policy hangs
+    try:
+        arguments_given, unknown = parser.parse_known_args(given[:own], argparse.Namespace(pytest=given[own + 1 :]))
+        if unknown:  # The parser itself would print the usage of all commands.
+            which = commands.choices[arguments_given.command]
+            which.error(f"unrecognized arguments: {' '.join(unknown)}; {which.prog} --help lists the options")
+    except SystemExit as ended:  # after --help, or after an error
+        sys.exit(bad_use if ended.code else 0)
     # A text that the encoding of the output does not have must not end a command.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -225,13 +235,13 @@ def _run(given: list[str]) -> int:
             code: int = arguments_given.run(arguments_given, ["python", "-m", "pytest_pafot", *given])
         except errors as error:
             sys.stderr.write(f"{arguments_given.command}: {error}\n")
-            code = BAD_USE
+            code = bad_use
         except SystemExit as error:
             sys.stderr.write(
                 f"{arguments_given.command}: expected a policy that drives, received SystemExit: {error}; the "
                 "policy, its factory or its module calls sys.exit: let it raise an error\n"
             )
-            code = BAD_USE
+            code = bad_use
         sys.stdout.flush()
     except OSError as error:
         if error.filename is not None:  # the current folder and the standard output have no file name

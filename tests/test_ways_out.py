@@ -19,7 +19,7 @@ from pytest_pafot.__main__ import COMMANDS, main
 from pytest_pafot.campaign.options import BY_NAME, OPTIONS
 from pytest_pafot.commands.search_command import add_arguments
 from pytest_pafot.export import exporter
-from pytest_pafot.support.errors import OF_SEARCH, command, flag, install, rerun
+from pytest_pafot.support.errors import OF_REPLAY, OF_SEARCH, command, flag, install, rerun
 from tests.helpers.sessions import command_in_a_copy
 
 ROOT = Path(__file__).parents[1]
@@ -87,6 +87,7 @@ def test_every_option_that_messages_name_exists_also_in_search():
 
 OF_COMMANDS = {
     "search": ["commands/search_command.py"],
+    "replay": ["commands/replay_command.py"],
     "rate": ["commands/rate_command.py"],
     "compare": ["comparison/command.py", "comparison/plan.py"],
     "export": ["export/exporter.py", "export/exporter.py"],
@@ -132,7 +133,9 @@ def test_rerun_repeats_what_has_started_the_session():
     words, search = ["pytest", "a b.py"], "python -m pytest_pafot search p:P --runs 4 -- -q"
     assert rerun(words, {}, "--pafot-seed=3", saved="front-1") == "pytest 'a b.py' --pafot-seed=3"
     told = rerun(words, {OF_SEARCH: search}, "--pafot-seed=3", saved="front-1")
-    assert told == "python -m pytest_pafot search p:P --runs 4 --pafot-seed=3 -- -q -k front-1"
+    assert told == "python -m pytest_pafot search p:P --runs 4 --pafot-seed=3 -- -q"
+    told = rerun(words, {OF_SEARCH: search, OF_REPLAY: "--ads 'p:P:a b'"}, saved="front-1")
+    assert told == "python -m pytest_pafot replay front-1 --ads 'p:P:a b'"
     assert rerun(words, {OF_SEARCH: "python -m pytest_pafot search p:P"}) == "python -m pytest_pafot search p:P"
 
 
@@ -153,6 +156,8 @@ def idle(name):
 RUN_BY = {
     "corpus/reader.py": "test_unknown_finding_is_among_those_that_the_command_lists",
     "campaign/saved_scenario.py": "test_deadly_scenario_is_replayed_by_the_command_that_is_named",
+    "plugin/collection.py": "test_a_saved_file_is_replayed_without_its_project",
+    "support/errors.py": "test_session_of_search_names_commands_that_work_without_test_files",
     "report/terminal.py": "test_the_list_that_a_ci_job_names_has_the_findings",
 }
 """The test that runs the command of each place where a message names one."""
@@ -196,21 +201,23 @@ def named_in(text, before):
 
 
 @pytest.mark.processes
-def test_session_of_search_names_commands_that_work_without_test_files(here):
+def test_session_of_search_names_commands_that_work_without_test_files(here, monkeypatch):
     code, told = ran("python -m pytest_pafot search 'planner:Planner:a b' --seed 2 --runs 4 --pafot-json=j.json")
     assert code == 1, told
     (file,) = here.rglob("*.pafot.yaml")
     single = named_in(told, "run a single saved scenario with: ").replace("ID", file.name.partition(".")[0])
     finding = json.loads((here / "j.json").read_text())["findings"][0]
     report = html.unescape((here / "pafot.html").read_text())
-    (again,) = set(re.findall(r"python -m pytest_pafot search[^<\"]* -k [\w-]+", report))
+    (again,) = set(re.findall(r"python -m pytest_pafot replay [^<\"]*b'", report))
     assert single == again == finding["replay"]
-    code, told = ran(single)
-    assert (code, "replayed 1 saved scenario: 1 still failing" in told, "1 deselected" in told) == (1, True, True)
-
     keep = named_in(told, "keep it as a test: ").partition(", and commit")[0]
+    code, told = ran(single)
+    assert (code, "replayed 1 saved scenario: 1 still failing" in told) == (1, True)
+    (here / "test_it.py").write_text("def test_it():\n    pass\n")
+    monkeypatch.setenv("CI", "1")
+    assert ran("pytest")[0] == 0
     assert ran(keep)[0] == 0
-    code, told = ran(command("pytest", file))
+    code, told = ran(command("pytest", *here.rglob("*.pafot.yaml")))
     assert (code, "replayed 1 saved scenario: 1 still failing" in told) == (1, True), told
 
 

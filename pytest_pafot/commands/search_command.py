@@ -1,7 +1,8 @@
 """``python -m pytest_pafot search``: a search without test files, in a pytest session with temporary test files.
 
-The session runs the two files that ``--write-test`` writes, from a temporary folder. Findings are saved where the test
-of ``--write-test`` finds them, so they are its regression tests.
+The session runs the file that ``--write-test`` writes, from a temporary folder. Findings are saved in a folder that no
+session of a project takes for its own, because no test of the project runs them. ``--write-test`` moves them to where
+its test finds them, so they become its regression tests.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from typing import Any
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND, OPTIONS, RUNS
 from pytest_pafot.campaign.request import BLAMES
 from pytest_pafot.commands.policy_reference import (
-    ABOUT_POLICIES,
     BAD_USE,
     add_world_arguments,
     ads_factory,
@@ -31,12 +31,13 @@ from pytest_pafot.commands.policy_reference import (
     config_of,
     whole_name,
 )
-from pytest_pafot.corpus.layout import CORPUS, files_below
+from pytest_pafot.corpus.layout import CORPUS, FOUND, files_below, link_below, refusal, safe_name
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.support.errors import OF_SEARCH, RequestError, flag
+from pytest_pafot.support.errors import OF_REPLAY, OF_SEARCH, RequestError, flag
 from pytest_pafot.support.files import way_out, write_if_free
 from pytest_pafot.support.process import Ended, taken_receipt, undisturbed, unfinished
 from pytest_pafot.support.references import PLANNER
+from pytest_pafot.support.text import ascii_text
 
 TEST = "test_safety.py"
 PAGE = "pafot.html"
@@ -92,61 +93,75 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--blame", choices=BLAMES, default="ego", help=of_blame)
     of_against = "count only failures that a reference passes, a second policy: module:factory[:argument]"
     parser.add_argument("--against", flag("against"), metavar="REFERENCE", help=of_against)
-    of_check = "call this function of a run, which asserts what must hold (default: that there is no collision)"
-    parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
-    of_report = "write the findings to this web page (default: %(default)s)"
-    parser.add_argument(
-        "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=PAGE, help=of_report
-    )
-    of_test = f"write {TEST} here for `pytest`, and do not search"
+    of_test = f"write {TEST} here for `pytest`, with what was found for it, and do not search"
     parser.add_argument("--write-test", action="store_true", help=of_test)
-    parser.add_argument(flag("corpus"), dest="corpus", default=CORPUS, help=argparse.SUPPRESS)
-    # Messages of the session name options of pytest. All that do something in a search are options here, too.
-    for option in OPTIONS:
-        if option.name not in (*OWN, "corpus", "allow_orphans"):
-            given: dict[str, Any] = {"nargs": 0 if option.kind == "switch" else None, "help": argparse.SUPPRESS}
-            parser.add_argument(option.flag, action=_ForPytest, dest="options", default=[], **given)
-    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: "
-    of_others += "`pytest --help` lists them."
-    of_exit = "The exit code is 1 if the search has found something or failed, 2 for wrong arguments, else 0."
-    parser.epilog = f"{ABOUT_POLICIES} {of_others} {of_exit}"
+    parser.add_argument(flag("corpus"), dest="corpus", help=argparse.SUPPRESS)
+    add_session_arguments(parser, PAGE, "the search has found something or failed, 2")
     parser.usage = "%(prog)s ADS [option ...] [-- option of pytest ...]"
 
 
-class _ForPytest(argparse.Action):
-    """An option that the session gets as it is."""
-
-    def __call__(self, _: object, namespace: argparse.Namespace, value: Any, name: str | None = None) -> None:
-        namespace.options = [*namespace.options, str(name) if value == [] else f"{name}={value}"]
+def add_session_arguments(parser: argparse.ArgumentParser, page: str | None, codes: str) -> None:
+    """Declare the arguments that a search and a replay have in common; ``codes`` says what their exit codes mean."""
+    of_check = "call this function of a run, which asserts what must hold (default: that there is no collision)"
+    parser.add_argument("--check", metavar="MODULE:FUNCTION", help=of_check)
+    of_report = f"write the findings to this web page (default: {page or 'none'})"
+    parser.add_argument(
+        "--report", flag("report"), type=BY_NAME["report"].read, metavar="FILE", default=page, help=of_report
+    )
+    # Messages of the session name options of pytest. All that do something in a search are options here, too.
+    for option in OPTIONS:
+        if option.name not in (*OWN, "corpus", "allow_orphans"):
+            given: dict[str, Any] = {"action": "append", "type": f"{option.flag}={{}}".format}
+            if option.kind == "switch":
+                given = {"action": "append_const", "const": option.flag}
+            parser.add_argument(option.flag, dest="options", default=[], help=argparse.SUPPRESS, **given)
+    of_others = f"The options of this package for pytest, such as {flag('isolate')}, are options here, too: "
+    of_others += f"`pytest --help` lists them. The exit code is 1 if {codes} for wrong arguments, else 0."
+    parser.epilog = f"{parser.epilog} {of_others}"
 
 
 def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     """Run the search, or with ``--write-test`` write the test that runs it. Return the exit code."""
-    test = _test(arguments)
+    name, test = written_test(arguments, "ADS")
+    here = Path.cwd()
+    kept, found = (here / root / Path(TEST).stem / safe_name(name) for root in (CORPUS, FOUND))
+    if arguments.corpus is None and (link := link_below(here, kept) or link_below(here, found)):
+        raise RequestError(f"{flag('corpus')}: {refusal(link)}")
     if arguments.write_test:
-        return _write_test(test)
+        return _write_test(test, {file: kept / file.name for file in files_below(found)})
     against = arguments.against
     if against is not None:
         ads_factory(against, "--against")
         against = whole_name(against)
-    given = {name: getattr(arguments, name) for name in OWN}
-    corpus = Path.cwd() / arguments.corpus  # The tests are not in this folder.
+    given = {option: getattr(arguments, option) for option in OWN}
+    has_test = os.path.isfile(TEST) and Path(TEST).read_bytes() == test.encode()  # noqa: PTH113  (see is_folder)
+    corpus = here / (arguments.corpus or (CORPUS if has_test else FOUND))  # The tests are not in this folder.
     given |= {"against": against, "corpus": corpus}
-    options = [f"{flag(name)}={value}" for name, value in given.items() if value is not None]
+    options = [f"{flag(option)}={value}" for option, value in given.items() if value is not None]
+    environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
+    if corpus.is_relative_to(here):  # else the command does not find the file by its id
+        own = {name: getattr(arguments, name) for name in ("ads", "world", "config", "check")}
+        environ[OF_REPLAY] = shlex.join(word for name in own if own[name] for word in (f"--{name}", own[name]))
+    code = code_of_session({TEST: test}, [*options, *arguments.options, *arguments.pytest], environ)
+    if code == TESTS_FAILED and not has_test and files_below(corpus / Path(TEST).stem):
+        own_words = command[: command.index("--")] if "--" in command else command
+        again = shlex.join([*own_words, "--write-test"])
+        sys.stdout.write(f"keep it as a test: {again}, and commit {TEST} and {arguments.corpus or CORPUS}/\n")
+    return BAD_USE if code == USAGE_ERROR else code
+
+
+def code_of_session(files: Mapping[str, str], options: Sequence[str], environ: Mapping[str, str]) -> int:
+    """Run pytest on some files in a temporary folder, and return its exit code.
+
+    Raises:
+        ChildProcessError: if the session did not come to its end.
+    """
     with tempfile.TemporaryDirectory(prefix="pafot-") as folder:
-        for name, text in {TEST: test, "pytest.ini": NO_TESTS}.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
+        for name, text in {**files, "pytest.ini": NO_TESTS}.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
         fixed = [f"--rootdir={folder}", "-pno:cacheprovider", "-rN"]
         session = [sys.executable, "-c", PYTEST, str(os.getpid()), folder, *fixed, *options]
-        environ = {OF_COMMAND: arguments.ads, OF_SEARCH: shlex.join(command)}
-        code = _code_of([*session, *arguments.options, *arguments.pytest], {**os.environ, **environ}, folder)
-    if code == TESTS_FAILED and files_below(corpus / Path(TEST).stem):
-        replay = "pytest FILE" if arguments.corpus == CORPUS else f"pytest FILE {flag('corpus', corpus)}"
-        kept = f"and commit {TEST} and {arguments.corpus}/; `{replay}` needs them, too"
-        own = command[: command.index("--")] if "--" in command else command
-        again = [*own, "--write-test"]
-        sys.stdout.write(f"keep it as a test: {shlex.join(again)}, {kept}\n")
-    return BAD_USE if code == USAGE_ERROR else code
+        return _code_of(session, {**os.environ, **environ}, folder)
 
 
 def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) -> int:
@@ -179,8 +194,8 @@ def _code_of(session: Sequence[str], environ: Mapping[str, str], folder: str) ->
     return left if code is None else code
 
 
-def _write_test(text: str) -> int:
-    """Write the file of a test, which has to be new. Return the exit code.
+def _write_test(text: str, found: Mapping[Path, Path]) -> int:
+    """Write the file of a test, which has to be new, and move what was found for it. Return the exit code.
 
     Raises:
         RequestError: if the file is there or cannot be written.
@@ -192,35 +207,43 @@ def _write_test(text: str) -> int:
                 f"--write-test: expected a folder without {TEST}, received {here}; {elsewhere}, or write the test by "
                 "hand"
             )
+        for file, kept in found.items():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(kept)
     except OSError as error:
         raise RequestError(
             f"--write-test: expected a folder in which {TEST} can be written, received {here}: "
             f"{error.strerror or error}; {way_out(error, f'or {elsewhere}')}"
         ) from None
-    sys.stdout.write(f"{TEST}\n")
+    names = [TEST, *(str(each.relative_to(here)) for each in found.values())]
+    sys.stdout.write("".join(f"{ascii_text(name)}\n" for name in names))
     return 0
 
 
-def _test(arguments: argparse.Namespace) -> str:
-    """Return the content of the file with the test."""
-    ads_factory(arguments.ads, "ADS")
-    _check_module(arguments.ads, "ADS")
+def written_test(arguments: argparse.Namespace, option: str, world: str = "") -> tuple[str, str]:
+    """Return the name of the test and the content of its file.
+
+    Args:
+        arguments: the arguments of the command.
+        option: the name of the argument that names the policy, for errors.
+        world: the argument of the mark for the world, if ``--world`` names none.
+    """
+    ads_factory(arguments.ads, option)
+    _check_module(arguments.ads, option)
     given = [f"ads={json.dumps(whole_name(arguments.ads))}"]
     given += [] if arguments.blame == "any" else [f'blame="{arguments.blame}"']
     of_world, imports = _world(arguments)
-    given += of_world
+    given += of_world or filter(None, [world])
     given += [] if arguments.traffic is None else [f'traffic="{arguments.traffic}"']
-    name, holds = "never_at_fault_in_a_collision", "assert not run.collision, run.explain()"
-    if arguments.blame != "ego":
-        name = "never_in_a_collision"
+    name = "never_at_fault_in_a_collision" if arguments.blame == "ego" else "never_in_a_collision"
+    holds = "assert not run.collision, run.explain()"
     if arguments.check is not None:
         check_function(arguments.check)
         name = arguments.check.partition(":")[2]
         holds, imports = "return holds(run)", imports + _import(arguments.check, "--check")
     name = name if name.startswith("test") else f"test_{name}"
-    return (
-        f"import pytest_pafot as pafot\n{imports}\n\n@pafot.search({', '.join(given)})\ndef {name}(run):\n    {holds}\n"
-    )
+    mark = f"@pafot.search({', '.join(given)})"
+    return name, f"import pytest_pafot as pafot\n{imports}\n\n{mark}\ndef {name}(run):\n    {holds}\n"
 
 
 def _world(arguments: argparse.Namespace) -> tuple[list[str], str]:

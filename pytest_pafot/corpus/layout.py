@@ -19,6 +19,9 @@ SUFFIX = ".pafot.yaml"
 CORPUS = "pafot_corpus"
 """The name of the folder next to a test file, unless the option ``corpus`` gives another name."""
 
+FOUND = "pafot_found"
+"""The name of the folder in which the command ``search`` saves what it finds. No test of a project runs its files."""
+
 SEARCH_PART = "search"
 """The part of an item's name by which it is a search: ``test_x[1-search]``."""
 

@@ -435,7 +435,8 @@ def _is_in_corpus(config: pytest.Config, arg: str) -> bool:
 
 
 def _module_of(file: Path, config: pytest.Config) -> Path:
-    from pytest_pafot.support.text import visible  # noqa: PLC0415  (few sessions are given such a file)
+    from pytest_pafot.support.errors import command  # noqa: PLC0415  (few sessions are given such a file)
+    from pytest_pafot.support.text import visible  # noqa: PLC0415
 
     if not file.is_file():
         raise pytest.UsageError(f"{visible(str(file))}: expected the file of a saved scenario, but it does not exist")
@@ -444,5 +445,7 @@ def _module_of(file: Path, config: pytest.Config) -> Path:
     if module is None or not module.is_file():
         where = "its folder is not in a corpus" if module is None else f"{module} does not exist"
         problem = f"{file}: expected a saved scenario of a test file, but {where}"
-        raise pytest.UsageError(f"{visible(problem)}; move the folder to where the test is now")
+        again = command("pytest_pafot", "replay", "FILE", "--ads", "module:Class")
+        fix = f"move the folder to where the test is now, or replay the file without a test: `{again}`"
+        raise pytest.UsageError(f"{visible(problem)}; {fix}")
     return module

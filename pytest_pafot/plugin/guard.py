@@ -21,6 +21,7 @@ import pytest
 from pytest_pafot.campaign.options import BY_NAME, OF_COMMAND
 from pytest_pafot.corpus.layout import (
     CORPUS,
+    FOUND,
     SUFFIX,
     entries_of,
     is_corpus,
@@ -49,7 +50,7 @@ UNNAMED_ID = "pafot::marked_tests_that_are_not_collected"
 _TEST_LINE = re.compile(rb"^test:[ \t]*([^\n:]*\.py::[^\n]+?)\s*$", re.MULTILINE)
 _ARCHIVE = re.compile(r"(.+?)\.(?:dvc|gz|bz2|xz|zst|zip|7z|tar|tar\.\w+|tgz|tbz2?|txz|tzst)")
 _BY_NAME = re.compile(r"-[lqsvx]*[km]|--deselect")  # arguments that deselect tests by name; -qk is -q and -k
-_FOREIGN = {".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
+_FOREIGN = {FOUND, ".git", ".hg", "__pycache__", "node_modules", "site-packages", "vendor", "third_party"}
 """The names of folders whose saved scenarios are never the project's own."""
 _SEPARATE = {".git", "pyvenv.cfg", "conda-meta"}
 """The names in a folder that is another repository, such as a submodule, or a virtual environment."""

@@ -166,6 +166,9 @@ class CorpusError(FieldError):
 OF_SEARCH = "PYTEST_PAFOT_SEARCH"
 """The environment variable with the command ``search`` that has started the pytest session, as it was typed."""
 
+OF_REPLAY = "PYTEST_PAFOT_REPLAY"
+"""The environment variable with the options of the command ``replay`` for what the session of a ``search`` saves."""
+
 
 def command(*words: object) -> str:
     """Return a command of Python, such as ``python -m pytest_pafot corpus list``, as a shell reads it."""
@@ -186,15 +189,16 @@ def install(name: str) -> str:
 def rerun(words: Sequence[str], environ: Mapping[str, str], *options: str, saved: str = "") -> str:
     """Return the command that runs a part of a session again: pytest with ``words``, and with options.
 
-    The command ``search`` leaves no test files that pytest could run. So in its session it is the command itself, or
-    the command for only one saved scenario, whose id is ``saved``.
+    The commands ``search`` and ``replay`` leave no test files that pytest could run. So in their sessions it is the
+    command itself, or the command for only one saved scenario, whose id is ``saved``.
     """
     if not environ.get(OF_SEARCH):
         return shlex.join([*words, *options])
+    if saved and OF_REPLAY in environ:
+        return command("pytest_pafot", "replay", saved, *shlex.split(environ[OF_REPLAY]))
     given = shlex.split(environ[OF_SEARCH])
     end = given.index("--") if "--" in given else len(given)
-    of_pytest = [*given[end + 1 :], *(["-k", saved] if saved else [])]
-    return shlex.join([*given[:end], *options, *(["--", *of_pytest] if of_pytest else [])])
+    return shlex.join([*given[:end], *options, *given[end:]])
 
 
 def asserts_run(function: Callable[..., Any]) -> bool:

@@ -161,7 +161,7 @@ def test_search_takes_policies_and_checks_of_any_name(here, policy, check):
     given = ["--runs", "4", "--seed", "2", "--blame", "any", "--pafot-shrink-rollouts=0", "--", "-q"]
     code, told = python("pytest_pafot", "search", f"odd:{policy}", "--check", f"odd:{check}", *given)
     assert (code, "4 runs" in told, "new finding" in told) == (1, True, True), told
-    assert len([*(here / "pafot_corpus" / "test_safety").iterdir()]) == 1
+    assert len([*(here / "pafot_found" / "test_safety").iterdir()]) == 1
 
 
 def test_search_refuses_a_policy_in_a_file_of_its_own_name(here, capsys):
@@ -186,11 +186,14 @@ def test_search_in_a_project_reports_no_file_of_its_tests(here, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
 def test_a_written_test_follows_no_link(here, capsys, tmp_path_factory):
-    outside = tmp_path_factory.mktemp("outside") / "stolen.py"
-    (here / "test_safety.py").symlink_to(outside)
+    outside = tmp_path_factory.mktemp("outside")
+    (here / "test_safety.py").symlink_to(outside / "stolen.py")
     assert main(["search", "a_planner:Planner", "--write-test"]) == 2
     assert "expected a folder without test_safety.py" in capsys.readouterr().err
-    assert not outside.exists()
+    (here / "pafot_found").symlink_to(outside)
+    assert main(["search", "a_planner:Planner"]) == 2
+    assert "expected a folder, received the link" in capsys.readouterr().err
+    assert [*outside.iterdir()] == []
 
 
 def test_a_folder_that_is_full_is_told_in_one_line(here, capsys, monkeypatch):
