@@ -105,7 +105,7 @@ MARKER_DEFAULTS: Mapping[str, str] = {
 """Defaults that no dataclass contains."""
 
 FILE_TEXTS: Mapping[str, str] = {
-    "pafot": "Version of the format, `2`.",
+    "pafot": "Version of the format, `3`.",
     "test": "Node id of the test; the folder decides which test replays the file.",
     "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. The "
     "kind `sumo` has `data`. Of a world that is code (`own`, or with `wrappers`) the replay uses the test's.",
@@ -113,10 +113,10 @@ FILE_TEXTS: Mapping[str, str] = {
     "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], also of NPCs that do not cross, at the start.",
     "scenario.gene_seconds": "Duration of a gene [s]; by default `10.0`.",
     "scenario.traffic": "[The style](../explanation/traffic.md); by default the paper's.",
-    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of the NPCs: names, or `{name, length, width, ...}`. NPCs "
-    "after the last are cars.",
-    "scenario.npcs": "A list of [instructions](scenarios.md) for each NPC: `{cell, speed}`, `{lane, speed}`, or one "
-    "`{zone, slot, speed, act}`. Speeds are in m/s.",
+    "scenario.vehicles": "[Vehicles](scenarios.md#vehicles) of NPCs that are no cars, by their names: a name, or "
+    "`{name, length, width, ...}`.",
+    "scenario.npcs": "By the names `NPC 0`, `NPC 1` ... the list of [instructions](scenarios.md) of each NPC: `{cell, "
+    "speed}`, with the name of a cell, `{lane, speed}`, or one `{zone, slot, speed, act}`. Speeds are in m/s.",
     "expect.failure": "Class of the exception; `ProcessCrash` if the process died or hung.",
     "expect.assertion": "The failing assertion, with `N` for each number; the name of a failed check; of another "
     "exception, its statement or first line.",
@@ -124,16 +124,16 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.time": "Of the event [s]: of the failed check, otherwise `event_time`.",
     "expect.check": "Of a failed check: `value`, `at_most`, `at_least`, `unit`.",
     "expect.situation": "The [situation](../explanation/findings.md#what-a-replay-means) shortly before the failure: "
-    "`npc`, `time` [s], `ahead` [m] (negative: behind), `lane` (from the ego's to the right), `ego_speed` and "
-    "`npc_speed` [m/s] (of a leader, its lowest from then on). Where ways meet, the times to the zone `npc_enters` and "
-    "`ego_enters` [s] replace `ahead` and `lane`.",
+    "`npc`, `time` [s], the `gap` between the bumpers [m] (negative side by side), the `place` of the NPC (`ahead` or "
+    "`behind`), `lanes_to_right` of the ego (negative: to the left), `ego_speed` and `npc_speed` [m/s] (of a leader, "
+    "its lowest from then on). Where ways meet, the times to the zone `npc_enters` and `ego_enters` [s] replace it.",
     "expect.takeover": "[The latest takeover](../explanation/findings.md#what-a-careful-driver-would-have-done) by a "
     "careful driver that avoids the collision [s before the impact]; `0.0` if none of the last 3 s does.",
     "expect.mistake": "[What the ego did wrong](../explanation/findings.md#what-makes-two-failures-the-same), for "
     "`entered-lane`.",
     "perception": "The arguments of [`pafot.Perception`](ads.md#imperfect-sight) that are no defaults.",
-    "original": "The scenario as first found, if shrinking has replaced it.",
     "shrunk.rollouts": "Runs that shrinking took.",
+    "shrunk.before": "The size of the scenario as first found, which shrinking has replaced.",
     "shrunk.is_minimal": "True if [all simpler candidates](../explanation/findings.md#how-a-finding-is-shrunk) were "
     "tried.",
     "rate": "How often [a policy that draws random numbers](../guide/random-policies.md) fails: `failing` of `runs`, "
@@ -141,7 +141,7 @@ FILE_TEXTS: Mapping[str, str] = {
     "flaky": "What differed when the scenario was run again. Remove the line when it repeats.",
     "xfail": "[Why you accept the failure](../guide/triage.md#accept-a-failure-for-a-while), and up to which day: "
     "`{reason: ..., until: 2027-01-31}`.",
-    "expect.closing_speed": "Of the collision [m/s]; only a label.",
+    "expect.closing_speed": "Of the collision [m/s].",
     "expect.against": "The reference that passed, such as `module:factory`.",
     "expect.npc, expect.cell": "At the collision, otherwise at the smallest time to contact; of a check, the NPC that "
     "it names.",
@@ -149,6 +149,9 @@ FILE_TEXTS: Mapping[str, str] = {
     "expect.traceback": "Of an ADS that raised, without addresses, process ids and temporary folders.",
     "found.seed": "Of the search; no value for `--pafot-seed`.",
     "found.generation": "Counted from 0.",
+    "found.policy": "Name of the policy, such as `planner:MyPlanner`; of a lambda, the class that it makes.",
+    "found.worst_closing_speed": "Of the worst run of that search that failed alike [m/s]. A run that is 1 m/s faster "
+    "[is not accepted](../guide/triage.md#accept-a-failure-for-a-while).",
     "found.versions": "Of the packages that the run depends on, and of the rules of verdicts.",
 }
 """Meanings of keys that no docstring explains for a reader of files, or only at length."""
@@ -159,7 +162,7 @@ RUN_INTERNALS = (
 )
 """Arguments of a run that only who makes a run gives, and what pages and summaries need; the Python API has them."""
 
-AT_THE_END = ("perception", "original", "shrunk", "rate", "flaky", "xfail")
+AT_THE_END = ("perception", "shrunk", "rate", "flaky", "test", "world", "xfail")
 """Keys of a file that follow the keys of dataclasses. All are optional."""
 
 
@@ -404,7 +407,6 @@ def _file_table() -> str:
 
 
 def _example() -> Finding:
-    as_found = (PositionInstruction(Cell.FRONT_LEFT, 24.3), PositionInstruction(Cell.FRONT, 7.8))
     cut_in = (PositionInstruction(Cell.FRONT_LEFT, 25.0), PositionInstruction(Cell.FRONT, 8.0))
     return Finding(
         id="cut-in-unanswered-1f3a9c",
@@ -423,12 +425,13 @@ def _example() -> Finding:
             responsibility="ego",
             fault="cut-in-unanswered",
         ),
-        original=Scenario(npcs=(as_found,), seed=7),
-        shrunk=Shrunk(rollouts=41),
+        shrunk=Shrunk(rollouts=41, before="4 NPCs, 60 instructions, 60 s, hostile traffic"),
         found=Found(
             seed=1234,
             generation=17,
             algorithm="pafot",
+            policy="planner:MyPlanner",
+            worst_closing_speed=13.9,
             versions={"pytest-pafot": "0.1.0", "highway-env": "1.12.1", "numpy": "2.4.6"},
         ),
     )

@@ -21,8 +21,6 @@ IN_SUCCESSION = 3
 """The number of takeovers in succession that must avoid a collision, so that none avoids it by luck."""
 AFTER = 4.0
 """The time after the recorded impact in which the careful driver must touch no vehicle [s]."""
-ALIKE = 0.5
-"""The largest difference between two numbers that are the same for a reader [s]."""
 
 LEEWAY = 2
 """The ticks for which a run lasts longer than it must, because a world may end it a tick earlier than asked."""
@@ -83,11 +81,6 @@ def sentence(seconds: float) -> str:
     if not seconds:
         return f"No careful driver who takes over in the last {WINDOW:g} s avoids it reliably."
     return f"A careful driver who takes over {seconds:g} s before the impact still avoids it."
-
-
-def is_alike(one: float | None, other: float | None) -> bool:
-    """Return whether two numbers that :func:`latest` has returned are the same for a reader, or one is unknown."""
-    return one is None or other is None or (bool(one) == bool(other) and abs(one - other) <= ALIKE)
 
 
 def _tick(trace: Trace, seconds: float) -> int:

@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, refusals
-from pytest_pafot.campaign.results import Driver, Examiner, Result, State, fingerprint, signature_of
+from pytest_pafot.campaign.results import Driver, Examiner, Result, State, fingerprint
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Here, LostRun
@@ -172,7 +172,7 @@ class Bench:
                     with self._recorded():
                         verdict = self.harness.judge(again)
                 self.record.clear()
-                if verdict is None or signature_of(again, verdict) == found:
+                if verdict is None or self.examiner.signature_of(again, verdict) == found:
                     run = again
                 if expected and fingerprint(again.trace) != expected:
                     differs = NOT_REPEATED

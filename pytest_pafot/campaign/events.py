@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 from pytest_pafot.corpus.layout import SEARCH_PART, name_without
 from pytest_pafot.findings.sighting import Seen
+from pytest_pafot.findings.verdict import Signature
 from pytest_pafot.searching.evaluation import Event
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.proportions import hits_more
@@ -135,8 +136,7 @@ class Search:
         no_interaction, reached: runs without interaction; share of instructions that were reached, null if unknown.
         finds: ids of its new findings.
         known: failing runs by id of the saved scenario with their failure.
-        unlike: up to three of these by that id, with what differs from the file.
-        failures: ids of findings by signature.
+        failures: the failures that it showed, each with the `id` of a finding, saved or new, and its `signature`.
         drawn: a line on the range of scenarios.
         against: the reference; empty without one.
         paired: `runs`, the number of random scenarios that both drove, at most `most`; `only_new` and `only_reference`,
@@ -162,8 +162,7 @@ class Search:
     reached: float | None = None
     finds: tuple[Seen, ...] = ()
     known: Mapping[str, int] = field(default_factory=dict)
-    unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    failures: Mapping[str, str] = field(default_factory=dict)
+    failures: tuple[tuple[str, Signature], ...] = ()
     drawn: str = ""
     against: str = ""
     paired: Paired | None = None
@@ -223,7 +222,7 @@ def concluded(replay: Seen, searches: Mapping[str, Search]) -> Seen:
     search, now = searches.get(replay.test), replay.observed
     if search is None or replay.label != "passes":
         return replay
-    if elsewhere := search.failures.get(replay.finding.signature.text, ""):
+    if elsewhere := next((id_ for id_, shown in search.failures if shown == replay.finding.signature), ""):
         return replace(replay, observed=replace(now, elsewhere=elsewhere))
     drawn = min(search.random["runs"], search.tested)
     return replace(replay, observed=replace(now, searched=search.tested, drawn=drawn))

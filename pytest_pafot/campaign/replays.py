@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from pytest_pafot.campaign.harness import (
     refusals,
 )
 from pytest_pafot.campaign.request import AgainstError, build_space
-from pytest_pafot.campaign.results import UNJUDGED
+from pytest_pafot.campaign.results import UNJUDGED, Accepted
 from pytest_pafot.corpus.reader import Saved, located
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import (
@@ -83,8 +84,11 @@ class Replays:
     harness: Harness
     today: date | None = None  # the day for which failures are accepted; None if nothing is accepted
 
-    def shown_by(self, saved: Iterable[Saved]) -> dict[Signature, str]:
+    def shown_by(self, saved: Iterable[Saved]) -> tuple[dict[Signature, str], Accepted]:
         """Replay saved scenarios; return the *known* failures, each with the id of the first file that shows it.
+
+        Also return for each how fast a collision is that its files accept. It is infinite if one of them is not
+        accepted, and so fails its item.
 
         A saved scenario, accepted or not, covers the failure that it shows now, even if it was saved for another
         failure. If it passes, also when it is driven on, it covers nothing. So for each known failure there is an item
@@ -94,23 +98,40 @@ class Replays:
         chance.
         """
         known: dict[Signature, str] = {}
+        accepted: Accepted = {}
+
+        def cover(signature: Signature, id_: str, most: float) -> None:
+            known.setdefault(signature, id_)
+            accepted[signature] = max(accepted.get(signature, (0.0, "")), (most, id_))
+
         for each in saved:
             owner, finding = self.harness.saved_node_id(each.id), each.finding
             if finding is not None and finding.flaky is not None and self.accepts(finding):
-                known.setdefault(finding.signature, each.id)
+                cover(finding.signature, each.id, finding.worst_known)
             with suppress(RequestError):
-                world = self.world_of(each)
-                now = self._driven(each, world, owner)
+                world, finding = self.world_of(each), _finding(each)
+                now = self._accepted(finding, self._driven(each, world, owner))
                 shown = _signature(now)
                 # The reference is driven on if the ADS was. Otherwise it is judged as in a search.
-                sought = partial(is_same_failure, _finding(each)) if now.is_later else None
+                sought = partial(is_same_failure, finding) if now.is_later else None
                 if shown is not None and self._compared(each, world, owner, now, sought).reference_passes is not False:
-                    known.setdefault(shown, each.id)
-        return known
+                    cover(shown, each.id, finding.worst_known if now.is_accepted else math.inf)
+        return known, accepted
 
     def accepts(self, finding: Finding) -> bool:
         """Return whether the failure of a file is accepted today."""
         return self.today is not None and finding.is_accepted(self.today)
+
+    def _accepted(self, finding: Finding, now: Observed) -> Observed:
+        """Return a replay with whether its file accepts the failure, or how the failure goes beyond that."""
+        if not self.accepts(finding):
+            return now
+        died = now.verdict.exception if now.verdict is not None else None
+        beyond = f"a process that {died.end}" if isinstance(died, ProcessLostError) and not now.is_same else ""
+        if now.run is not None and now.verdict is not None and now.verdict.failure is not None:
+            same_versions = not self.version_changes(finding)
+            beyond = beyond_acceptance(finding, now.run, now.verdict.failure, same_versions=same_versions)
+        return replace(now, is_accepted=not beyond, beyond=beyond)
 
     def still_fails(self, saved: Saved) -> bool:
         """Return whether a process still dies in a saved scenario, even if the reference's process dies as well."""
@@ -363,14 +384,7 @@ class Replays:
         """
         __tracebackhide__ = True
         finding, world = _finding(saved), self.world_of(saved)
-        now = self._driven(saved, world, owner)
-        if self.accepts(finding):
-            died = now.verdict.exception if now.verdict is not None else None
-            beyond = f"a process that {died.end}" if isinstance(died, ProcessLostError) and not now.is_same else ""
-            if now.run is not None and now.verdict is not None and now.verdict.failure is not None:
-                same_versions = not self.version_changes(finding)
-                beyond = beyond_acceptance(finding, now.run, now.verdict.failure, same_versions=same_versions)
-            now = replace(now, is_accepted=not beyond, beyond=beyond)
+        now = self._accepted(finding, self._driven(saved, world, owner))
         if now.is_unsteady or (now.verdict is not None and now.verdict.discarded):
             return now
         sought: Sought | None = partial(is_same_failure, finding)

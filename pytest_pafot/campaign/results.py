@@ -7,6 +7,7 @@ The process that drives a scenario judges the run as well, and keeps its trace, 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import dataclass, field, fields, replace
@@ -16,7 +17,7 @@ from typing import Any, Literal, Self
 from pytest_pafot.campaign.harness import Cause, Harness, cause_of, headline, unit_doubt
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
-from pytest_pafot.findings.finding import Finding, Found, Manner, failed_as
+from pytest_pafot.findings.finding import Finding, Found, is_faster, of_failure, speed_of
 from pytest_pafot.findings.sighting import Alike, worse
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -25,12 +26,16 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.evaluation import CampaignFinished, Evaluation, Health
 from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
+from pytest_pafot.support.references import policy_name
 from pytest_pafot.support.text import plural
 from pytest_pafot.world import codec
 
 FAILING = ("failed", "common")
 """The kinds of verdicts on runs that failed, including failures that do not count for some reason."""
 Fails = Literal["", "ego", "check", "otherwise"]
+
+Accepted = dict[Signature, tuple[float, str]]
+"""For each known failure the closing speed up to which it is accepted [m/s], and the id of the file that says so."""
 
 UNJUDGED = ("npc", "invalid")
 """The kinds of verdicts on runs for which the test function was not called."""
@@ -57,6 +62,10 @@ class Failed:
     fingerprint: str
     drew: bool
 
+    def found_in(self, generation: int) -> Finding:
+        """Return the content of its file, with the number of the generation, which is counted from 0."""
+        return replace(self.finding, found=replace(self.finding.found, generation=generation))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
@@ -70,7 +79,6 @@ class Result:
         fails: how the run failed, also if that does not count: by a collision for which the ego is responsible, alone
             or with the NPC, by a check, or otherwise; empty if it passed.
         decisions: the number of decisions of the ADS.
-        manner: how a failure that counts came about; None if nothing failed.
         severity: the severity of a failure; None if nothing measures it.
         failed: a failure that counts, if it is not known; otherwise None.
         cause: the cause of a failure that can be a fault of the set-up; otherwise None.
@@ -85,7 +93,6 @@ class Result:
     responsible: str | None = None
     fails: Fails = ""
     decisions: int = 0
-    manner: Manner | None = None
     severity: Severity | None = None
     failed: Failed | None = None
     cause: Cause | None = None
@@ -103,7 +110,7 @@ class Result:
         if reference.passes:
             return replace(self, broken=broken)
         evaluation = replace(self.evaluation, failing=False, kind=None)
-        return replace(self, evaluation=evaluation, kind="common", failed=None, manner=None, broken=broken)
+        return replace(self, evaluation=evaluation, kind="common", failed=None, broken=broken)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,28 +122,28 @@ class Examiner:
         fitness: the fitness of a run.
         seed: the seed of the search.
         note: returns what a table of runs needs of a run, which becomes the note of its evaluation; None without table.
+        accepted: the failures that saved scenarios show.
     """
 
     harness: Harness
     fitness: Callable[[Run], float]
     seed: int
     note: Callable[[Run, Verdict], Mapping[str, Any]] | None = None
+    accepted: Accepted = field(default_factory=dict)
 
     def __call__(self, trace: Trace, known: Collection[Signature] = ()) -> Result:
         """Judge a run, and return what is left of it; of ``known`` failures nothing is left but their signature."""
         __tracebackhide__ = True
         run = self.harness.run_of(trace)
         verdict = self.harness.judge(run)
-        signature = manner = failed = None
+        failed, signature = None, self.signature_of(run, verdict)
         fails: Fails = ""
         if verdict.kind in FAILING:
             # An ADS that raised or hung has failed by itself, even if a collision followed.
             fails = "check" if verdict.is_check else "otherwise"
             fails = fails if verdict.is_ads or run.responsibility not in ("ego", "both") else "ego"
-        if verdict.failed and verdict.failure is not None:
-            signature, manner = failed_as(run, verdict.failure)
-            if signature not in known:
-                failed = self._failed(run, verdict.failure, signature, verdict)
+        if signature is not None and signature not in known and verdict.failure is not None:
+            failed = self._failed(run, verdict.failure, signature, verdict)
         evaluation = Evaluation.of(
             trace,
             fitness=self.fitness(run),
@@ -153,13 +160,23 @@ class Examiner:
             responsible=run.responsibility,
             fails=fails,
             decisions=len(trace.actions),
-            manner=manner,
             severity=verdict.severity,
             failed=failed,
             cause=cause_of(run, verdict),
             caught=tuple({each.name for each in verdict.checks if not each.holds}) if verdict.kind == "passed" else (),
             doubt=unit_doubt(trace),
         )
+
+    def signature_of(self, run: Run, verdict: Verdict) -> Signature | None:
+        """Return the signature of a failure that counts; None if there is none."""
+        if not verdict.failed or verdict.failure is None:
+            return None
+        return self.beside_accepted(of_failure(run, verdict.failure), verdict.severity)
+
+    def beside_accepted(self, signature: Signature, severity: Severity | None) -> Signature:
+        """Return the signature of a failure, which is another one if it is worse than what is accepted."""
+        most, id_ = self.accepted.get(signature, (math.inf, ""))
+        return replace(signature, worse_than=id_) if is_faster(severity, most) else signature
 
     def _failed(self, run: Run, failure: Failure, signature: Signature, verdict: Verdict) -> Failed:
         harness = self.harness
@@ -168,7 +185,7 @@ class Examiner:
             failure,
             test=harness.node_id,
             world=codec.described(harness.world),
-            found=found_by(harness, self.seed),
+            found=replace(found_by(harness, self.seed), worst_closing_speed=speed_of(verdict.severity)),
             perception=harness.policy.sight,
             against="" if harness.against is None else harness.against.name,
             root=str(harness.root),
@@ -186,18 +203,14 @@ class Examiner:
 def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = "") -> Found:
     """Return the origin of a finding of a search, or of what ``algorithm`` names instead."""
     algorithm = algorithm or harness.request.algorithm.name
-    return Found(seed=seed, generation=generation, algorithm=algorithm, versions=harness.versions)
+    policy = policy_name(harness.policy.factory)
+    return Found(seed=seed, generation=generation, algorithm=algorithm, policy=policy, versions=harness.versions)
 
 
 def fingerprint(trace: Trace) -> str:
     """Return a digest of how a run went to its last bit, and how it ended."""
     shape = f"{trace.outcome} {trace.states.shape} ".encode()
     return hashlib.sha256(shape + trace.states.tobytes()).hexdigest()
-
-
-def signature_of(run: Run, verdict: Verdict) -> Signature | None:
-    """Return the signature of a failure that counts; None if there is none."""
-    return failed_as(run, verdict.failure)[0] if verdict.failed and verdict.failure is not None else None
 
 
 def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:
@@ -232,7 +245,6 @@ class Counts:
             or ``none``; each adds up to the number of runs.
         fails: numbers of those runs that say something about the ego, by how they failed, see :class:`Result`.
         failures: all runs with each failure that counts.
-        manners: the id of the first scenario for each manner of each failure.
         causes: numbers of runs by the cause of what may be a fault of the set-up.
         caught: numbers of passed runs by the names of checks that failed in them.
         decisions: the number of decisions of the ADS.
@@ -246,7 +258,6 @@ class Counts:
     responsibilities: Counter[str] = field(default_factory=Counter)
     fails: Counter[str] = field(default_factory=Counter)
     failures: dict[Signature, Alike] = field(default_factory=dict)
-    manners: dict[tuple[Signature, Manner], str] = field(default_factory=dict)
     causes: Counter[Cause] = field(default_factory=Counter)
     caught: Counter[str] = field(default_factory=Counter)
     decisions: int = 0
@@ -276,8 +287,6 @@ class Counts:
             counts.fails[result.fails] = 1
         if isinstance(evaluation.kind, Signature):
             counts.failures[evaluation.kind] = Alike(runs=1, number=number, severity=result.severity)
-            if result.manner is not None:
-                counts.manners[evaluation.kind, result.manner] = evaluation.executed.id
         if result.cause is not None:
             counts.causes[result.cause] = 1
         counts.caught.update(result.caught)
@@ -293,8 +302,6 @@ class Counts:
             known = self.failures.get(signature)
             runs = more.runs + (0 if known is None else known.runs)
             self.failures[signature] = replace(more if known is None else worse(known, more), runs=runs)
-        for each, id_ in other.manners.items():
-            self.manners.setdefault(each, id_)
         self.decisions += other.decisions
         self.health += other.health
         self.doubt = self.doubt or other.doubt

@@ -38,7 +38,6 @@ from pytest_pafot.corpus.reader import Saved, saved_in
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import forks, judged_apart, runner_for
-from pytest_pafot.findings.finding import Manner
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.model.sight import Sight
@@ -60,9 +59,6 @@ from pytest_pafot.world.guard.own_worlds import base_world
 
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to find their moments."""
-
-MAX_UNLIKE = 3
-"""The largest number of scenarios that are named because they fail like a saved scenario in another manner."""
 
 AFTER_A_DEATH = f"ran as with {flag('isolate')}, since a process died in this search before"
 
@@ -282,7 +278,6 @@ class SearchSession:
     driver_notes: list[str] = field(default_factory=list)  # notes on drivers of the world that failed
     process_notes: list[str] = field(default_factory=list)  # notes on processes for the summary
     _worse: MadeWorse | None = field(init=False, default=None)  # of a search with findings and a reference
-    _manners: dict[str, Manner] = field(init=False, default_factory=dict)  # of the saved scenarios, by id
 
     @property
     def state(self) -> State:
@@ -352,6 +347,7 @@ class SearchSession:
             # All findings are reported before shrinking, which takes long and may be cut.
             self._settle(reason)
             yield from self._events(store.release())
+            yield from self._events(store.note_worst(state))
             # With a reference, the findings that do not show that the policy became worse are not even shrunk.
             if harness.against is not None and state.space is not None and store.count:
                 now = state.clock()
@@ -509,8 +505,8 @@ class SearchSession:
         until = began + (self.limit - began) * (1 - FOR_SIMPLIFYING)
         try:
             with runs_end_in(self.bench.refining_end - clock()):
-                state.shown = self.replays.shown_by(saved)  # Their failures are not new.
-                self._manners = {each.id: Manner.of(each.finding.expect) for each in saved if each.finding is not None}
+                state.shown, accepted = self.replays.shown_by(saved)  # Their failures are not new.
+                self.bench.examiner.accepted.update(accepted)
         except OutOfTime:  # It is unknown what is known, so nothing could be called new.
             return Ending.MAX_TIME
         watch.begin(until)
@@ -591,33 +587,23 @@ class SearchSession:
             reached=health.reached_share,
             finds=tuple(replace(each, alike=state.alike(each.id)) for each in self.store.findings.values()),
             known=dict(state.covered),
-            unlike=self._unlike(),
-            failures={signature.text: id_ for signature, id_ in state.failures.items()},
+            failures=tuple((id_, signature) for signature, id_ in state.failures.items()),
             drawn="" if self.state.space is None else self.state.space.described,
             against=self.harness.against_name,
             paired=None if self._worse is None else self._worse.paired,
             no_worse=self.store.dismissed,
             warnings=state.warnings(self.harness) if reason in WITH_WARNINGS else (),
-            notes=(*self.driver_notes, *filter(None, notes), *cut, *self._left_undone(reason)),
+            notes=(*self.driver_notes, *filter(None, notes), *self._worse_notes(), *cut, *self._left_undone(reason)),
             seconds=state.seconds,
             process_notes=tuple(self.process_notes),
         )
 
-    def _unlike(self) -> dict[str, tuple[str, ...]]:
-        """Return for saved scenarios up to three scenarios that fail like them, but came about in another manner.
-
-        Those that differ most are first, then those that came first.
-        """
-        found: dict[str, tuple[str, ...]] = {}
-        for signature, id_ in self.state.shown.items():
-            own = self._manners.get(id_)
-            if own is None:
-                continue
-            manners = [(each[1], seen) for each, seen in self.state.counts.manners.items() if each[0] == signature]
-            unlike = [(differs, seen) for manner, seen in manners if (differs := manner.unlike(own))]
-            unlike.sort(key=lambda pair: -len(pair[0]))
-            found[id_] = tuple(f"{each} ({'; '.join(differs)})" for differs, each in unlike[:MAX_UNLIKE])
-        return {id_: told for id_, told in sorted(found.items()) if told}
+    def _worse_notes(self) -> Iterator[str]:
+        """Yield notes on the findings that are new because they are worse than what was accepted."""
+        for signature, id_ in self.state.finds.items():
+            if signature.worse_than is not None:
+                most, known = self.bench.examiner.accepted[replace(signature, worse_than=None)]
+                yield f"{id_} is worse than saved-{known}: no run hit faster than {most:.1f} m/s when it was accepted"
 
     @property
     def _without_effect(self) -> str:

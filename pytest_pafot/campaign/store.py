@@ -12,14 +12,14 @@ from typing import Any
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import SearchEvent
 from pytest_pafot.campaign.harness import Harness, PlainFailure
-from pytest_pafot.campaign.results import Counts, Failed, Result, State, found_by, lost
+from pytest_pafot.campaign.results import Counts, Result, State, found_by, lost
 from pytest_pafot.corpus.layout import SUFFIX, relative
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.execution.crash_records import Leftover
 from pytest_pafot.execution.pool import OUT_OF_MEMORY, WORLD_HANGS
 from pytest_pafot.execution.runner import LostRun, expectation
-from pytest_pafot.findings.finding import Expect, Finding, Found, portable
+from pytest_pafot.findings.finding import Expect, Finding, Found, portable, speed_of
 from pytest_pafot.findings.sighting import Observed, Seen
 from pytest_pafot.findings.verdict import PROCESS_CRASH, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
@@ -76,8 +76,10 @@ class Store:
 
         ``generation`` is counted from 0.
         """
-        finding, failed = self._finding(result, generation)
-        self._forget_early(finding)
+        failed = result.failed
+        assert failed is not None  # noqa: S101  (the failure is new)
+        finding = failed.found_in(generation)
+        self._forget_early(finding, failed.signature)
         if self.only_counts:
             return finding.id
         with postponed():  # Whatever interrupts the search from here on, it ends with a report of what is held.
@@ -98,20 +100,20 @@ class Store:
 
     def add_early(self, result: Result, number: int, known: Collection[Signature]) -> None:
         """Save a failure that is not known and not counted yet, so that it is not lost if the session is killed."""
-        finding, _ = self._finding(result, number)
-        signature, saved = finding.signature, None
-        if signature in known or signature in self.early:
+        failed, saved = result.failed, None
+        if failed is None or failed.signature in known or failed.signature in self.early:
             return
+        finding = failed.found_in(number)
         with postponed():  # A file that an interrupt leaves unnoted would be in no report.
             if self.harness.request.settings.save != "none":
                 path, finding = free_path(self.harness.folder, finding, self.replayed)
                 with suppress(CorpusWriteError):  # which is reported in its turn
                     saved = path if write(path, finding) else None
-            self.early[signature] = saved, result, number
+            self.early[failed.signature] = saved, result, number
 
-    def _forget_early(self, finding: Finding) -> None:
+    def _forget_early(self, finding: Finding, signature: Signature) -> None:
         """Remove what was saved before its turn if a failure of its kind has come before it."""
-        path, *_ = self.early.pop(finding.signature, (None,))
+        path, *_ = self.early.pop(signature, (None,))
         if path is not None and path != free_path(self.harness.folder, finding, self.replayed)[0]:
             _remove_early(path)
 
@@ -132,11 +134,6 @@ class Store:
             elif path is not None:
                 _remove_early(path)
         self.early.clear()
-
-    def _finding(self, result: Result, generation: int) -> tuple[Finding, Failed]:
-        assert result.failed is not None  # noqa: S101  (the failure is new)
-        found = replace(result.failed.finding.found, generation=generation)
-        return replace(result.failed.finding, found=found), result.failed
 
     def release(self) -> Iterator[Seen]:
         """Yield the findings that were held back; from now on, each new finding is to be reported at once."""
@@ -214,6 +211,14 @@ class Store:
         except CorpusWriteError as error:
             return replace(sighting, detail=f"is as it was before: {error}")
 
+    def note_worst(self, state: State) -> Iterator[Seen]:
+        """Write into the files how fast the worst runs were that failed like their findings, and yield these."""
+        for sighting in [*self.findings.values()]:
+            found, worst = sighting.finding.found, speed_of(state.alike(sighting.id).severity)
+            if worst is not None and worst > (found.worst_closing_speed or 0.0):
+                noted = replace(sighting.finding, found=replace(found, worst_closing_speed=worst))
+                yield from self.publish(self.rewritten(replace(sighting, finding=noted)))
+
     def file_of(self, sighting: Seen) -> Path:
         """Return the file of a finding that has one."""
         return self.harness.folder / f"{sighting.id}{SUFFIX}"
@@ -244,7 +249,7 @@ class Store:
         text = f"the {lost.who} that ran this scenario {lost.end}{again}: "
         text += cause(lost, f"{flag('workers', 1)} finds nothing here; delete the file")
         finding = self._death(lost.task, expectation(lost), found_by(self.harness, self.seed, generation), None)
-        self._forget_early(finding)
+        self._forget_early(finding, finding.signature)
         with postponed():
             died = Verdict(kind="failed", exception=PlainFailure(text))
             return self._held(self._saved(finding, _headline(lost), died))

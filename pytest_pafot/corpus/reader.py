@@ -1,6 +1,6 @@
 """The reading of corpus files: a strictly checked finding, or an error with line, field and remedy.
 
-Version 2 stores the whole world, so a later change of a default does not change a saved scenario. Keys that are added
+A file stores the whole world, so a later change of a default does not change a saved scenario. Keys that are added
 later are optional, and a file without them keeps its meaning. docs/reference/corpus-files.md describes the format.
 
 A file is untrusted input: plain data with line numbers, and no other feature of YAML. Aliases, anchors, tags, merge
@@ -41,16 +41,16 @@ from pytest_pafot.findings.finding import (
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.situation import ZoneSituation
 from pytest_pafot.findings.verdict import ZONES
-from pytest_pafot.model.instructions import Cell, CrossingInstruction, Instruction, LaneInstruction, PositionInstruction
+from pytest_pafot.model.instructions import KINDS, Cell, Instruction, PositionInstruction
 from pytest_pafot.model.scenario import REPAIR, Chromosome, Scenario
 from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.model.vehicle_type import PAPERS, READY, STYLES, VehicleType
+from pytest_pafot.model.vehicle_type import CAR, PAPERS, READY, STYLES, VehicleType
 from pytest_pafot.support.errors import RESTORE, CorpusError, FieldError, command, plain_number, plain_whole
 from pytest_pafot.support.files import LFS_POINTER, open_regular
 from pytest_pafot.support.text import day_of, visible
 
-VERSION = 2
+VERSION = 3
 """The version of the format that is written. No other version can be read."""
 
 MAX_BYTES = 256 * 1024
@@ -246,7 +246,7 @@ def parse(path: Path, content: bytes, base: type[Any] | None = None) -> Field:
     version = top.at("pafot")
     is_whole = isinstance(version.value, int) and not isinstance(version.value, bool)
     if not is_whole or version.value != VERSION:
-        fix = f"install the pytest-pafot that wrote it; this one reads version {VERSION}"
+        fix = f"install the pytest-pafot that wrote it, or delete it and search again; this one reads version {VERSION}"
         # Without a version, this may be some other file with a secret under that key, so its value is not printed.
         raise version.error(f"the format version {VERSION}", fix, None if is_whole else "no whole number")
     return top
@@ -371,8 +371,8 @@ DEFAULT_GENE_SECONDS = 10.0
 """The duration of a gene in a file that does not give it [s]. It stays, whatever the default of a scenario becomes."""
 
 FILE = Keys(
-    ("pafot", "test", "world", "scenario", "expect", "found"),
-    ("perception", "original", "shrunk", "rate", "flaky", "xfail"),
+    ("pafot", "scenario", "expect", "found", "test", "world"),
+    ("perception", "shrunk", "rate", "flaky", "xfail"),
 )
 
 _BUILT_IN = ("clearance", "headway", "limits", "hang_limit")
@@ -389,12 +389,7 @@ LIMITS = Keys(("acceleration", "braking", "jerk", "lateral_acceleration", "overs
 """The keys of ``limits`` in a world."""
 
 SCENARIO = Keys(("seed", "ego", "npcs"), ("gene_seconds", "traffic", "vehicles"))
-"""The keys of ``scenario`` and ``original``. ``npcs`` holds a list of genes for each NPC."""
-
-TARGETS: Mapping[str, type[Instruction]] = MappingProxyType(
-    {"cell": PositionInstruction, "lane": LaneInstruction, "zone": CrossingInstruction}
-)
-"""The kinds of instructions by the key of their target."""
+"""The keys of ``scenario``. ``npcs`` holds a list of genes for each NPC by its name, ``NPC 0`` and so on."""
 
 EGO = Keys(("lane", "speed"))
 REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
@@ -404,7 +399,8 @@ REQUIRED: Mapping[type, tuple[str, ...]] = MappingProxyType(
 required, too, and any other field may be left out."""
 
 SIGNED = frozenset({
-    "slot", "value", "at_most", "at_least", "ahead", "lane", "npc_enters", "ego_enters", "ego_speed", "npc_speed",
+    "slot", "value", "at_most", "at_least", "gap", "lanes_to_right", "npc_enters", "ego_enters", "ego_speed",
+    "npc_speed",
 })  # fmt: skip
 """The fields of dataclasses whose numbers may be negative."""
 
@@ -417,12 +413,13 @@ Read = Callable[[Field], Any]
 T = TypeVar("T")
 
 types_of = cache(get_type_hints)
+CELLS: Mapping[str, Cell] = MappingProxyType({cell.label: cell for cell in Cell})
 _OUTCOMES = tuple(str(outcome) for outcome in Outcome if outcome is not Outcome.INVALID)
 _SIMPLE: Mapping[Any, Read] = MappingProxyType(
     {
         str: Field.text,
         bool: Field.truth,
-        Cell: lambda field: Cell(field.whole(1, 8)),
+        Cell: lambda field: CELLS[field.choice(CELLS)],
         Outcome: lambda field: Outcome(field.choice(_OUTCOMES)),
     }
 )
@@ -467,7 +464,6 @@ def parsed(path: Path, content: bytes, loader: type[Any] | None = None) -> Findi
         expect=_expect(fields["expect"], npc),
         found=_record(fields["found"], Found),
         perception=_given(fields, "perception", _perceived),
-        original=_given(fields, "original", _scenario),
         shrunk=_given(fields, "shrunk", lambda field: _record(field, Shrunk)),
         rate=_given(fields, "rate", _rate),
         flaky=_given(fields, "flaky", lambda field: field.some_text("say what differed, or remove the line")),
@@ -629,7 +625,7 @@ def _value(field: Field, kind: Any, own: Mapping[str, Read]) -> Any:
 def _kind_of(field: Field) -> type[Instruction]:
     """Return the kind of instruction that a mapping holds, by its target."""
     keys = field.any_mapping()
-    kind = next((kind for target, kind in TARGETS.items() if target in keys), PositionInstruction)
+    kind = next((kind for kind in KINDS if kind.goal_kind in keys), PositionInstruction)
     if not keys.keys() <= {*_keys_of(kind).all}:
         field.mapping(Keys((), _keys_of(kind).all), f"these are the keys of a {kind.__name__}")
     return kind
@@ -638,14 +634,17 @@ def _kind_of(field: Field) -> type[Instruction]:
 def _scenario(field: Field) -> Scenario:
     fields = field.mapping(SCENARIO)
     ego = fields.pop("ego").mapping(EGO)
+    names = tuple(f"NPC {npc}" for npc in range(len(fields["npcs"].any_mapping())))
+    npcs = fields["npcs"].mapping(Keys(names))
+    vehicles = fields["vehicles"].mapping(Keys((), names)) if "vehicles" in fields else {}
     values = {
-        "npcs": _value(fields["npcs"], tuple[Chromosome, ...], {}),
+        "npcs": tuple(_value(npcs[name], Chromosome, {}) for name in names),
         "seed": fields["seed"].whole(),
         "ego_lane": ego["lane"].whole(),
         "ego_speed": ego["speed"].number(),
         "gene_seconds": _given(fields, "gene_seconds", Field.number, DEFAULT_GENE_SECONDS),
         "traffic": _given(fields, "traffic", lambda inner: inner.choice(tuple(STYLES)), PAPERS),
-        "vehicles": _given(fields, "vehicles", lambda inner: tuple(map(_vehicle, inner.items())), ()),
+        "vehicles": tuple(_given(vehicles, name, _vehicle, CAR) for name in names),
     }
     return _made(field, Scenario, values)
 
@@ -664,6 +663,7 @@ def _rule_broken(field: Field, error: Exception) -> CorpusError:
     if not isinstance(error, FieldError) or not error.expected:
         return field.error(f"a {field.name} that can run", "correct it, or delete the file", str(error)[:MAX_RECEIVED])
     key, *others = re.findall(r"\w+", error.field.removeprefix(f"{field.place[-1]}.")) or [""]
+    others[:1] = [f"NPC {npc}" if key in ("npcs", "vehicles") else npc for npc in others[:1]]
     inner = [*_SCENARIO_FIELDS.get(key, (key,)), *(int(part) if part.isdigit() else part for part in others)]
     place = field
     for part in inner:
@@ -683,14 +683,7 @@ def _has(value: object, part: str | int) -> bool:
     return isinstance(value, dict) and part in value
 
 
-FORMER = ("reference_drivers", "avoided_by")
-"""The keys of ``expect`` that earlier versions have written, and that are ignored."""
-
-
 def _expect(field: Field, npc: Read) -> Expect:
-    if isinstance(field.value, dict):
-        value = {key: value for key, value in field.value.items() if key not in FORMER}
-        field = Field(field.path, field.lines, field.place, value)
     fields = field.mapping(_keys_of(Expect))
     if fields["outcome"].choice(_OUTCOMES) == Outcome.COLLISION:
         # An NPC that crosses hits the ego in a zone, off the ego's way; every other NPC is in a cell.

@@ -18,8 +18,9 @@ import yaml
 from pytest_pafot.corpus.layout import SUFFIX
 from pytest_pafot.corpus.reader import DEFAULT_GENE_SECONDS, MAX_BYTES, VERSION, load
 from pytest_pafot.findings.finding import Expect, Finding
+from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.vehicle_type import PAPERS
+from pytest_pafot.model.vehicle_type import CAR, PAPERS
 from pytest_pafot.support.errors import CorpusError, flag
 from pytest_pafot.support.files import way_out, write_if_free, write_whole
 
@@ -77,34 +78,32 @@ def free_path(folder: Path, finding: Finding, passed: Collection[Path] = ()) -> 
     """Return the path for a new finding, and the finding with the id of that path.
 
     If a file already holds this finding, shrunk or not, its path is returned, and :func:`write` leaves the file
-    unchanged. If a file with the finding's id as its name holds a different scenario or failure, ``-2``, ``-3`` ...
-    is appended to the id. This is necessary if the failure in a file was replaced by a different failure under the same
-    file name, and the first failure is found again. ``passed`` are files whose replays do not show a failure. If such a
-    file was shrunk from the new finding's scenario, it stays as a guard, and the finding is written into a new file.
+    unchanged. If a file with the finding's id as its name holds a different failure, ``-2``, ``-3`` ... is appended to
+    the id. This is necessary if the failure in a file was replaced by a different failure under the same file name, and
+    the first failure is found again. ``passed`` are files whose replays do not show the finding. If such a file has
+    another scenario, such as a shrunk one, it stays as a guard, and the finding is written into a new file.
     """
     number = 1
     while True:
         name = finding.id if number == 1 else f"{finding.id}-{number}"
         path = folder / f"{name}{SUFFIX}"
-        if not os.path.lexists(path) or _holds(path, finding, shrunk=path not in passed):
+        if not os.path.lexists(path) or _holds(path, finding, is_guard=path in passed):
             return path, replace(finding, id=name)
         number += 1
 
 
-def _holds(path: Path, finding: Finding, *, shrunk: bool) -> bool:
-    """Return whether a file holds a finding, or, with ``shrunk``, a scenario that was shrunk from the finding."""
+def _holds(path: Path, finding: Finding, *, is_guard: bool) -> bool:
+    """Return whether a file of a finding's name, which has the id of its scenario as found, holds the finding."""
     try:
         saved = load(path)
     except CorpusError:
         return False
-    is_same = finding.scenario == saved.scenario or (shrunk and finding.scenario == saved.original)
-    return is_same and saved.signature == finding.signature
+    return saved.signature == finding.signature and not (is_guard and saved.scenario != finding.scenario)
 
 
 # The text.
 
 WIDTH = 120
-COMMENT_COLUMN = 34
 
 _SAFE = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-/()<>=*' ")
 _BEGINS = re.compile(r"[A-Za-z_]|\d+\.\d+\.\d")  # a word, or the number of a version
@@ -121,17 +120,16 @@ def text_of(finding: Finding) -> str:
         xfail = f"xfail: {{reason: {_quoted(finding.xfail)}, until: {finding.xfail_until}}}"
     rate = finding.rate
     lines = [
-        f"{f'pafot: {VERSION}':30}# format version",
-        f"test: {test}",
-        *_filled("world: ", finding.world),
-        *scenario_lines("scenario", finding.scenario),
+        f"pafot: {VERSION}",
+        *_scenario_lines(finding.scenario),
         *_expect_lines(finding.expect),
-        *_filled("found: ", asdict(finding.found)),
+        *_filled("found: ", {name: value for name, value in asdict(finding.found).items() if value is not None}),
         *([] if finding.perception is None else _filled("perception: ", finding.perception.imperfections)),
-        *([] if finding.original is None else scenario_lines("original", finding.original)),
         *([] if finding.shrunk is None else _filled("shrunk: ", _known(asdict(finding.shrunk)))),
         *([] if rate is None else [f"rate: {{failing: {rate.failing}, runs: {rate.runs}}}"]),
         *([] if finding.flaky is None else [f"flaky: {_quoted(finding.flaky)}"]),
+        f"test: {test}",
+        *_filled("world: ", finding.world),
         xfail,
     ]
     return "\n".join(lines) + "\n"
@@ -142,22 +140,27 @@ def _known(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value not in (None, "")}
 
 
-def scenario_lines(key: str, scenario: Scenario) -> Iterator[str]:
-    """Yield the lines of a scenario in a file."""
-    yield f"{key}:"
-    yield f"  seed: {scenario.seed}"
-    yield f"  ego: {{lane: {scenario.ego_lane}, speed: {_number(scenario.ego_speed)}}}"
+def named(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario as plain data in which everything has its name, as files and results contain it."""
+    fields: dict[str, Any] = {"seed": scenario.seed, "ego": {"lane": scenario.ego_lane, "speed": scenario.ego_speed}}
     if scenario.gene_seconds != DEFAULT_GENE_SECONDS:
-        yield f"  gene_seconds: {_number(scenario.gene_seconds)}"
+        fields["gene_seconds"] = scenario.gene_seconds
     if scenario.traffic != PAPERS:
-        yield f"  traffic: {scenario.traffic}"
-    if scenario.vehicles:
-        yield from _filled("  vehicles: ", [each.plain() for each in scenario.vehicles])
+        fields["traffic"] = scenario.traffic
+    vehicles = {f"NPC {npc}": each.plain() for npc, each in enumerate(scenario.vehicles) if each != CAR}
+    chains = {f"NPC {npc}": [each.in_file() for each in chain] for npc, chain in enumerate(scenario.npcs)}
+    return fields | ({"vehicles": vehicles} if vehicles else {}) | {"npcs": chains}
+
+
+def _scenario_lines(scenario: Scenario) -> Iterator[str]:
+    fields = named(scenario)
+    npcs = fields.pop("npcs")
+    yield "scenario:"
+    for name, value in fields.items():
+        yield from _filled(f"  {name}: ", value) if isinstance(value, dict) else [f"  {name}: {_flow(value)}"]
     yield "  npcs:"
-    for chain in scenario.npcs:
-        for gene, each in enumerate(chain):
-            entry = f"{'    - - ' if gene == 0 else '      - '}{_flow(each.in_file())}"
-            yield f"{entry:{COMMENT_COLUMN}}# {each.remark}" if each.remark else entry
+    for name, chain in npcs.items():
+        yield from _filled(f"    {name}: ", chain)
 
 
 def _expect_lines(expect: Expect) -> Iterator[str]:
@@ -238,6 +241,8 @@ def _scalar(value: object) -> str:
         return "null"
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, Cell):
+        return value.label
     if isinstance(value, int):
         return str(int(value))
     if isinstance(value, float):

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from itertools import islice
 from types import MappingProxyType, TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +27,10 @@ from pytest_pafot.findings.verdict import (
     CHECK_FAILED,
     PROCESS_CRASH,
     Failure,
+    Severity,
     Signature,
     normalised,
+    severity_of,
     zone_in_words,
 )
 from pytest_pafot.model.instructions import Cell
@@ -112,7 +114,7 @@ class Expect:
         zone: zone in which the NPC crossed the ego's way, such as ``crossing from the left``.
         side: side of the ego that was hit.
         closing_speed: closing speed of the collision [m/s], which says how bad it is; None in files that do not store
-            it. It is only a label: no replay is compared with it.
+            it.
         situation: situation from which the failure arose; a replay that passes shows a fix only if this situation comes
             up. None if no NPC was involved, and in files from older versions.
         responsibility: who is responsible for the collision.
@@ -156,7 +158,7 @@ class Expect:
     @property
     def signature(self) -> Signature:
         """The identity of the failure, as far as these fields determine it; for a run see :func:`of_failure`."""
-        return Signature.of(**{part.name: getattr(self, part.name) for part in fields(Signature)})
+        return Signature.of(**{part.name: getattr(self, part.name, None) for part in fields(Signature)})
 
     @property
     def event(self) -> str:
@@ -259,12 +261,17 @@ class Found:
         seed: seed of the search, derived from the base seed and the node id of the test; no value for ``--pafot-seed``.
         generation: generation of the search that found it, counted from 0.
         algorithm: name of the search.
+        policy: name of the policy (:func:`~pytest_pafot.support.references.policy_name`); None if it is unknown.
+        worst_closing_speed: closing speed of the worst run of that search that failed alike [m/s]; None if the failure
+            is no collision.
         versions: versions of the packages that the run depends on.
     """
 
     seed: int
     generation: int
     algorithm: str
+    policy: str | None = None
+    worst_closing_speed: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -301,7 +308,6 @@ class Finding:
         expect: the expected result of running the scenario.
         found: the origin of the finding.
         perception: sight of an ADS that sees imperfectly; None for perfect sight.
-        original: the scenario as first found, if shrinking has replaced it by a simpler scenario; otherwise None.
         shrunk: the result of shrinking; None if the scenario was not shrunk.
         rate: how many runs of the scenario fail, with other seeds, or of a flaky one with the same; None for a policy
             that draws no random numbers.
@@ -312,8 +318,7 @@ class Finding:
             identity nor the file of a finding.
 
     Raises:
-        ValueError: for an invalid id, a world that is not plain data, an empty reason, or a reason without a last day
-            or the other way round.
+        ValueError: for an invalid id, or a world that is not plain data.
     """
 
     id: str
@@ -323,7 +328,6 @@ class Finding:
     expect: Expect
     found: Found
     perception: Sight | None = None
-    original: Scenario | None = None
     shrunk: Shrunk | None = None
     rate: FailureRate | None = None
     flaky: str | None = None
@@ -334,12 +338,6 @@ class Finding:
     def __post_init__(self) -> None:
         if not is_id(self.id):
             raise ValueError(f"id: expected letters, digits, '.', '_' and '-', at most 120, received {self.id!r}")
-        for name, text in (("xfail", self.xfail), ("flaky", self.flaky)):
-            if text is not None and not text.strip():
-                raise ValueError(f"{name}: expected a reason or None, received an empty text")
-        if (self.xfail is None) != (self.xfail_until is None):
-            received = f"received {self.xfail!r} and {self.xfail_until!r}"
-            raise ValueError(f"xfail, xfail_until: expected a reason and a last day, or neither, {received}")
         check_plain("world", self.world)
 
     def __repr__(self) -> str:
@@ -383,6 +381,12 @@ class Finding:
     def is_accepted(self, today: date) -> bool:
         """Return whether the failure is accepted on the day ``today``."""
         return self.xfail_until is not None and today <= self.xfail_until
+
+    @property
+    def worst_known(self) -> float:
+        """The highest closing speed of a run that was known to fail like this [m/s]; infinite if none is known."""
+        speeds = (self.expect.closing_speed, self.found.worst_closing_speed)
+        return max((each for each in speeds if each is not None), default=math.inf)
 
     def with_sight(self, line: str) -> str:
         """Return a line on the failure that also names the imperfect sight with which it was found."""
@@ -439,39 +443,9 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return round(value, digits) if abs(value) >= 1 else float(f"{value:.{digits}g}")
 
 
-class Manner(NamedTuple):
-    """The way in which a failure came about.
-
-    It may differ between failures of one signature, and hint at another defect.
-    """
-
-    fault: str
-    npc_manoeuvre: str
-    ego_manoeuvre: str
-    place: str
-
-    @classmethod
-    def of(cls, expect: Expect) -> Self:
-        """Return the manner of a failure as a file describes it; empty texts where it has none."""
-        place = expect.zone or ("" if expect.cell is None else f"{expect.cell.label} of the ego")
-        return cls(expect.fault or "", expect.npc_manoeuvre or "", expect.ego_manoeuvre or "", place)
-
-    def unlike(self, other: Manner) -> list[str]:
-        """Return in words what differs from another manner; empty if nothing does, or if it is unknown there."""
-        names = ("", "NPC's ", "ego's ", "")
-        pairs = zip(names, self, other, strict=True)
-        return [f"{name}{own}, not {theirs}" for name, own, theirs in pairs if own and theirs and own != theirs]
-
-
-def failed_as(run: Run, failure: Failure) -> tuple[Signature, Manner]:
-    """Return the signature of a run that failed, and its manner."""
-    expect = replace(Expect.of(run, failure), mistake=run.attribution.mistake)
-    return expect.signature, Manner.of(expect)
-
-
 def of_failure(run: Run, failure: Failure) -> Signature:
     """Return the signature of a run that failed."""
-    return failed_as(run, failure)[0]
+    return replace(Expect.of(run, failure), mistake=run.attribution.mistake).signature
 
 
 def is_id(text: str) -> bool:
@@ -579,7 +553,7 @@ A file ends shortly after its failure, so a policy that only drives more slowly 
 """
 
 ACCEPTED_FASTER = 1.0
-"""The largest difference [m/s] by which an accepted collision may be faster than its file says."""
+"""The largest difference [m/s] by which an accepted collision may be faster than the worst that was known."""
 
 HAS_EVENT = frozenset({Outcome.COLLISION, Outcome.ADS_ERROR, Outcome.HANG, Outcome.OFF_ROAD})
 """Outcomes that have a time, which is the run's event. For any other outcome the event is the most critical moment."""
@@ -642,18 +616,15 @@ def is_same_event(expect: Expect, run: Run, failure: Failure | None = None) -> b
 
 def is_same_failure(finding: Finding, run: Run, failure: Failure) -> bool:
     """Return whether a run fails as a file says, at whatever time: by the same mistake, or in the same check."""
-    then, now = finding.signature, of_failure(run, failure)
-    if then.fault is not None and then.mistake is None:  # an older file, which does not store it
-        return now.fault == then.fault and now == replace(then, mistake=now.mistake)
-    return now == then
+    return of_failure(run, failure) == finding.signature
 
 
 def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_versions: bool) -> str:
     """Return how a failure goes beyond the one that a file describes; empty if accepting the file accepts it, too.
 
     It must be the same assertion, check or exception, in a run that ends in the same way. A collision must be with the
-    same NPC, at a closing speed of at most :data:`ACCEPTED_FASTER` above that of the file. It may be at another time
-    and in another cell, and somebody else may be responsible.
+    same NPC, and not :func:`is_faster`. It may be at another time and in another cell, and somebody else may be
+    responsible.
 
     Args:
         finding: the saved finding.
@@ -673,11 +644,21 @@ def beyond_acceptance(finding: Finding, run: Run, failure: Failure, *, same_vers
         return ""
     if finding.expect.npc is not None and hit.npc != finding.expect.npc:
         return f"a collision with NPC {hit.npc} instead of NPC {finding.expect.npc}"
-    speed = finding.expect.closing_speed
-    # The file has three decimals, hence the last term.
-    if speed is not None and hit.closing_speed > speed + ACCEPTED_FASTER + 0.001:
-        return f"a closing speed of {hit.closing_speed:.1f} m/s instead of {speed:.1f} m/s"
+    if is_faster(severity_of(run, failure), finding.worst_known):
+        return f"a closing speed of {hit.closing_speed:.1f} m/s instead of at most {finding.worst_known:.1f} m/s"
     return ""
+
+
+def is_faster(severity: Severity | None, known: float) -> bool:
+    """Return whether a failure is a collision that accepting one with the closing speed ``known`` [m/s] excludes."""
+    return (speed_of(severity) or 0.0) > known + ACCEPTED_FASTER + 0.0005  # the speeds have three decimals
+
+
+def speed_of(severity: Severity | None) -> float | None:
+    """Return the closing speed of a failure that is a collision, as in a file [m/s]; None for any other failure."""
+    if severity is None or severity.kind != "collision" or severity.value is None:
+        return None
+    return round(severity.value, 3)
 
 
 def has_time(run: Run, failure: Failure) -> bool:

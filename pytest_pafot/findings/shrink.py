@@ -122,13 +122,12 @@ class Shrunk:
             with one instruction each, with few speeds; or one NPC that crosses in a zone of the scenario, with few
             slots), of a collision only some, which are likely to fail; and pairs of a limited number of steps. It says
             nothing about other scenarios.
-        takeover: the latest takeover by a careful driver that avoids the collision of the scenario as found, as in
-            ``expect`` of its file, if shrinking changed it by more than half a second; otherwise None.
+        before: the size of the scenario as found in words (:func:`described`), if shrinking has replaced it.
     """
 
     rollouts: int
     is_minimal: bool = True
-    takeover: float | None = None
+    before: str = ""
 
 
 class OutOfBudget(Exception):  # noqa: N818  (it ends the passes and is not an error)
@@ -186,6 +185,11 @@ def size_of(scenario: Scenario, longest_run: float = math.inf) -> str:
     """Return the size of a scenario in words, given the world's longest run [s]: ``2 NPCs, 7 instructions, 60 s``."""
     npcs, told = plural(len(scenario.npcs), "NPC"), plural(instructions(scenario), "instruction")
     return f"{npcs}, {told}, {round(min(scenario.seconds, longest_run), 1):g} s"
+
+
+def described(scenario: Scenario, longest_run: float = math.inf) -> str:
+    """Return the size of a scenario and its traffic in words: ``2 NPCs, 7 instructions, 60 s, paper traffic``."""
+    return f"{size_of(scenario, longest_run)}, {scenario.traffic} traffic"
 
 
 def shrink(

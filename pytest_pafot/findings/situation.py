@@ -11,7 +11,7 @@ ways meet.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -85,8 +85,9 @@ class Situation:
     Attributes:
         npc: the NPC's index in the scenario.
         time: time of the moment [s].
-        ahead: distance from the ego's centre to the NPC's, along the road [m]; negative behind.
-        lane: number of lanes from the ego's lane to the NPC's; positive to the right, negative to the left.
+        gap: gap between the bumpers of the two along the road [m]; negative by how far they are side by side.
+        place: ``ahead`` if the NPC's centre is ahead of the ego's, ``behind`` otherwise.
+        lanes_to_right: number of lanes from the ego's lane to the NPC's to the right; negative to the left.
         ego_speed: speed of the ego along the road [m/s].
         npc_speed: speed of the NPC along the road [m/s]. For a leader, which is ahead in the ego's lane, it is the
             lowest speed from the moment to the failure.
@@ -94,8 +95,9 @@ class Situation:
 
     npc: int
     time: float
-    ahead: float
-    lane: int
+    gap: float
+    place: Literal["ahead", "behind"]
+    lanes_to_right: int
     ego_speed: float
     npc_speed: float
 
@@ -127,11 +129,13 @@ class Situation:
 
     @classmethod
     def _at(cls, tick: int, trace: Trace, frame: RoadFrame, npc: int, *, ego_speed: float, npc_speed: float) -> Self:
+        ahead = float(frame.ahead[npc, tick])
         return cls(
             npc=npc,
             time=round(tick / trace.physics_hz, 3),
-            ahead=round(float(frame.ahead[npc, tick]), 1) + 0.0,  # no -0.0
-            lane=round(float(_lanes_between(trace, frame, npc)[tick])),
+            gap=round(abs(ahead) - float(_lengths(frame, npc)[tick]), 1) + 0.0,  # no -0.0
+            place="ahead" if ahead > 0 else "behind",
+            lanes_to_right=round(float(_lanes_between(trace, frame, npc)[tick])),
             ego_speed=round(float(ego_speed), 1) + 0.0,
             npc_speed=round(float(npc_speed), 1) + 0.0,
         )
@@ -143,19 +147,20 @@ class Situation:
         """
         frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
-        slower = self.ego_speed - self.npc_speed
-        if self.lane == 0 and self.ahead > 0:
+        slower, apart = self.ego_speed - self.npc_speed, self.gap + _lengths(frame, npc)  # between the centres
+        if self.lanes_to_right == 0 and self.place == "ahead":
             ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace, ANSWER)
-            along = np.where(ahead > 0, ahead / max(REACH, REACH_FACTOR * self.ahead), np.inf)
+            along = np.where(ahead > 0, ahead / np.maximum(REACH, REACH_FACTOR * apart), np.inf)
             lacking = min(SLOWER_SHARE * slower, slower - SPEED) - (ego - speed)
             speeds = np.maximum(1 + lacking / SPEED, 0)
         else:
-            along = np.abs(ahead - self.ahead) / max(PLACE, PLACE_SHARE * abs(self.ahead))
+            then = apart if self.place == "ahead" else -apart
+            along = np.abs(ahead - then) / np.maximum(PLACE, PLACE_SHARE * apart)
             # An NPC whose own speed matches, such as one that overtakes, may be next to an ego of a different speed.
             own = np.maximum(np.abs(speed - self.npc_speed) / SPEED, np.abs(ego - self.ego_speed) / EGO_SPEED)
             speeds = np.minimum(np.abs(ego - speed - slower) / SPEED, own)
             along = np.where(np.arange(len(along)) < start, np.inf, along)
-        aside = np.abs(_lanes_between(trace, frame, npc) - self.lane) / HALF_LANE
+        aside = np.abs(_lanes_between(trace, frame, npc) - self.lanes_to_right) / HALF_LANE
         return np.stack((along, aside, speeds))
 
     def nearest_in(self, trace: Trace) -> Self:
@@ -165,10 +170,10 @@ class Situation:
         return self._at(tick, trace, frame, self.npc, ego_speed=ego_speed, npc_speed=npc_speed)
 
     def __str__(self) -> str:
-        place = f"{abs(self.ahead):.0f} m {'ahead' if self.ahead > 0 else 'behind'}"
-        lanes, side = abs(self.lane), "left" if self.lane < 0 else "right"
+        place = f"{self.gap:.1f} m {self.place}" if self.gap > 0 else "side by side with the ego"
+        lanes, side = abs(self.lanes_to_right), "left" if self.lanes_to_right < 0 else "right"
         lane = f"{'one lane' if lanes == 1 else f'{lanes} lanes'} to the {side}" if lanes else "in the ego's lane"
-        return f"{place} {lane} at {self.npc_speed:.0f} m/s, with the ego at {self.ego_speed:.0f} m/s"
+        return f"{place} {lane} at {self.npc_speed:.1f} m/s, with the ego at {self.ego_speed:.1f} m/s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,7 +243,7 @@ class ZoneSituation:
             f"{abs(time):.1f} s {'from' if time >= 0 else 'past the beginning of'}"
             for time in (self.npc_enters, self.ego_enters)
         )
-        return f"{npc} its zone at {self.npc_speed:.0f} m/s, with the ego {ego} it at {self.ego_speed:.0f} m/s"
+        return f"{npc} its zone at {self.npc_speed:.1f} m/s, with the ego {ego} it at {self.ego_speed:.1f} m/s"
 
 
 def _times_to_zone(trace: Trace, npc: int) -> tuple[FloatArray, FloatArray]:
@@ -283,6 +288,11 @@ def _can_be_compared(situation: Situation | ZoneSituation, trace: Trace) -> bool
     """Return whether a run has finite positions, and its NPC crosses if and only if the situation is at a zone."""
     crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
     return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses
+
+
+def _lengths(frame: RoadFrame, npc: int) -> FloatArray:
+    """Return at each tick half the lengths along the road of ego and NPC together [m]."""
+    return np.asarray(frame.half_along[0] + frame.half_along[npc + 1])
 
 
 def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:

@@ -7,6 +7,7 @@ of findings.
 from __future__ import annotations
 
 import ast
+import json
 import math
 import re
 from collections.abc import Mapping
@@ -88,8 +89,7 @@ class Signature:
         assertion: the failing assertion (:func:`normalised`), without file, line, numbers and addresses.
         outcome: how the run ended; ``safe`` for a property (:attr:`is_property`).
         responsibility: ``ego`` if it is responsible for the collision, alone or with the NPC; ``npc``; ``none``.
-        mistake: what the ego did wrong; None if it is not responsible for a collision, or if the failure is from a file
-            that says that the ego entered a lane, but not where the other vehicle was.
+        mistake: what the ego did wrong; None if it is not responsible for a collision.
         fault: the rule by which the ego is responsible; it is not compared, and only used for the :attr:`slug`.
         side: side of the ego that was hit; None without a collision, or if there is a fault.
         cell: cell of the NPC at the collision; None without a collision, or if there is a fault.
@@ -97,6 +97,8 @@ class Signature:
             is a fault that is not about a zone.
         npc_manoeuvre, ego_manoeuvre: manoeuvres shortly before the collision; None without a collision, or if there is
             a fault.
+        worse_than: in a search, the id of the accepted file of the same failure, if the collision is faster than all
+            that were known when it was accepted (:meth:`.Finding.worst_known`); otherwise None.
     """
 
     failure: str
@@ -110,6 +112,7 @@ class Signature:
     zone: str | None = None
     npc_manoeuvre: Manoeuvre | None = None
     ego_manoeuvre: Manoeuvre | None = None
+    worse_than: str | None = None
 
     @classmethod
     def of(cls, **facts: Any) -> Self:
@@ -144,10 +147,16 @@ class Signature:
         return bool(measures) and not named & _OF_COLLISIONS
 
     @property
+    def told(self) -> dict[str, str]:
+        """All compared fields in words, without those that are None, for programs."""
+        compared = {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
+        words = {name: value.label if isinstance(value, Cell) else value for name, value in compared.items()}
+        return {name: str(value) for name, value in words.items() if value is not None}
+
+    @property
     def text(self) -> str:
-        """All compared fields in one line; two signatures are equal if and only if their texts are equal."""
-        compared = ((each.name, getattr(self, each.name)) for each in fields(self) if each.compare)
-        return " ".join(f"{name}={str(value)!r}" for name, value in compared if value is not None)
+        """The compared fields as JSON in one line, for reports that have only texts."""
+        return json.dumps(self.told)
 
     @property
     def slug(self) -> str:

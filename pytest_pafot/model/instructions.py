@@ -343,12 +343,8 @@ class Instruction(Pasteable, ABC):
     def in_file(self) -> dict[str, Any]:
         """Return the fields that a file contains: all but those that have their defaults."""
         given = [(each, getattr(self, each.name)) for each in fields(cast("Any", self))]
-        return {each.name: value for each, value in given if each.default is MISSING or value != each.default}
-
-    @property
-    def remark(self) -> str:
-        """A comment in a file; empty for none."""
-        return ""
+        told = {each.name: value for each, value in given if each.default is MISSING or value != each.default}
+        return {name: value.label if isinstance(value, Cell) else value for name, value in told.items()}
 
     # Chains.
 
@@ -527,11 +523,6 @@ class PositionInstruction(TimedInstruction):
     def goal(self) -> str:
         """The target in words: ``2 front``."""
         return f"{int(self.cell)} {self.cell.label}"
-
-    @property
-    def remark(self) -> str:
-        """The name of the cell."""
-        return self.cell.label
 
     def varied(self, choices: Choices, rng: Generator) -> PositionInstruction:
         """Return an instruction that is uniform over the eight cells and the speeds; others may hold the cell."""

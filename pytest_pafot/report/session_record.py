@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pytest_pafot.campaign.events import Search
+from pytest_pafot.corpus.writer import named
 from pytest_pafot.findings.finding import portable
 from pytest_pafot.findings.shrink import size_of
 from pytest_pafot.findings.sighting import GROUPS, Observed, Seen, label
@@ -29,7 +30,7 @@ from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
-VERSION = 4
+VERSION = 5
 """The version of the JSON layout. It grows if a key is removed or changes its meaning, not if a key is added."""
 
 UNREAD = label(Observed(is_error=True))
@@ -47,12 +48,12 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "result": ("", None),
     "file": (None, lambda seen: seen.path or None),
     "replay": ("", None),
-    "scenario": (None, lambda seen: seen.finding.scenario.plain()),
+    "scenario": (None, lambda seen: named(seen.finding.scenario)),
     "world": (None, lambda seen: dict(seen.finding.world)),
     "headline": ("", lambda seen: seen.headline),
     "sentences": ([], lambda seen: list(seen.observed.sentences)),
     "detail": ("", lambda seen: seen.detail),
-    "signature": ("", lambda seen: seen.finding.signature.text),
+    "signature": (None, lambda seen: seen.finding.signature.told),
     "kind": ("", lambda seen: seen.finding.signature.slug),
     "failure": ("", lambda seen: seen.finding.expect.failure),
     "assertion": ("", lambda seen: seen.finding.expect.assertion),
@@ -66,13 +67,16 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "worst": (None, lambda seen: {name: value for name, value in asdict(seen.alike).items() if name != "runs"}),
     "seed": (None, lambda seen: seen.finding.found.seed),
     "algorithm": ("", lambda seen: seen.finding.found.algorithm),
+    "policy": (None, lambda seen: seen.finding.found.policy),
     "against": ("", lambda seen: seen.finding.expect.against),
     "rate": (None, lambda seen: seen.finding.rate and asdict(seen.finding.rate) | {
         "of": seen.finding.drawn, "now": seen.observed.rate and asdict(seen.observed.rate),
     }),
     "flaky": (None, lambda seen: seen.finding.flaky),
     "unshrunk": ("", lambda seen: seen.unshrunk),
-    "moment": (None, lambda seen: seen.moment and asdict(seen.moment)),
+    "moment": (None, lambda seen: seen.moment and asdict(seen.moment) | {
+        "conditions": [{"about": whom, "evaluated": [*rows]} for whom, rows in seen.moment.conditions],
+    }),
     "searched": (0, lambda seen: seen.observed.searched),
     "drawn": (0, lambda seen: seen.observed.drawn),
     "elsewhere": ("", lambda seen: seen.observed.elsewhere),
@@ -102,12 +106,12 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         result: `passed`, `skipped`, `xfailed`, `failed` or `error`; empty if the item did not end.
         file: path relative to the rootdir; null if not saved.
         replay: the command that replays it.
-        scenario: as in its file, for `pafot.Scenario.from_canonical`; null with `error`.
+        scenario: as in its file; null with `error`.
         world: as in its file; null likewise.
         headline: how the run ended; empty if it passes.
         sentences: the sentences of the verdict on a collision.
         detail: what differs from the file, why there is no file, or the error.
-        signature: what makes two failures the same.
+        signature: what makes two failures the same; null likewise.
         kind: short name of the signature, with which ids begin.
         failure, assertion, outcome, time: as in `expect` of its file.
         responsible: `ego`, `npc`, `both` or `none`.
@@ -116,7 +120,7 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         traffic: how the NPCs drive, in words; empty for the paper's.
         runs: number of runs that failed so; 0 for a saved scenario (see `known` of the search).
         worst: of the worst of these runs, its `number` in the search, from 0, and its `severity`, if it has one.
-        seed, algorithm: as in `found` of its file.
+        seed, algorithm, policy: as in `found` of its file.
         against: the reference that passed then; empty without one.
         rate: of a policy that draws random numbers: `failing` of `runs`, each with another seed if `of` is `seeds`; of
             a replay also `now`, with `failing` and `runs`.
@@ -125,8 +129,8 @@ def finding_entry(seen: Seen | None, **more: Any) -> dict[str, Any]:
         moment: the last decision that could have avoided it: `time` [s], `npc`, and in words: `seen`, where the policy
             saw the NPC; `action`, its answer; `hidden`, the answer with the NPC hidden (empty for the same, null if
             unknown); `otherwise`, the smallest change of the NPC that changes it; `reference`, the reference's answer;
-            `conditions`, pairs of whom conditions are about (`NPC 1`, `no NPC, or unknown which`, or empty if nothing
-            is known) and of those that it evaluated, first those that come out otherwise with that change. Or null.
+            `conditions`, for each vehicle that they are `about` (`NPC 1`, `no NPC, or unknown which`, or empty if
+            nothing is known) those that it `evaluated`, first those that come out otherwise with that change. Or null.
         searched: number of runs of its test's search without such a failure, if `fixed`.
         drawn: number of these whose scenarios are random.
         elsewhere: id of the finding with the same failure, if its scenario passes and it is still failing elsewhere.
@@ -171,6 +175,7 @@ def to_text(session: Session, *, root: str, day: str | None = None) -> str:
     searches = [
         {each.name: getattr(search, each.name) for each in fields(Search) if each.name not in NOT_WRITTEN}
         | {"runs": search.runs, "failing": search.failing, "finds": [find.id for find in search.finds]}
+        | {"failures": sorted(({"id": id_, "signature": shown.told} for id_, shown in search.failures), key=str)}
         | {**told[node_id], "message": reasons.get(node_id, "")}
         for node_id, search in sorted(session.searches.items())
     ]

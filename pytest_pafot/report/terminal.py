@@ -13,11 +13,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from pytest_pafot.attribution import takeovers
 from pytest_pafot.campaign.events import UNTESTED, Ending, Note, Progress, Search
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.finding import Finding
-from pytest_pafot.findings.shrink import size_of
+from pytest_pafot.findings.shrink import described
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.report.session import WHY_UNNAMED, Session
@@ -133,23 +132,19 @@ def find_section(
 
 
 def shrunk_lines(finding: Finding) -> list[str]:
-    """Say in a line from what to what a finding shrank, and in another what a careful driver avoided before, if so."""
+    """Say in a line from what to what a finding shrank; nothing if it did not."""
     if finding.shrunk is None:
         return []
-    found, is_minimal = finding.original, finding.shrunk.is_minimal
-    both = [each or finding.scenario for each in (found, None)]
-    sizes = [[*size_of(each, finding.longest_run).split(", "), f"{each.traffic} traffic"] for each in both]
+    found, is_minimal = finding.shrunk.before, finding.shrunk.is_minimal
+    now = described(finding.scenario, finding.longest_run)
+    sizes = [each.split(", ") for each in (found or now, now)]
     changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
     how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
     if not changed:
-        how = "to nothing simpler so far" if found is None else "to a simpler scenario of the same size"
-    if found is None and is_minimal:
+        how = "to a simpler scenario of the same size" if found else "to nothing simpler so far"
+    if not found and is_minimal:
         return []
-    lines = [how if is_minimal else f"{how}, and could be simpler"]
-    if finding.shrunk.takeover is not None:
-        told = takeovers.sentence(finding.shrunk.takeover)
-        lines.append(f"as found: {told[0].lower()}{told[1:-1]}")
-    return lines
+    return [how if is_minimal else f"{how}, and could be simpler"]
 
 
 def event_of(kind: str, text: str) -> Event:
@@ -214,8 +209,6 @@ def search_lines(search: Search, *, width: int = WIDTH) -> list[str]:
     texts = []
     for id_, count in sorted(search.known.items()):
         texts.append(f"{plural(count, 'run')} {'fails' if count == 1 else 'fail'} like saved-{id_}, not looked at")
-        unlike = search.unlike.get(id_, ())
-        texts += [f"of them, unlike saved-{id_}: {', '.join(unlike)}"] if unlike else []
     texts += _remarks(search)
     return [search.node_id, *lines, *(line for text in texts for line in _wrapped(text, width))]
 

@@ -106,6 +106,22 @@ def name_of(factory: Callable[..., Any]) -> str:
         return ""
 
 
+def policy_name(factory: Any) -> str:
+    """Return ``module:name`` of the class or function that makes a policy, the same in each process, for readers.
+
+    Of a lambda, it is the one class or function that the lambda uses, if it uses no other.
+    """
+    made = inspect.unwrap(factory)
+    while isinstance(made, functools.partial):
+        made = made.func
+    if isinstance(made, FunctionType) and made.__name__ == "<lambda>":
+        uses = inspect.getclosurevars(made)
+        used = [each for each in (*uses.nonlocals.values(), *uses.globals.values()) if hasattr(each, "__qualname__")]
+        made = used[0] if len(used) == 1 else made
+    made = made if hasattr(made, "__qualname__") else type(made)
+    return f"{made.__module__}:{made.__qualname__}"
+
+
 def described(error: BaseException) -> str:
     """Describe an exception of the user's code in one line: its class, its message and its place."""
     # The line of this package that called the user's code, or refused a value, is not where to look.

@@ -102,7 +102,7 @@ def test_finding_fails_with_policy_and_passes_with_reference():
     exploration = pafot.explore(constant_speed.make, against=CAREFUL, holds=never_collides, **SHORT)
     assert exploration.findings
     for finding in exploration.findings:
-        assert finding.original is not None
+        assert finding.shrunk.before
         assert [collides(ads, finding.scenario) for ads in (constant_speed.make, CAREFUL)] == [True, False]
         assert finding.expect.against == "pytest_pafot.world.reference_drivers:CarefulHuman"
 

@@ -86,7 +86,7 @@ def test_a_finding_that_does_not_repeat_has_a_rate_too_but_is_not_shrunk(tmp_pat
     told = found(Unrepeatable, tmp_path)
     assert told.finding.on_rate == f"fails in {told.finding.rate.failing} of 10 runs"
     assert 3 <= told.finding.rate.failing <= 9
-    assert told.finding.original is None
+    assert told.finding.shrunk is None
 
 
 def test_a_finding_that_only_highway_envs_own_environment_does_not_show_has_no_rate(tmp_path, monkeypatch):

@@ -16,7 +16,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import pytest_pafot as pafot
 from example_ads import constant_speed
-from pytest_pafot.attribution.takeovers import is_alike, latest
 from pytest_pafot.campaign import explore
 from pytest_pafot.campaign.events import Search, SearchStarted
 from pytest_pafot.campaign.refine import simplest
@@ -289,19 +288,6 @@ def test_setup_error_is_raised_unchanged():
     assert "no finding" in raised.value.__notes__[0]
 
 
-def test_takeover_of_a_finding_is_compared_with_the_one_of_its_scenario_as_found():
-    noted, world = [], pafot.Highway()
-    for seed in (2, 3):
-        given = SHORT | {"runs": 40, "seed": seed, "shrink_rollouts": 20}
-        for each in pafot.explore(constant_speed.make, holds=never_collides, **given).findings:
-            runs = [world.run_of(world.rollout(of, constant_speed.make)) for of in (each.original, each.scenario)]
-            as_found, shrunk = (latest(run.trace, run.take_over) for run in runs)
-            assert each.expect.takeover == shrunk
-            assert each.shrunk.takeover == (None if is_alike(as_found, shrunk) else as_found)
-            noted.append(each.shrunk.takeover is not None)
-    assert {*noted} == {True, False}
-
-
 def test_takeover_is_told_of_collisions_alone():
     def keeps_apart(run):
         pafot.check(run.min_distance, name="distance", at_least=0.1)
@@ -410,8 +396,8 @@ def test_each_ego_mistake_is_one_finding_after_shrinking(mistakes):
     signatures = [signature_of(finding.scenario) for finding in findings]
     assert sorted(each.mistake for each in signatures) == ["kept-no-distance", "moved-in-front", "moved-into-side"]
     for finding, signature in zip(findings, signatures, strict=True):
-        assert signature_of(finding.original) == signature
-        assert finding.id == f"{signature.slug}-{finding.original.id}"
+        assert finding.shrunk.before
+        assert finding.id.startswith(f"{signature.slug}-")
 
 
 def test_only_the_saved_mistake_is_known_later(mistakes, tmp_path):
@@ -438,6 +424,5 @@ def test_finding_is_told_as_shrunk_even_if_its_file_cannot_be_written_again(tmp_
     found = pafot.explore(constant_speed.make, holds=never_collides, seed=5, corpus=tmp_path, **SHORT)
     (first, *_) = found.sightings
     as_found = load(Path(first.path))
-    assert as_found.original is None
-    assert first.finding.original == as_found.scenario
+    assert (as_found.shrunk, bool(first.finding.shrunk.before)) == (None, True)
     assert "mount it" in first.detail

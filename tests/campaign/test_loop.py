@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_pafot.campaign.results import Result, State, signature_of
+from pytest_pafot.campaign.results import Result, State
 from pytest_pafot.campaign.results import lost as result_of_death
 from pytest_pafot.campaign.run_table import row_of
 from pytest_pafot.campaign.scenarios import Bred
@@ -96,7 +96,7 @@ class Bench:
 
     def result(self, scenario, known):
         run, verdict = self.simulate(scenario), self.verdicts(next(self.numbers))
-        kind = signature_of(run, verdict)
+        kind = of_failure(run, verdict.failure) if verdict.failed else None
         evaluation = Evaluation.of(
             run.trace, fitness=0.0, failing=verdict.failed, discarded=verdict.discarded, kind=kind
         )

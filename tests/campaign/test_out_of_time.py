@@ -201,7 +201,7 @@ def test_unshrunk_finding_says_how_to_continue(clock):
 def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=50, shrink_rollouts=300)
     assert set(unshrunk(result)) == {"shrunk in part: out of time"}
-    assert all(finding.original is not None for finding in result.findings)
+    assert all(finding.shrunk.before for finding in result.findings)
     assert len(files(tmp_path / "corpus")) == 3
     last_told = {event.id: event for event in result.events if isinstance(event, Seen)}
     assert all(find.unshrunk and "out of time" in find.summary for find in last_told.values())
@@ -283,7 +283,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 174, "shrink_rollouts": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
     assert unshrunk(result) == ["shrunk in part: out of time"]
-    assert result.findings[0].original is not None
+    assert result.findings[0].shrunk.before
     assert clock.now <= 176
 
 

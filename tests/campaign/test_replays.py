@@ -81,7 +81,7 @@ def shown(xfail=None, **ends):
         for id_ in ends
         if not id_.endswith("+")
     ]
-    return told.shown_by([Saved(Path("unreadable.pafot.yaml"), error="no file"), *files])
+    return told.shown_by([Saved(Path("unreadable.pafot.yaml"), error="no file"), *files])[0]
 
 
 @pytest.mark.parametrize("xfail", [None, "issue 12"])

@@ -45,13 +45,13 @@ def finding_at_zone(**changes):
 TEXT = text_of(finding_at_zone())
 
 
-def test_instructions_are_written_one_per_line_without_defaults():
+def test_instructions_are_written_without_defaults():
     lines = TEXT[TEXT.index("  npcs:") : TEXT.index("expect:")].splitlines()
     assert lines == [
         "  npcs:",
-        "    - - {zone: o1>o3, slot: 0.5, speed: 8.6}",
-        "    - - {cell: 6, speed: 8.0}     # rear",
-        "    - - {zone: o3>o1, slot: -1.0, speed: 5.0, act: hold}",
+        "    NPC 0: [{zone: o1>o3, slot: 0.5, speed: 8.6}]",
+        "    NPC 1: [{cell: rear, speed: 8.0}]",
+        "    NPC 2: [{zone: o3>o1, slot: -1.0, speed: 5.0, act: hold}]",
     ]
     assert "npc: 0, zone: crossing from the left, side: left," in TEXT
     assert "situation: {npc: 0, time: 4.2, npc_enters: 1.8, ego_enters: 2.0, ego_speed: 10.0, npc_speed: 8.6}" in TEXT
@@ -59,29 +59,29 @@ def test_instructions_are_written_one_per_line_without_defaults():
 
 
 def test_redundant_act_is_read_without_error():
-    text = TEXT.replace("speed: 8.6}\n", "speed: 8.6, act: pass}\n")
+    text = TEXT.replace("speed: 8.6}]", "speed: 8.6, act: pass}]")
     assert text != TEXT
     assert parsed(PATH, text.encode()) == finding_at_zone()
 
 
 @table(("old", "new", "field", "expected"), [
-    ("slot: 0.5, ", "", "scenario.npcs[0][0]", "the key 'slot'"),
-    ("speed: 8.6}\n", "speed: 8.6, act: wave}\n", "scenario.npcs[0][0].act", "one of pass, hold, stop, late"),
-    ("speed: 8.6}\n", "speed: 8.6, acts: hold}\n", "scenario.npcs[0][0].acts", "one of zone, slot, speed, act"),
-    ("speed: 8.6}\n", "speed: 8.60000001}\n", "scenario.npcs[0][0].speed", "m/s in steps of 0.1"),
-    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs[0][0].slot", "seconds in steps of 0.1"),
-    ("slot: 0.5", "slot: 5.1", "scenario.npcs[0][0].slot", "seconds, at most 5 before or after the ego"),
-    ("slot: 0.5", "slot: soon", "scenario.npcs[0][0].slot", "a finite number"),
-    ("zone: o1>o3,", "zone: o1,", "scenario.npcs[0][0].zone", "the entry and the exit of a way"),
-    ("zone: o1>o3,", "zone: o1>o3, cell: 2,", "scenario.npcs[0][0].zone", "one of cell, speed"),
-    ("    - - {cell: 6", "      - {cell: 6", "scenario.npcs[0][1].cell", "a CrossingInstruction like npcs[0][0]"),
-    ("    - - {zone: o3", "      - {zone: o3", "scenario.npcs[1][1]", "a PositionInstruction like npcs[1][0]"),
-    ("    - - {cell: 6", "      - {lane: keep, speed: 8}\n    - - {cell: 6", "scenario.npcs[0][1]", "a CrossingIn"),
+    ("slot: 0.5, ", "", "scenario.npcs.NPC 0[0]", "the key 'slot'"),
+    ("speed: 8.6}]", "speed: 8.6, act: wave}]", "scenario.npcs.NPC 0[0].act", "one of pass, hold, stop, late"),
+    ("speed: 8.6}]", "speed: 8.6, acts: hold}]", "scenario.npcs.NPC 0[0].acts", "one of zone, slot, speed, act"),
+    ("speed: 8.6}]", "speed: 8.60000001}]", "scenario.npcs.NPC 0[0].speed", "m/s in steps of 0.1"),
+    ("slot: 0.5", "slot: 0.50000001", "scenario.npcs.NPC 0[0].slot", "seconds in steps of 0.1"),
+    ("slot: 0.5", "slot: 5.1", "scenario.npcs.NPC 0[0].slot", "seconds, at most 5 before or after the ego"),
+    ("slot: 0.5", "slot: soon", "scenario.npcs.NPC 0[0].slot", "a finite number"),
+    ("zone: o1>o3,", "zone: o1,", "scenario.npcs.NPC 0[0].zone", "the entry and the exit of a way"),
+    ("zone: o1>o3,", "zone: o1>o3, cell: front,", "scenario.npcs.NPC 0[0].zone", "one of cell, speed"),
+    ("8.6}]", "8.6}, {cell: rear, speed: 8}]", "scenario.npcs.NPC 0[1].cell", "a CrossingInstruction like npcs[0][0]"),
+    ("8.0}]\n    NPC 2: [{zone", "8.0}, {zone", "scenario.npcs.NPC 1[1]", "a PositionInstruction like npcs[1][0]"),
+    ("8.6}]", "8.6}, {lane: keep, speed: 8}]", "scenario.npcs.NPC 0[1]", "a CrossingInstruction like npcs[0][0]"),
     ("zone: crossing from the left, ", "", "expect", "the key 'cell'"),
     ("zone: crossing from the left", "zone: crossing from above", "expect.zone", "one of crossing from the left"),
     ("npc_enters: 1.8, ", "npc_enters: .inf, ", "expect.situation.npc_enters", "a finite number"),
     (", ego_enters: 2.0", "", "expect.situation", "the key 'ego_enters'"),
-    ("npc_enters: 1.8", "npc_enters: 1.8, lane: 0", "expect.situation.lane", "one of npc, time, npc_enters"),
+    ("npc_enters: 1.8", "npc_enters: 1.8, gap: 0", "expect.situation.gap", "one of npc, time, npc_enters"),
 ])  # fmt: skip
 def test_each_broken_rule_is_reported_at_its_field(old, new, field, expected):
     assert TEXT.count(old) == 1
@@ -96,12 +96,12 @@ IN_LANES = text_of(plain_finding(scenario=LANES))
 
 
 @table(("wrong", "message"), [
-    ("{lane: up, speed: 22.3}", r"scenario.npcs\[0\]\[0\].lane: expected one of keep, left, right, received 'up'"),
-    ("{cell: 2, lane: left, speed: 1.0}", r"scenario.npcs\[0\]\[0\].lane: expected one of cell, speed"),
-    ("{cell: 2, speed: 22.3}", r"npcs\[0\]\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
+    ("{lane: up, speed: 22.3}", r"scenario.npcs.NPC 0\[0\].lane: expected one of keep, left, right, received 'up'"),
+    ("{cell: front, lane: left, speed: 1.0}", r"scenario.npcs.NPC 0\[0\].lane: expected one of cell, speed"),
+    ("{cell: front, speed: 22.3}", r"npcs.NPC 0\[1\].*: expected a PositionInstruction like npcs\[0\]\[0\]"),
     ("{lane: left, speed: 22.35}", r"speed: expected m/s"),
 ])  # fmt: skip
 def test_broken_rule_of_lanes_is_reported_at_its_place(wrong, message):
-    assert "    - - {lane: left, speed: 22.3}\n      - {lane: keep, speed: 24.1}\n" in IN_LANES
+    assert "    NPC 0: [{lane: left, speed: 22.3}, {lane: keep, speed: 24.1}]\n" in IN_LANES
     with pytest.raises(CorpusError, match=message):
         parsed(PATH, IN_LANES.replace("{lane: left, speed: 22.3}", wrong).encode())

@@ -17,7 +17,7 @@ NAME = "front-2-1f3a9c.pafot.yaml"
 def test_files_of_a_test_include_broken_ones_sorted(tmp_path):
     finding = plain_finding(id="b-2", xfail="planner issue 12", xfail_until=date(2027, 1, 31))
     write(tmp_path / "b-2.pafot.yaml", finding)
-    (tmp_path / "a-1.pafot.yaml").write_text("pafot: 3")
+    (tmp_path / "a-1.pafot.yaml").write_text("pafot: 4")
     (tmp_path / "notes.txt").write_text("mine")
     broken, whole = saved_in(tmp_path)
     assert (whole.id, whole.finding, whole.error, whole.xfail) == ("b-2", finding, "", "planner issue 12")

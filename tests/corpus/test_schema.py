@@ -1,8 +1,7 @@
 """The stored format: saved files keep their meaning when the defaults of worlds change."""
 
 import copy
-import re
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -19,13 +18,6 @@ def test_saved_file_is_rewritten_byte_for_byte(path):
     finding = load(path)
     assert text_of(finding) == path.read_text(encoding="utf-8")
     assert finding.world["kind"] == "own" or from_dict(dict(finding.world)).to_dict() == finding.world
-
-
-def test_file_of_an_earlier_version_is_read_without_what_was_removed():
-    path = next(path for path in FILES if path.name == "crossing.pafot.yaml")
-    former, finding = path.parent / "former" / path.name, load(path)
-    assert {"reference_drivers: ", "avoided_by: "} <= set(re.findall(r"\w+: ", former.read_text(encoding="utf-8")))
-    assert load(former) == replace(finding, expect=replace(finding.expect, takeover=None))
 
 
 def test_another_default_changes_no_saved_world(monkeypatch):

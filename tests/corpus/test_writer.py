@@ -11,6 +11,7 @@ from pytest_pafot.corpus.reader import load
 from pytest_pafot.corpus.writer import CorpusWriteError, free_path, rewrite, write
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Outcome
 from pytest_pafot.model.vehicle_type import VehicleType
 from pytest_pafot.support.errors import CorpusError
 from tests.findings.builders import plain_finding
@@ -36,7 +37,7 @@ def test_vehicles_are_one_readable_line_and_read_back(path):
     bus = VehicleType(name="bus", length=12.0, width=2.5, acceleration=1.2)
     scenario = Scenario(npcs=[[PositionInstruction(cell, 25.0)] for cell in (1, 2, 3)], vehicles=("car", bus, "truck"))
     write(path, plain_finding(scenario=scenario))
-    line = "  vehicles: [car, {name: bus, length: 12.0, width: 2.5, acceleration: 1.2}, truck]"
+    line = "  vehicles: {NPC 1: {name: bus, length: 12.0, width: 2.5, acceleration: 1.2}, NPC 2: truck}"
     assert line in path.read_text().splitlines()
     assert load(path).scenario == scenario
 
@@ -99,17 +100,17 @@ def test_finding_gets_its_own_id_if_free_and_retains_it_when_saved(path):
 
 
 def test_finding_with_a_shrunk_file_retains_its_path_unless_that_passes(path):
-    simpler = plain_finding().scenario.truncated(1)
-    write(path, plain_finding(scenario=simpler, original=plain_finding().scenario))
+    write(path, plain_finding(scenario=plain_finding().scenario.truncated(1)))
     assert free_path(path.parent, plain_finding())[0] == path
     assert free_path(path.parent, plain_finding(), passed=[path])[0] != path
 
 
 def test_name_taken_by_another_finding_gets_a_number(path):
-    write(path, plain_finding(scenario=other_scenario()))
+    other = replace(plain_finding().expect, outcome=Outcome.OFF_ROAD)
+    write(path, plain_finding(expect=other))
     second, finding = free_path(path.parent, plain_finding())
     assert (second.name, finding.id) == ("front-2-1f3a9c-2.pafot.yaml", "front-2-1f3a9c-2")
-    write(second, replace(finding, scenario=replace(other_scenario(), seed=3)))
+    write(second, replace(finding, expect=other))
     assert free_path(path.parent, plain_finding())[1].id == "front-2-1f3a9c-3"
 
 

@@ -24,7 +24,7 @@ from pytest_pafot.model.instructions import (
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import NOISES, Sight
 from pytest_pafot.model.trace import Outcome
-from pytest_pafot.model.vehicle_type import STYLES
+from pytest_pafot.model.vehicle_type import READY, STYLES
 from pytest_pafot.world import Highway
 from tests.helpers.hostile import CHARACTERS
 
@@ -154,6 +154,7 @@ def scenarios(draw):
         ego_speed=draw(st.floats(0, 1e3)),
         gene_seconds=draw(st.one_of(st.just(10.0), st.floats(1e-7, 1e3))),
         traffic=draw(st.sampled_from(sorted(STYLES))),
+        vehicles=draw(st.lists(st.sampled_from(sorted(READY)), max_size=len(chains))),
     )
 
 
@@ -189,7 +190,8 @@ def expectations(draw, npcs):
 def situations(npcs):
     numbers = st.floats(-MAX_NUMBER, MAX_NUMBER)
     both = {"npc": st.integers(0, npcs - 1), "time": st.floats(0, 1e6), "ego_speed": numbers, "npc_speed": numbers}
-    on_grid = st.builds(Situation, **both, lane=st.integers(-5, 5), ahead=numbers)
+    places = {"gap": numbers, "place": st.sampled_from(["ahead", "behind"]), "lanes_to_right": st.integers(-5, 5)}
+    on_grid = st.builds(Situation, **both, **places)
     return on_grid | st.builds(ZoneSituation, **both, npc_enters=numbers, ego_enters=numbers)
 
 
@@ -199,7 +201,7 @@ def bounded():
 
 
 def simplifications():
-    return st.builds(Shrunk, rollouts=st.integers(0, 10**6), is_minimal=st.booleans())
+    return st.builds(Shrunk, rollouts=st.integers(0, 10**6), is_minimal=st.booleans(), before=texts())
 
 
 def rates():
@@ -234,10 +236,11 @@ def findings(draw):
             seed=draw(st.integers(0, 10**40)),
             generation=draw(st.integers(0, 10**6)),
             algorithm=draw(texts()),
+            policy=draw(st.none() | texts()),
+            worst_closing_speed=draw(st.none() | st.floats(0, MAX_NUMBER)),
             versions=draw(st.dictionaries(keys(), texts(), max_size=4)),
         ),
         perception=draw(st.none() | perceptions()),
-        original=draw(st.one_of(st.none(), scenarios())),
         shrunk=draw(st.one_of(st.none(), simplifications())),
         rate=draw(st.none() | rates()),
         flaky=draw(st.one_of(st.none(), texts(min_size=1).filter(str.strip))),

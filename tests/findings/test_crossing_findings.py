@@ -74,7 +74,7 @@ def test_zone_situation_says_when_both_reach_the_zone():
     assert then.time + then.npc_enters == pytest.approx(8.0, abs=0.1)
     assert (then.ego_speed, then.npc_speed) == (10.0, 9.0)
     assert str(then) == (
-        f"{then.npc_enters:.1f} s from its zone at 9 m/s, with the ego {then.ego_enters:.1f} s from it at 10 m/s"
+        f"{then.npc_enters:.1f} s from its zone at 9.0 m/s, with the ego {then.ego_enters:.1f} s from it at 10.0 m/s"
     )
 
 
@@ -85,7 +85,7 @@ def test_situation_of_a_check_is_two_seconds_before_also_past_the_beginning_of_t
 
     assert (before(7.0).npc, before(7.0).time) == (0, 5.0)
     assert before(7.0).npc_enters == pytest.approx(3.0, abs=0.1)
-    assert str(before(11.0)).startswith("1.0 s past the beginning of its zone at 9 m/s, with the ego ")
+    assert str(before(11.0)).startswith("1.0 s past the beginning of its zone at 9.0 m/s, with the ego ")
 
 
 @table(("run", "comes_up"), [
@@ -115,7 +115,7 @@ def test_giving_way_is_fixed_but_not_meeting_drifted():
 def test_missed_situation_names_both_moments():
     text = missed(Expect.of(crash(), FAILS).situation, passes(enters=12.0))
     assert text.startswith("the situation did not come up: NPC 0 was ")
-    assert "s from its zone at 9 m/s, with the ego" in text
+    assert "s from its zone at 9.0 m/s, with the ego" in text
     assert text.count("zone") == 2
 
 

@@ -139,13 +139,6 @@ def test_file_of_another_name_has_the_same_failure():
         assert not is_same_failure(finding, beside, FAILS)
 
 
-def test_older_file_without_mistake_knows_only_the_fault():
-    beside, ahead = Run(situations.hit(*BESIDE)), lane_change(2.0, faster=4.0)
-    older = replace(saved(ahead), expect=replace(saved(ahead).expect, mistake=None))
-    assert [is_same_failure(older, run, FAILS) for run in (ahead, beside, crash())] == [True, True, False]
-    assert saved().expect.mistake is None, "the fault says it"
-
-
 @table(("failure", "expected"), [
     (FAILS, True),
     (jerk(2.0), True),

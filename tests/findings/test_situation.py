@@ -17,6 +17,7 @@ from tests.helpers.traces import LENGTH, trace_of
 FAILS = Failure(kind="AssertionError", assertion="assert not run.collision")
 BRAKES = {"brakes": [(3.0, 6.0, 8.0)]}
 """Braking from 20 to 8 m/s, between 3 and 5 s."""
+AT_20 = {"npc": 0, "ego_speed": 20.0, "npc_speed": 20.0}
 MOVES = {"shifts": [(4.0, RIGHT, 3.0)]}
 """A move into the lane to the right, between 4 and 7 s."""
 
@@ -47,29 +48,29 @@ def comes_up(failed, ego, npc):
 
 def test_leader_situation_starts_when_it_came_too_close():
     then = situation(rear_end())
-    assert (then.npc, then.lane, then.ego_speed, then.npc_speed) == (0, 0, 20.0, 8.0)
+    assert (then.npc, then.lanes_to_right, then.ego_speed, then.npc_speed) == (0, 0, 20.0, 8.0)
     assert 3.0 <= then.time <= 5.0
-    assert then.ahead == pytest.approx(35.0 - 3.0 * (then.time - 3.0) ** 2, abs=0.5)
+    assert then.gap == pytest.approx(35.0 - LENGTH - 3.0 * (then.time - 3.0) ** 2, abs=0.5)
     assert not missed(then, rear_end())
 
 
 def test_lane_change_situation_is_before_it_began():
     then = situation(into_the_side())
-    assert then == Situation(npc=0, time=4.0, ahead=-2.0, lane=1, ego_speed=20.0, npc_speed=20.0)
+    assert then == Situation(**AT_20, time=4.0, gap=2.0 - LENGTH, place="behind", lanes_to_right=1)
     assert not missed(then, into_the_side())
 
 
 def test_cut_in_situation_starts_with_npc_in_lane():
     cutting = driven(15.0, RIGHT, speed=14.0, shifts=[(0.0, OWN, 4.0)])
     then = situation(Run(crash(driven(0.0), cutting)))
-    assert (then.lane, then.npc_speed) == (0, pytest.approx(14.0))
+    assert (then.lanes_to_right, then.npc_speed) == (0, pytest.approx(14.0))
     assert then.time == pytest.approx(2.0, abs=0.2)  # halfway
 
 
 def test_needless_braking_is_told_from_before_it_began():
     run = Run(crash(driven(0.0, brakes=[(3.0, 7.0, 4.0)]), driven(-30.0), side="rear", cell=Cell.REAR))
     assert run.attribution.fault == "braked-for-nothing"
-    assert situation(run) == Situation(npc=0, time=3.0, ahead=-30.0, lane=0, ego_speed=20.0, npc_speed=20.0)
+    assert situation(run) == Situation(**AT_20, time=3.0, gap=30.0 - LENGTH, place="behind", lanes_to_right=0)
 
 
 def check(time, npc):
@@ -80,7 +81,7 @@ def check(time, npc):
 def test_check_situation_is_two_seconds_before_its_time():
     run = Run(trace_of(driven(0.0), driven(30.0, LEFT, speed=18.0), driven(60.0, speed=18.0)))
     assert situation(run, check(8.0, npc=1)) == Situation(
-        npc=1, time=6.0, ahead=48.0, lane=0, ego_speed=20.0, npc_speed=18.0
+        npc=1, time=6.0, gap=48.0 - LENGTH, place="ahead", lanes_to_right=0, ego_speed=20.0, npc_speed=18.0
     )
 
 
@@ -128,9 +129,9 @@ def test_vehicle_alongside_is_met_whatever_the_ego_does(ego, npc, is_met):
 def test_miss_says_where_npc_was_and_came_nearest():
     passing = Run(trace_of(driven(0.0), driven(-20.0, LEFT)))
     assert missed(situation(into_the_side()), passing) == (
-        "the situation did not come up: NPC 0 was 2 m behind one lane to the right at 20 m/s, with the ego at 20 m/s, "
-        "before the run failed; this time the nearest to that was 20 m behind one lane to the left at 20 m/s, with "
-        "the ego at 20 m/s, after 4.0 s"
+        "the situation did not come up: NPC 0 was side by side with the ego one lane to the right at 20.0 m/s, with "
+        "the ego at 20.0 m/s, before the run failed; this time the nearest to that was 15.0 m behind one lane to the "
+        "left at 20.0 m/s, with the ego at 20.0 m/s, after 4.0 s"
     )
 
 

@@ -5,6 +5,8 @@ import re
 
 import pytest
 
+import pytest_pafot as pafot
+
 DRIVES = "def make():\n    def drive(observation):\n        {}\n    return drive\n"
 KEEPS = DRIVES.format("return 0.0, 0.0")
 TEST = """
@@ -55,8 +57,9 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
 
 
 @pytest.mark.parametrize(("old", "new", "received"), [
-    (r"npc: ([01]), cell", lambda found: f"npc: {1 - int(found[1])}, cell", "a collision with NPC"),
+    (r"npc: ([01]),(\s+)cell", lambda found: f"npc: {1 - int(found[1])},{found[2]}cell", "a collision with NPC"),
     (r"closing_speed: [\d.]+", "closing_speed: 0.5", "a closing speed of"),
+    (r" closing_speed: [\d.]+", " closing_speed: 0.5", None),  # a worse one was known
     (r"assertion: not run.collision", "assertion: not run.off_road", "fails instead of"),
     (r"outcome: collision", "outcome: off_road", "the run ends with collision instead of off_road"),
     (r"npc: ", "npc: ", None),
@@ -77,6 +80,25 @@ def test_other_versions_may_move_the_collision_but_not_change_what_fails(accepte
     assert (result.ret, finding["result"]) == (0, "xfailed")
     result, finding = replayed(accepted, "return 0.0, 0.0 if observation.time < 2 else 1 / 0")
     assert (result.ret, finding["result"]) == (1, "failed")
+
+
+@pytest.mark.parametrize("known", [", worst_closing_speed: 999.0", ""])
+def test_a_search_that_hits_faster_than_all_that_was_known_is_red_until_that_is_accepted_too(accepted, known):
+    edited(accepted, r", worst_closing_speed: [\d.]+", known)
+    first = accepted.files
+    result = accepted.run(runs=16)
+    new = [each for each in accepted.files if each not in first]
+    assert (result.ret, len(new)) == ((0, 0) if known else (1, 1))
+    if new:
+        worse = pafot.load(accepted.path / new[0]).finding
+        assert worse.expect.closing_speed > pafot.load(accepted.path / first[0]).expect.closing_speed + 1.0
+        assert worse.worst_known >= worse.expect.closing_speed
+        result.stdout.fnmatch_lines([f"  note: {worse.id} is worse than saved-*: no run hit faster than * when it*"])
+        text = (accepted.path / new[0]).read_text()
+        (accepted.path / new[0]).write_text(text.replace("# xfail", "xfail: {reason: ours, until: 9999-12-31} #"))
+        made = re.search(r"1 new finding in (\d+) runs", result.stdout.str())[1]
+        assert accepted.run(runs=made).ret == 0
+        assert len(accepted.files) == 2
 
 
 @pytest.mark.processes

@@ -36,7 +36,7 @@ def searched(project, *args, runs="30", **options):
     result = project.run(*SEARCHED, f"--pafot-runs={runs}", *args, runs=None, seed=1, **options)
     findings = json.loads((project.path / "out.json").read_text())["findings"]
     replayed = [each for each in findings if each["status"] != "new"]
-    kinds = {each["signature"] for each in replayed}
+    kinds = [each["signature"] for each in replayed]
     return result, replayed, [each["id"] for each in findings if each["status"] == "new" and each["signature"] in kinds]
 
 

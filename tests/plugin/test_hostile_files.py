@@ -96,7 +96,7 @@ def test_workers_accept_file_names_that_are_not_text(saved):
     (test,) = saved.path.glob("pafot_corpus/*/*")
     for folder in (test, test.with_name(os.fsdecode(b"\xffgone"))):
         folder.mkdir(exist_ok=True)
-        (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 2\n")
+        (folder / os.fsdecode(b"\xff.pafot.yaml")).write_text("pafot: 3\n")
     result = saved.run("-n1", "--pafot-json=session.json", runs=0, apart=True)
     assert "crashed" not in result.stdout.str()
     result.stdout.fnmatch_lines([r"not run: 1 saved scenario: *\udcffgone/\udcff.pafot.yaml"])

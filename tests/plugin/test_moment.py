@@ -111,7 +111,8 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     )
     options = ("--pafot-shrink-rollouts=0",)
     result, record, _ = run(project, *options, "--pafot-report=out.html", runs=80, seed=4)
-    ((whom, (row,)),) = record["moment"]["conditions"]
+    (told,) = record["moment"]["conditions"]
+    whom, (row,) = told["about"], told["evaluated"]
     assert whom == f"NPC {record['moment']['npc']}"
     assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
     assert row.endswith(") -> True")
@@ -136,9 +137,9 @@ def test_never_moves_over_at_fault(run):
 """)
     moment = run(project, "--pafot-shrink-rollouts=0", "--pafot-runs=400", runs=200)[1]["moment"]
     assert (moment["time"], moment["action"].split(",")[0]) == (3.2, "lane 1")
-    ((whom, rows),) = moment["conditions"]
-    assert whom == NOBODY
-    assert rows[0].endswith("seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False")
+    (told,) = moment["conditions"]
+    assert told["about"] == NOBODY
+    assert told["evaluated"][0].endswith("seen.time > 3.0  (seen.time = 3.2) -> True; at 3.0 s False")
 
 
 def test_no_conditions_are_told_of_a_policy_that_decides_otherwise_when_it_is_asked(project, monkeypatch):

@@ -197,11 +197,15 @@ def check_copies(project, edits):
 
 def test_invalid_world_or_scenario_fails_item_with_line(saved):
     edits = [
-        ("lanes: 4", "lanes: 40", "3: world.lanes: expected a whole number from 3 to 6, received 40; correct it, or *"),
-        ("overspeed: 1.1", "overspeed: 2.0", "3: world.speed_limit: expected at most 20.0 m/s, because *"),
-        ("lane: 1, speed", "lane: 9, speed", "9: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
-        ("cell: 6, speed: 0.0", "cell: 6, speed: 99.0", "12: scenario.npcs[[]0][[]0].speed: expected at most the *"),
-        ("gene_seconds: 5.0", "gene_seconds: 5.01", "10: scenario.gene_seconds: expected a whole number of ticks *"),
+        ("lanes: 4", "lanes: 40", "15: world.lanes: expected a whole number from 3 to 6, received 40; correct it, *"),
+        ("overspeed: 1.1", "overspeed: 2.0", "15: world.speed_limit: expected at most 20.0 m/s, because *"),
+        ("lane: 1, speed", "lane: 9, speed", "4: scenario.ego.lane: expected a lane from 0 to 3, received 9; *"),
+        (
+            "cell: rear, speed: 0.0",
+            "cell: rear, speed: 99.0",
+            "7: scenario.npcs.NPC 0[[]0].speed: expected at most the *",
+        ),
+        ("gene_seconds: 5.0", "gene_seconds: 5.01", "5: scenario.gene_seconds: expected a whole number of ticks *"),
     ]
     check_copies(saved, edits)
 

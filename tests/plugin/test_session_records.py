@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 from pytest_pafot.corpus.reader import load
-from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.corpus.writer import named
 from pytest_pafot.plugin import reporter
 from pytest_pafot.plugin.session import exit_code
 from pytest_pafot.report.session import Session
@@ -72,7 +72,7 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert search.message == f"1 new finding in {search.runs} run, reported below"
     assert (find.node_id, find.status, find.result) == (f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed")
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
-    assert (find.signature, find.responsible) == (saved.signature.text, saved.expect.responsibility)
+    assert (find.signature, find.responsible) == (saved.signature.told, saved.expect.responsibility)
     assert find.runs == search.failing > 0
 
 
@@ -86,7 +86,7 @@ def test_a_finding_without_a_file_is_recorded_with_its_scenario(failing):
     assert find.file is None
     failing.run()
     saved = load(failing.only_file)
-    assert Scenario.from_canonical(find.scenario) == saved.scenario
+    assert find.scenario == named(saved.scenario)
     assert codec.from_dict(find.world) == codec.from_dict(saved.world)
 
 

@@ -14,7 +14,7 @@ from pytest_pafot.campaign.refine import steps
 from pytest_pafot.campaign.refine.simplest import ROLLOUTS, ROLLOUTS_IN_KERNEL, Turn, rollouts_for, starts_of
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.findings.finding import FailureRate
-from pytest_pafot.findings.shrink import OutOfBudget, sort_key
+from pytest_pafot.findings.shrink import OutOfBudget, described, sort_key
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
@@ -71,17 +71,17 @@ def test_shrunk_finding_is_announced_once_and_nothing_is_left_to_shrink(collides
     assert as_found not in run(collides, "--pafot-shrink-rollouts=0").stdout.str().splitlines()
 
 
-def test_shrunk_file_retains_name_and_original_scenario(collides):
+def test_shrunk_file_retains_name_and_size_as_found(collides):
     run(collides, "--pafot-shrink-rollouts=0")
     as_found, name = load(collides.only_file), collides.only_file
     name.unlink()
     run(collides)
     assert collides.only_file == name
     finding = load(name)
-    assert finding.original == as_found.scenario
+    assert finding.shrunk.before == described(as_found.scenario, as_found.longest_run)
     assert finding.signature == as_found.signature
     assert finding.id.endswith(as_found.scenario.id)
-    assert sort_key(finding.scenario) < sort_key(finding.original)
+    assert sort_key(finding.scenario) < sort_key(as_found.scenario)
     assert finding.shrunk.is_minimal
     assert 0 < finding.shrunk.rollouts <= 300
 
@@ -132,13 +132,13 @@ def test_interrupted_search_loses_nothing_and_says_how_to_shrink_later(project, 
     result.stdout.fnmatch_lines(["*KeyboardInterrupt*"])
     if save == "new":
         result.stdout.fnmatch_lines([f"FAILED test_it.py::test_interrupted[[]saved-{project.only_id}[]]*"])
-        assert load(project.only_file).original is None
+        assert load(project.only_file).shrunk is None
 
 
 def test_process_death_while_shrinking_preserves_the_finding(project):
     project.write("import os\n" + INTERRUPTED.replace("LIMIT", "4").replace("STOP", "os._exit(9)"))
     run(project, apart=True)
-    assert load(project.only_file).original is None
+    assert load(project.only_file).shrunk is None
     project.write("@pafot.search(SHORT)\ndef test_interrupted(run):\n    assert run.scenario.id == ''\n")
     result = run(project, "--pafot-stop-after=1")
     result.stdout.fnmatch_lines(["*a process (pid *) died while it ran *"])
@@ -158,7 +158,7 @@ def test_finding_that_time_cuts_says_so_everywhere(project, monkeypatch):
     (finding,) = json.loads((project.path / "out.json").read_text())["findings"]
     assert finding["unshrunk"] == told
     assert f"new ({told})" in (project.path / "page.html").read_text()
-    assert load(project.only_file).original is None
+    assert load(project.only_file).shrunk is None
 
 
 def test_work_on_findings_asks_for_as_many_decisions_as_the_search(project, monkeypatch):
@@ -248,7 +248,7 @@ def test_brakes(run):
     finding = load(project.only_file)
     assert finding.flaky == "running it again gave a different run"
     assert finding.rate == FailureRate(failing=5)
-    assert finding.original is None
+    assert finding.shrunk is None
 
 
 def test_unrepeatable_finding_in_wrappers_may_be_by_them(project):

@@ -9,7 +9,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 import pytest_pafot as pafot
 from pytest_pafot.attribution import takeovers
 from pytest_pafot.criticality import gap, ttc
-from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.shrink import Shrunk, described
 from pytest_pafot.findings.verdict import Failure
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import ACCELERATION, Outcome
@@ -207,8 +207,9 @@ def test_unseen_finding_has_instructions_but_no_frames():
 
 def test_prose_says_how_it_shrank():
     trace = cut_in_trace()
-    shrunk = Shrunk(rollouts=41, is_minimal=True)
-    finding = replace(finding_of(trace), original=scenario([(2, 8.0)] * 2, [(4, 20.0)]), shrunk=shrunk)
+    finding = finding_of(trace)
+    before = described(scenario([(2, 8.0)] * 2, [(4, 20.0)]), finding.longest_run)
+    finding = replace(finding, shrunk=Shrunk(rollouts=41, before=before))
     view = view_of(trace, finding)
     assert words_of(view)[-1] == "Shrunk: From 2 instructions to 3 instructions in 41 runs."
 

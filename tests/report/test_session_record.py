@@ -51,7 +51,7 @@ def test_every_record_is_read_as_it_was_written(search, finding, warning, proble
     assert (told.node_id, told.seed, told.reached) == (search.node_id, search.seed, search.reached)
     assert (told.kinds, told.known, told.warnings) == (search.kinds, search.known, list(search.warnings))
     assert (told.finds, told.runs) == (["a", "A_b.c-d"], search.runs)
-    assert [each.signature for each in record.findings] == [finding.signature.text]
+    assert [each.signature for each in record.findings] == [finding.signature.told]
 
 
 def test_finding_names_the_traffic_it_was_driven_in():
@@ -73,7 +73,7 @@ def test_keys_are_sorted_and_include_the_version():
     session.add(Search(node_id="a"))
     text = to_text(session, root="")
     plain = json.loads(text)
-    assert plain["pafot_json"] == 4
+    assert plain["pafot_json"] == 5
     assert text == json.dumps(plain, indent=2, sort_keys=True) + "\n"
 
 

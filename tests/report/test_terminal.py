@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from pytest_pafot.campaign.events import Ending, Progress, Search, concluded
 from pytest_pafot.corpus.writer import text_of
-from pytest_pafot.findings.shrink import Shrunk
+from pytest_pafot.findings.shrink import Shrunk, described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.model.instructions import Cell, PositionInstruction
@@ -50,7 +50,6 @@ SEARCH = Search(
     no_interaction=5,
     finds=(FIND,),
     known={"rear-6-abcdef": 4},
-    unlike={"rear-6-abcdef": ("1a2b3c (ego's lane-change, not lane-keeping)",)},
     warnings=(
         "NPCs reached the cell of only 12 % (1) of 8 Position-Instructions that they started; give them more time",
     ),
@@ -70,17 +69,16 @@ CUT_IN, AHEAD = PositionInstruction(Cell.FRONT_LEFT, 20.0), PositionInstruction(
     (None, [[AHEAD]], True, None),
 ])  # fmt: skip
 def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, line):
-    original = None if found is None else Scenario.repaired(found)
-    shrunk = Shrunk(rollouts=5, is_minimal=is_minimal)
-    finding = plain_finding(scenario=Scenario.repaired(simplest), original=original, shrunk=shrunk)
+    before = "" if found is None else described(Scenario.repaired(found))
+    shrunk = Shrunk(rollouts=5, is_minimal=is_minimal, before=before)
+    finding = plain_finding(scenario=Scenario.repaired(simplest), shrunk=shrunk)
     assert terminal.shrunk_lines(finding) == ([] if line is None else [line])
 
 
-def test_another_traffic_and_another_takeover_are_reported():
+def test_another_traffic_is_reported():
     original, scenario = (Scenario.repaired([[AHEAD]], traffic=each) for each in ("hostile", "paper"))
-    finding = plain_finding(scenario=scenario, original=original, shrunk=Shrunk(rollouts=5, takeover=2.0))
-    careful = "as found: a careful driver who takes over 2 s before the impact still avoids it"
-    assert terminal.shrunk_lines(finding) == ["from hostile traffic to paper traffic", careful]
+    finding = plain_finding(scenario=scenario, shrunk=Shrunk(rollouts=5, before=described(original)))
+    assert terminal.shrunk_lines(finding) == ["from hostile traffic to paper traffic"]
 
 
 def test_failures_are_listed_worst_first_whether_new_or_not(snapshot):
@@ -164,7 +162,7 @@ def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks
 def test_a_search_that_finds_nothing_has_five_lines():
     drawn = "3 to 6 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3"
     quiet = replace(
-        SEARCH, kinds=Counter(passed=48), finds=(), known={}, warnings=(), notes=(), unlike={}, drawn=drawn,
+        SEARCH, kinds=Counter(passed=48), finds=(), known={}, warnings=(), notes=(), drawn=drawn,
         random=Counter(runs=19), more_runs=Counter(), no_interaction=0,
     )  # fmt: skip
     lines = terminal.search_lines(quiet)
@@ -298,7 +296,7 @@ def test_finding_has_remark_when_reader_needs_it(flags, remark):
 def test_a_replay_says_what_was_driven_and_what_the_search_found(snapshot):
     passes = replace(sighting("saved-a", label="passes"), test="t")
     searches = {"t": replace(SEARCH, node_id="t[search]", reason=Ending.RUNS, kinds=Counter(passed=297, invalid=3))}
-    other = {"t": replace(searches["t"], failures={passes.finding.signature.text: "hit-2", "miss": "miss-1"})}
+    other = {"t": replace(searches["t"], failures=(("hit-2", passes.finding.signature),))}
     cut = {"t": replace(searches["t"], reason=Ending.INTERRUPTED)}
     drawn, some = ({"t": replace(searches["t"], random=Counter(runs=runs))} for runs in (297, 20))
     shown = [terminal.replay_lines([concluded(passes, each)], 200) for each in ({}, searches, other, cut, drawn, some)]

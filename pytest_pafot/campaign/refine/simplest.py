@@ -11,13 +11,13 @@ from typing import Any
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
 from pytest_pafot.campaign.harness import Harness
-from pytest_pafot.campaign.results import State, signature_of
+from pytest_pafot.campaign.results import State
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import RUNS, FailureRate, of_failure, with_other_seed
 from pytest_pafot.findings.shrink import Ahead, Attempt, Likely, OutOfBudget, Shown, Shrunk, Start, shrink
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.findings.verdict import Failure, Signature, Verdict
+from pytest_pafot.findings.verdict import Failure, Signature, Verdict, severity_of
 from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Trace
@@ -41,7 +41,7 @@ def showing(
         if most is not None and len(run.trace.actions) >= most:  # what ended it is no failure of the ADS
             bench.record.clear()
             return None
-        if not shows(sighting, run, bench.finish(run, driven(run)), state):
+        if not shows(sighting, run, bench.finish(run, driven(run)), state, bench):
             return None
     except ScenarioError:  # For example, it begins in an outer lane, next to which there are too few cells.
         return None
@@ -51,9 +51,9 @@ def showing(
     return run
 
 
-def shows(sighting: Seen, run: Run, verdict: Verdict, state: State) -> bool:
+def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench) -> bool:
     """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
-    shown = signature_of(run, verdict)
+    shown = bench.examiner.signature_of(run, verdict)
     return shown is not None and is_same(shown, found_as(sighting, state))
 
 
@@ -292,7 +292,10 @@ def _likely(
             trace = rollout(candidate, repeating(did[-1]), decisions=did)
         except ScenarioError:
             return False
-        return trace.collision is not None and is_same(of_failure(harness.run_of(trace), failure), found)
+        if trace.collision is None:
+            return False
+        run = harness.run_of(trace)
+        return is_same(bench.examiner.beside_accepted(of_failure(run, failure), severity_of(run, failure)), found)
 
     return likely
 

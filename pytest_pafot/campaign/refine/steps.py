@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from pytest_pafot.attribution.takeovers import is_alike
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.harness import headline
@@ -18,7 +17,7 @@ from pytest_pafot.campaign.results import State, fingerprint
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, ending
-from pytest_pafot.findings.shrink import OutOfBudget, Shrunk
+from pytest_pafot.findings.shrink import OutOfBudget, Shrunk, described
 from pytest_pafot.findings.sighting import ENDED_OTHERWISE, Seen
 from pytest_pafot.findings.verdict import Verdict
 from pytest_pafot.oracle.run import Run
@@ -100,7 +99,7 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
 def _simplified(sighting: Seen, state: State, bench: Bench, store: Store, turn: Turn) -> Refining[bool]:
     """Shrink a finding, run it again, and let a careful driver take over; return True if nothing is left to do."""
     __tracebackhide__ = True
-    original = sighting.finding.original or sighting.finding.scenario
+    original = sighting.finding.scenario
     # How often it fails, if that is by chance. Another thread of this process may have drawn in one run, but hardly in
     # two.
     is_new = sighting.is_random and sighting.finding.rate is None
@@ -147,7 +146,7 @@ def _confirmed(
     scenario, rate = simplest.scenario, sighting.finding.rate
     run = bench.run(scenario)
     verdict = bench.finish(run)
-    if not shows(sighting, run, verdict, state):
+    if not shows(sighting, run, verdict, state, bench):
         otherwise = f"{ENDED_OTHERWISE}: {ending(run)}"
         differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
     else:
@@ -186,25 +185,19 @@ def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refin
 
 
 def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdict, bench: Bench) -> Refining[Seen]:
-    """Return a finding as its confirmed scenario shows it, with what a careful driver who takes over avoids in it.
-
-    It keeps the scenario as found.
-    """
+    """Return a finding as its confirmed scenario shows it, with what a careful driver who takes over avoids in it."""
     if verdict.failure is None or verdict.exception is None:
         return sighting
     harness, scenario, then = bench.harness, simplest.scenario, sighting.observed
-    before = replace(sighting.finding, rate=simplest.rate)
-    original = before.original or before.scenario
+    before, shrunk = replace(sighting.finding, rate=simplest.rate), simplest.shrunk
+    if scenario != before.scenario:
+        shrunk = replace(shrunk, before=described(before.scenario, before.longest_run))
     yield Phase(f"a careful driver takes over in saved-{sighting.id}", sighting.id)
-    takeover, as_found = None, None if before.shrunk is None else before.shrunk.takeover  # if it was shrunk in part
+    takeover = None
     try:
         takeover = run.takeover if verdict.failure.check is None and verdict.severity is not None else None
-        if takeover is not None and as_found is None and scenario != before.scenario and then.run is not None:
-            as_found = then.run.takeover
     except DriverError as error:  # the world cannot simulate the driver
         yield Note(f"{error}; findings say nothing of what this driver would have done")
-    if is_alike(as_found, takeover):
-        as_found = None
     # The file says from now on what the simple scenario shows; only its name and its origin are those of the first run.
     finding = replace(
         before,
@@ -212,8 +205,7 @@ def _with_takeover(sighting: Seen, simplest: Simplest, run: Run, verdict: Verdic
         expect=Expect.of(
             run, verdict.failure, takeover=takeover, against=before.expect.against, root=str(harness.root)
         ),
-        original=original if scenario != original else None,
-        shrunk=replace(simplest.shrunk, takeover=as_found) if simplest.shrunk.rollouts else None,
+        shrunk=shrunk if shrunk.rollouts else None,
     )
     # Nothing new: the caller then does not write the file again.
     if finding == before and not sighting.unshrunk:
