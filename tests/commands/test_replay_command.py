@@ -86,7 +86,7 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     ([ACCEPTED, "--ads", "policies:Idle", "--world", "nothing-v0"], "expected a registered environment, received"),
     (["crossing", "--ads", "policies:Idle", "--world", "highway-v0"], "crossing.pafot.yaml:"),
     (["flaky", "--ads", "policies:Idle"], "--check: expected the function of a run that asserts what test_golden.py::"),
-    (["own", "--ads", "policies:Idle"], "own.pafot.yaml:3: world: expected a world that is data, received"),
+    (["own", "--ads", "policies:Idle"], "own.pafot.yaml:14: world: expected a world that is data, received"),
     (["newer", "--ads", "policies:Idle"], "newer.pafot.yaml:1: pafot: expected the format version"),
     (["large", "--ads", "policies:Idle"], "large.pafot.yaml: expected at most 256 KiB, received a larger file"),
     (["a [1].pafot.yaml", "--ads", "policies:Idle"], "a [1].pafot.yaml; rename the file"),
