@@ -51,12 +51,9 @@ def test_worst_tick_has_its_own_frame_and_value():
     assert len(view.check.values) == len(view.times) == len(view.vehicles[0].speed)
 
 
-def test_check_curve_has_worst_value_between_two_frames():
+def test_curve_has_worst_value_between_two_frames_and_intervals_in_which_bound_is_broken():
     check = shown(peaks(t61=-30, t91=-5, t92=2), at_least=-20).check
     assert sorted(set(check.values)) == [-30, -5, 1]
-
-
-def test_view_has_intervals_in_which_bound_is_broken():
     view = shown(peaks(t30=21, t31=22, t32=21, t60=25, t300=21), at_most=20)
     assert view.check.broken == ((2.0, 2.133), (4.0, 4.0), (20.0, 20.0))
 
@@ -75,12 +72,9 @@ def test_check_curve_axis_covers_values_that_break_bound(values, bounds, axis, i
     assert all(value is None or check.low <= value <= check.high for value in check.values)
 
 
-def test_single_number_has_bound_and_moment_without_curve():
+def test_single_number_and_values_of_unknown_ticks_have_no_curve():
     check = shown(35.1, at_most=20, at=4.2).check
     assert (check.value, check.at_most, check.time, check.values) == (35.1, 20.0, 4.2, ())
-
-
-def test_values_of_unknown_ticks_have_no_curve():
     assert shown(peaks(t61=35.1)[1::2], at_most=20).check.values == ()
 
 

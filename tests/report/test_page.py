@@ -176,15 +176,6 @@ def test_conditions_stand_below_the_vehicle_that_they_are_about():
     ) in article
 
 
-def test_the_list_has_the_findings_of_each_test_under_its_name():
-    names = ("t.py::test_a[late]", "t.py::test_a[late]", "t.py::test_b")
-    view = view_of(cut_in_trace())
-    listed = finding_list([as_seen(view, finding={"test": name}) for name in names])
-    assert re.findall(r"<h3>(.*?)</h3>|data-key=\"(.*?)\"", listed) == [
-        ("test_a[late]", ""), ("", view.seen.id), ("", f"{view.seen.id}-2"), ("test_b", ""), ("", f"{view.seen.id}-3"),
-    ]  # fmt: skip
-
-
 def test_an_error_of_the_policy_is_the_egos():
     error = AdsError(
         kind="ValueError", message="no plan", traceback="Traceback:\n  line 3\nValueError: no plan", tick=30

@@ -32,10 +32,12 @@ def test_findings_are_sorted_by_novelty_fault_and_severity(order):
     assert sorted(found[::order], key=lambda each: (each.label != "new", *each.rank)) == found
 
 
-def test_findings_of_each_test_are_together_the_worst_test_first():
-    view = real_views()[0]
-    views = [as_seen(view, finding={"test": test, "id": id_}) for test, id_ in (("b", "1"), ("a", "2"), ("b", "3"))]
-    assert re.findall(r'data-key="(.*?)"', page_of(*views)) == ["1", "3", "2"]
+def test_findings_of_each_test_are_together_under_its_name_the_worst_test_first():
+    named = (("b[x]", "one"), ("a", "two"), ("b[x]", "other"))
+    views = [as_seen(real_views()[0], finding={"test": test, "id": "1"}, node_id=node_id) for test, node_id in named]
+    listed = page_of(*views).partition("</nav>")[0]
+    shown = re.findall(r'<h3>.*?</h3>|(?<=data-key=").*?(?=")', listed)
+    assert shown == ["<h3>b[x]</h3>", "1", "1-2", "<h3>a</h3>", "1-3"]
 
 
 def test_facts_include_replay_labels_and_versions():

@@ -291,9 +291,10 @@ class Scene {
     this.impact.setAttribute("visibility", isDrawn ? "visible" : "hidden");
     const other = event.npc === null ? null : states[event.npc + 1];
     const place = event.kind === "collision" && other ? this.contact(other) : this.ego;
-    const y = this.y(place.across);
-    this.impact.setAttribute("transform", `translate(${px(this.x(place.along))} ${px(y)})`);
-    this.impact.children[1].setAttribute("y", y > 40 ? -20 : 30);
+    const [x, y, side] = [this.x(place.along), this.y(place.across), other && other.along > place.along ? "end" : "start"];
+    this.impact.setAttribute("transform", `translate(${px(x)} ${px(y)})`);
+    // Where vehicles come from all sides, the words stand beside the impact, away from the other vehicle.
+    change(this.impact.children[1], this.isWorld ? { x: side === "end" ? -18 : 18, y: 4, "text-anchor": side } : { y: y > 40 ? -20 : 30 });
   }
 
   contact(other) {
