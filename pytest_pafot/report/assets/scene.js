@@ -56,9 +56,9 @@ function instructionAt(finding, npc, time) {
 
 function wordsOf(row) {
   if (row.phase === "ended") return "keeps its lane and speed, its instructions are over";
-  const reached = row.phase === "arrived" && row.lane !== "keep" ? `; ${row.zone ? "entered" : "reached"} at ${fixed(row.arrived, 1)} s` : "";
+  const reached = row.phase === "arrived" && row.lane !== "keep" ? `; ${row.zone ? "entered" : "there"} at ${fixed(row.arrived, 1)} s` : "";
   const asked = row.zone || row.lane || row.requested === row.cell ? "" : `, requested was cell ${CELL_NAMES[row.requested]}`;
-  return `${goalName(row)}, ${fixed(row.speed, 1)} m/s${asked}${reached}`;
+  return `${goalName(row)}, target ${fixed(row.speed, 1)} m/s${asked}${reached}`;
 }
 
 const decisionAt = (finding, time) => finding.decisions.findLast(([start]) => start <= time + 1e-6)?.[2] ?? "";
