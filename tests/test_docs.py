@@ -224,9 +224,11 @@ class Folder:
         assert block.first.startswith("$ "), f"a console block that does not begin with a command: {block.first}"
         program, *arguments = shlex.split(self.with_own_ids(block.first.removeprefix("$ ")))
         if [program, *arguments[:2]] == ["python", "-m", "pytest_pafot"]:
-            done = command_in_a_copy(*arguments[1:])
+            with pytest.MonkeyPatch.context() as patch:  # replay starts pytest
+                patch.setenv("PYTEST_PLUGINS", "pytest_pafot.plugin")
+                done = command_in_a_copy(*arguments[1:])
             self.compare(block, done.out)
-            assert done.code == 0
+            assert done.code == (arguments[2] == "replay")  # of a failure
             return
         if program in ("python", "git"):
             with pytest.MonkeyPatch.context() as patch:  # git bisect starts pytest
