@@ -67,7 +67,7 @@ def searched(tmp_path, monkeypatch):
             "events": [each for each in found.events if type(each).__module__ == "pytest_pafot.searching.evaluation"],
             "files": texts,
             "counts": (*counts, summary.outcomes, summary.responsibilities),
-            "failures": summary.failures,
+            "failures": dict(summary.failures),
             "worst": [each.alike for each in summary.finds],
             "notes": [each for each in summary.process_notes if "in use" not in each],
         }, [*given]
@@ -129,6 +129,7 @@ def test_what_a_process_ran_that_was_killed_from_outside_is_run_again_with_a_not
             os._exit(3)
         return 0.0, 0.0
 
+    killed.__qualname__ = keep.__qualname__  # which files have
     found, numbers = searched("killed", drives=True, ads=killed, workers=2)
     assert flag.exists()
     assert numbers
@@ -228,7 +229,7 @@ def is_over_when_saved_early(saved_early, monkeypatch):
 def test_a_search_whose_time_is_over_counts_the_failures_of_later_chunks(searched, saved_early):
     found, _ = searched("early", drives=True, workers=2)
     assert {each.name for each in saved_early} <= {*found["files"]}
-    assert {f"{id_}.pafot.yaml" for id_ in found["failures"].values()} == {*found["files"]}
+    assert {f"{id_}.pafot.yaml" for id_ in found["failures"]} == {*found["files"]}
     assert found["counts"][1] >= len(found["files"])
 
 
@@ -240,7 +241,7 @@ def test_a_search_that_saves_nothing_counts_the_failures_of_later_chunks_when_it
     (early,) = saved_early
     saved_early.clear()
     found, _ = searched("none", saves=False, drives=True, workers=2)
-    assert early.name.partition(".")[0] in found["failures"].values()
+    assert early.name.partition(".")[0] in found["failures"]
 
 
 @pytest.mark.usefixtures("is_over_when_saved_early")

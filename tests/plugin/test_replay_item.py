@@ -214,9 +214,13 @@ def test_environment_creation_failure_is_reported_with_line(project):
     project.write(GYM)
     project.run_once()
     edits = [
-        ("lanes_count: 3", "lanes_count: many", "4: world.config: expected a configuration that the environment *"),
-        ("lanes_count: 3", "lanes_cound: 3", "4: world.config: expected options of highway-fast-v0, received lanes_c*"),
-        ("highway-fast-v0", "highway-slow-v0", "3: world.env_id: expected a registered environment, received *"),
+        ("lanes_count: 3", "lanes_count: many", "25: world.config: expected a configuration that the environment *"),
+        (
+            "lanes_count: 3",
+            "lanes_cound: 3",
+            "25: world.config: expected options of highway-fast-v0, received lanes_c*",
+        ),
+        ("highway-fast-v0", "highway-slow-v0", "24: world.env_id: expected a registered environment, received *"),
     ]
     check_copies(project, edits)
 
