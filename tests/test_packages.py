@@ -56,7 +56,10 @@ def test_readme_without_address_loses_links_but_no_text(long_description):
     assert targets(shown) == []
     assert "<picture>" not in shown
     assert fences(shown) == fences(README)
-    assert "planners that simulate; networks and programs in any\nlanguage need one line, such as" in shown
+    assert (
+        "lane 0 is the leftmost. Vehicles of highway-env,\nnetworks and programs and your own simulator work, too."
+        in shown
+    )
 
 
 def test_absolute_and_internal_links_stay_unchanged(long_description):
@@ -163,9 +166,9 @@ def test_wheel_with_missing_or_extra_contents_is_refused(check, tmp_path, change
 
 def test_release_check_extracts_the_files_from_readme(check):
     files = check["readme_files"]()
-    assert sorted(files) == ["conftest.py", "test_safety.py"]
-    assert "class MyPlanner" in files["conftest.py"]
-    assert "@pafot.search" in files["test_safety.py"]
+    assert list(files) == ["test_cruise.py"]
+    assert "@pafot.search" in files["test_cruise.py"]
+    assert (ROOT / "docs/start/test_cruise.py").read_text().endswith(files["test_cruise.py"].lstrip())
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs locks of POSIX")

@@ -56,7 +56,7 @@ def test_no_fault_fails_if_the_ego_is_responsible(situation):
     if situation.responsibility in ("npc", "none"):
         properties.no_fault(run)
     else:
-        with pytest.raises(AssertionError, match=r"The ego is responsible|Both are responsible"):
+        with pytest.raises(AssertionError, match=r"The ego is responsible|are both responsible"):
             properties.no_fault(run)
 
 

@@ -48,8 +48,8 @@ REPORTS = {
 """Arguments of the comparisons, by name. Of two values in braces, ``--quick`` uses the second."""
 
 BENCHMARKS: Mapping[str, str] = {
-    "planted-defects": "planted_defects --arms default cells pafot --seeds {10|1} --first-seed 1000 --runs {1000|20} "
-    "--workers WORKERS --save OUT.jsonl --picture OUT.png",
+    "planted-defects": "planted_defects --arms default cells pafot pafot-drawn --seeds {10|1} --first-seed 1000 "
+    "--runs {1000|20} --workers WORKERS --save OUT.jsonl --picture OUT.png",
     "speed": "speed --rounds {9|1} --parts {engines search|search}",
 }
 """Arguments of the programs in tests/benchmarks."""
@@ -58,7 +58,6 @@ WRITERS = {
     "reference": "docs/tools/generate.py",
     "gallery": "docs/tools/gallery.py",
     "samples": "-m pytest -q -p no:cacheprovider tests/test_docs.py -m stories",
-    "terminal": "docs/tools/picture.py",
     "crash": "docs/tools/crash_picture.py",
     "pages": "docs/tools/report_picture.py",
     "roads": "docs/tools/road_pictures.py",

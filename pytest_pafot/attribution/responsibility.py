@@ -158,7 +158,7 @@ def rss_rule(trace: Trace) -> Attribution:
         tick=found.tick,
         time=found.tick / hz,
         fault=found.fault if found.responsibility in ("ego", "both") else None,
-        sentences=sentences_on(trace, frame_of(trace), DISTANCES, npc, found.happened, found.vehicle, found.tick),
+        sentences=sentences_on(trace, frame_of(trace), npc, found.happened, found.vehicle, found.tick),
         contested=found.fault if is_contested else None,
     )
 

@@ -6,16 +6,19 @@ No other module has such sentences.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from pytest_pafot.criticality import RoadFrame, RssRules
-from pytest_pafot.criticality.measures import last_stretch, stretches
+from pytest_pafot.attribution import takeovers
+from pytest_pafot.criticality import RoadFrame
+from pytest_pafot.criticality.measures import last_stretch
 from pytest_pafot.model.crossings import Zone
-from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Trace
-from pytest_pafot.support.text import capitalised
+from pytest_pafot.model.instructions import Cell
+from pytest_pafot.model.trace import ALONG, SPEED, FloatArray, Side, Trace
+from pytest_pafot.support.text import capitalised, listed
 
 Happened = Literal["moved", "close", "sideways", "braked", "stopped", "entered", "elsewhere"]
 """What happened at the tick that decides: a vehicle moved into the other's lane, came too close, or moved sideways into
@@ -25,46 +28,95 @@ AT_FAULT: Mapping[str, str] = MappingProxyType(
     {"ego": "ego at fault", "npc": "NPC at fault", "both": "both at fault", "none": "nobody at fault"}
 )
 """Who is responsible for a collision, in the words of headlines and of the report page."""
-BRAKES, TOLD = 0.5, 2.0
-"""The least deceleration that counts as braking in the sentences [m/s^2], and the least time
-before the impact that they tell [s]."""
-LOST = 0.2
+STOOD = "stood still"
+"""What a vehicle did whose speed was 0 m/s."""
+BRAKES, TOLD, PHASES = 0.5, 2.0, 3
+"""The least deceleration that counts as braking in the sentences [m/s^2], the least time before the impact that they
+tell [s], and the largest number of parts of that time that they tell of a vehicle, the last ones."""
+LOST, SAME = 0.2, 0.05
 """The least loss of speed that counts as braking, and the least gain that counts as speeding up [m/s]; less is a twitch
 of a controller. In 776 runs on straight roads, NPCs that kept lane and speed never braked. In 700 on bent roads, they
-lost less than 0.16 m/s, or more than 0.2 m/s for a bend, and hardly ever anything between."""
+lost less than 0.16 m/s, or more than 0.2 m/s for a bend, and hardly ever anything between. Up to the second number, a
+vehicle has kept its speed."""
 
 
-def responsible_sentence(responsibility: str, npc: int | None) -> str:
-    """Return the sentence that says who is responsible for a collision with an NPC, or with a fixed object (None)."""
+def responsible_sentence(responsibility: str, npc: int | None, takeover: float | None = None) -> str:
+    """Return who is responsible for a collision with an NPC, or with a fixed object (None), and until when it avoids.
+
+    ``takeover`` is the latest takeover by a careful driver that avoids it, if it is known
+    (:mod:`pytest_pafot.attribution.takeovers`).
+    """
     if npc is None:
         return "The ego is responsible, because a fixed object does not move."
-    if responsibility == "both":
-        return f"Both are responsible: the ego and NPC {npc}."
-    who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}[responsibility]
-    return f"{who} is responsible."
+    who = {"ego": "The ego", "npc": f"NPC {npc}", "none": f"Neither the ego nor NPC {npc}"}
+    told = f"{who[responsibility]} is" if responsibility in who else f"The ego and NPC {npc} are both"
+    avoids = "" if takeover is None else f" {takeovers.sentence(takeover)}"
+    return f"{told} responsible.{avoids}"
+
+
+def impact(
+    time: float,
+    npc: int | None,
+    side: Side | None,
+    cell: Cell | None,
+    whence: str = "",
+    closing: float | None = None,
+    way: str = "",
+) -> str:
+    """Return who hit whom, when [s] and how fast [m/s], in the words of all headlines.
+
+    Args:
+        time: time of the impact [s].
+        npc: the NPC; None for a fixed object.
+        side: side of the ego that was hit; None if that is unknown.
+        cell: cell of the NPC at the impact; None if it crossed the ego's way, or if that is unknown.
+        whence: where an NPC that crosses comes from, such as ``from the left``; empty for any other.
+        closing: closing speed [m/s]; None if that is unknown.
+        way: ``along`` for an NPC that drives in the ego's direction, ``towards`` for one that comes towards it,
+            ``backwards`` if the ego drives so; empty if that is unknown.
+    """
+    when = f"after {time:.1f} s" + ("" if closing is None else f", closing at {closing:.1f} m/s")
+    if npc is None:
+        return f"the ego hit a fixed object {when}"
+    if side == "rear" and way == "backwards":
+        return f"the ego drove backwards into NPC {npc} {when}"
+    if side == "rear":
+        return f"NPC {npc} hit the ego {'from behind' if way == 'along' else 'at its rear'} {when}"
+    if whence and side is not None:
+        crossing = f"NPC {npc}, which came {whence},"
+        return f"the ego hit {crossing} {when}" if side == "front" else f"{crossing} hit the ego's {side} side {when}"
+    if side == "front" and cell is Cell.FRONT and way in ("along", "towards"):
+        return f"the ego hit NPC {npc} {'from behind' if way == 'along' else 'head-on'} {when}"
+    if side == "front":
+        return f"the ego's front hit NPC {npc}{'' if cell in (None, Cell.FRONT) else f' ({cell.label})'} {when}"
+    where = "touched" if side is None else f"touched on the ego's {side} side"
+    return f"the ego and NPC {npc} {where} {when}"
 
 
 def sentences_on(
-    trace: Trace, frame: RoadFrame, rules: RssRules, npc: int, happened: Happened, vehicle: int, tick: int
+    trace: Trace, frame: RoadFrame, npc: int, happened: Happened, vehicle: int, tick: int
 ) -> tuple[str, ...]:
     """Return the sentences on a collision with an NPC: what happened at a tick, by a vehicle, and what both did.
 
-    The last two are on the ego and on the NPC, one each: what it did since the tick, or in the last two seconds.
-    ``rules`` are those of the safe distance.
+    That they came too close is no sentence of its own. The last two are on the NPC and on the ego, one each: where the
+    NPC was at the tick, or two seconds before the impact if that is earlier, and what each did since.
     """
     other, hz, end = npc + 1 - vehicle, trace.physics_hz, trace.ticks
     (who, whom), at = (_name(vehicle), _name(other)), f"{tick / hz:.1f} s"
-    ahead = -float(frame.ahead[npc, tick]) if vehicle == 0 else float(frame.ahead[npc, tick])
-    gap = abs(ahead) - float(frame.half_along[vehicle, tick] + frame.half_along[other, tick])
-    place = f"next to {whom}" if gap <= 0 else f"{gap:.1f} m {'ahead of' if ahead > 0 else 'behind'} {whom}"
+    ahead, half = frame.ahead[npc], frame.half_along[0] + frame.half_along[npc + 1]
+
+    def place(of: float, whom: str, tick: int) -> str:
+        gap = abs(of) - float(half[tick])
+        return f"next to {whom}" if gap <= 0 else f"{gap:.1f} m {'ahead of' if of > 0 else 'behind'} {whom}"
+
+    told = []
     match happened:
         case "moved":
             lane = int(trace.road.numbers(other)[tick])
             into = f"the lane of {whom}" if lane < 0 else f"lane {lane}"
-            told = [f"{who} moved into {into} at {at}, {place}."]
-        case "close":
-            safe = float(frame.safe_along(rules)[tick, npc])
-            told = [f"{who} was {place} at {at}" + (f"; {safe:.1f} m are safe." if 0 < gap < safe else ".")]
+            told = [
+                f"{who} moved into {into} at {at}, {place(float(ahead[tick]) * (1 if vehicle else -1), whom, tick)}."
+            ]
         case "sideways":
             told = [f"{who} moved sideways at {at} into {whom}, which was next to it."]
         case "braked":
@@ -77,7 +129,18 @@ def sentences_on(
         case "elsewhere":
             told = [f"{who} touched {whom} at {at}, outside the zone where their ways meet."]
     since = max(min(tick, end - round(TOLD * hz)), 0)
-    told += [_deed(trace.states[:, each, SPEED], hz, since, _name(each)) for each in (0, npc + 1)]
+    # The places of two vehicles whose ways meet are not along one road, and one off the ego's way has none on it.
+    is_along = not (trace.zones and trace.zones[npc]) and not (happened == "moved" and since == tick)
+    is_along &= bool(np.isfinite(ahead[since]))
+    towards = " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
+    where = f", {place(float(ahead[since]), 'the ego', since)}{towards} at {since / hz:.1f} s," if is_along else ""
+    speeds = trace.states[:, npc + 1, SPEED]
+    is_ahead = bool(trace.zones and trace.zones[npc]) or ahead[since] > 0  # else it could have braked for the ego
+    deed = _deed(speeds, hz, since, is_ahead=is_ahead, is_told=bool(where))
+    told.append(f"{_name(npc + 1)}{where} {deed}.")
+    # How late the ego braked is the distance to a vehicle that was ahead of it in its track.
+    gaps = np.where((frame.gap_across[:, npc] <= 0) & (ahead > half), ahead - half, np.nan)
+    told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, _name(npc + 1))}.")
     return tuple(capitalised(sentence) for sentence in told)
 
 
@@ -98,26 +161,62 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
     return [f"{entered}. {holder} had priority."]
 
 
-def brakings(speeds: FloatArray, hz: int) -> list[tuple[int, int]]:
-    """Return the tick at which each braking in a vehicle's speeds [m/s] begins, and the tick until which it lasts."""
-    found = stretches(-np.diff(speeds) * hz >= BRAKES)
-    return [(begin, end) for begin, end in found if speeds[begin] - speeds[end] >= LOST]
+def _deed(
+    speeds: FloatArray,
+    hz: int,
+    since: int,
+    gaps: FloatArray | None = None,
+    leader: str = "",
+    *,
+    is_ahead: bool = False,
+    is_told: bool = False,
+) -> str:
+    """Return how a vehicle's speed changed from a tick up to the impact: when it braked, and when it sped up.
+
+    Of a vehicle with ``gaps`` to the one ahead of it [m], the text says how hard it braked, and how far behind that one
+    it began to. That a vehicle did not brake is left out of one that ``is_ahead``; with ``is_told``, the time of the
+    tick is.
+    """
+    part, told, has_braked = np.maximum(speeds[since:], 0.0), list[str](), False
+    for begin, end in pairwise([*_turns(part), len(part) - 1]):
+        change = float(part[end] - part[begin])
+        if not abs(change) >= LOST:  # nor if it is not a number
+            continue
+        # It may have kept its speed at first, for long enough to be told.
+        way = 1 if change > 0 else -1
+        first = begin + int(np.flatnonzero(way * (part[begin : end + 1] - part[begin]) <= SAME)[-1])
+        first = first if first - begin >= TOLD / 4 * hz else begin
+        when = f" from {(since + first) / hz:.1f} s on" if first else ""
+        told += [_kept(part[0])] if first and not told else []
+        hardest = -float(np.diff(part[begin : end + 1]).min()) * hz
+        is_braking = change < 0 and hardest >= BRAKES
+        if is_braking and gaps is not None:
+            when = f" at up to {hardest:.1f} m/s^2{when}"
+            if not has_braked and not np.isnan(gaps[since + first]):
+                when += f" ({gaps[since + first]:.1f} m behind {leader})"
+        has_braked |= is_braking
+        how = "braked" if is_braking else "slowed" if change < 0 else "sped up"
+        told.append(f"{how}{'' if told else f' from {part[begin]:.1f}'} to {part[end]:.1f} m/s{when}")
+    then = f" from {since / hz:.1f} s on" if gaps is not None or not is_told else ""
+    if speeds[-1] < -SAME:
+        return listed([*told[-PHASES:], f"drove backwards at {-speeds[-1]:.1f} m/s"])
+    if not told and _kept(part[-1]) == STOOD:
+        return STOOD if is_ahead else f"{STOOD}{then}"
+    told = told[-PHASES:] or [_kept(part[-1])]
+    return listed([*told, *([] if has_braked or is_ahead else [f"did not brake{then}"])])
 
 
-def _deed(speeds: FloatArray, hz: int, tick: int, who: str) -> str:
-    """Return how a vehicle braked, and how its speed changed, from a tick up to the impact."""
-    part, seconds = np.maximum(speeds[tick:], 0.0), (len(speeds) - 1 - tick) / hz
-    after, slowest = part[-1], len(part) - 1 - int(part[::-1].argmin())
-    braked, since = brakings(part, hz), (tick + slowest) / hz
-    hardest = max((-float(np.diff(part[begin : until + 1]).min()) * hz for begin, until in braked), default=0.0)
-    if part[-1] - part[slowest] >= LOST:
-        before = (
-            f"braked at up to {hardest:.1f} m/s^2 to {part[slowest]:.1f} m/s, and" if braked else "did not brake, but"
-        )
-        return f"{who} {before} sped up to {after:.1f} m/s from {since:.1f} s on."
-    if braked:
-        late = braked[0][0] / hz
-        waited = f"did not brake for {late:.1f} s after {tick / hz:.1f} s, then " if late else ""
-        return f"{who} {waited}braked at up to {hardest:.1f} m/s^2, to {after:.1f} m/s."
-    speed = "kept" if part[0] - after < LOST else "slowed to"
-    return f"{who} {speed} {after:.1f} m/s and did not brake in the {seconds:.1f} s before the impact."
+def _kept(speed: float) -> str:
+    return STOOD if speed < SAME else f"kept {speed:.1f} m/s"
+
+
+def _turns(speeds: FloatArray) -> list[int]:
+    """Return the first tick, and those at which a vehicle's speed begins to rise or fall, by 0.2 m/s at least."""
+    turns, low, high, way = [0], 0, 0, 0
+    for tick, speed in enumerate(speeds.tolist()):
+        low, high = (tick if speed < speeds[low] else low), (tick if speed > speeds[high] else high)
+        if way >= 0 and speeds[high] - speed >= LOST:
+            turns, way, low = [*turns, high], -1, tick
+        elif way <= 0 and speed - speeds[low] >= LOST:
+            turns, way, high = [*turns, low], 1, tick
+    return turns

@@ -80,7 +80,7 @@ def sentence(seconds: float) -> str:
     """Return the sentence on a number that :func:`latest` has returned."""
     if not seconds:
         return f"No careful driver who takes over in the last {WINDOW:g} s avoids it reliably."
-    return f"A careful driver who takes over {seconds:g} s before the impact still avoids it."
+    return f"A careful driver who takes over {seconds:g} s before the impact at the latest avoids it."
 
 
 def _tick(trace: Trace, seconds: float) -> int:

@@ -127,7 +127,8 @@ class Search:
         asked: `generations` and `runs` after which it ends, if they were requested.
         kinds, outcomes, responsibilities: runs by the verdict, by how they ended, and by who was responsible; each adds
             up to all runs. Verdicts are as in [the summary](items.md#the-summary-and-the-health-of-a-search): `failed`,
-            `invalid`, `npc` at fault, `common` with the reference, `rejected`, `skipped`, or `passed`.
+            `npc` if only an NPC is responsible, `common` if the reference fails, too, `invalid`, `rejected`, `skipped`,
+            or `passed`.
         more_runs: further runs: to `shrink` findings, to find the `moment`, and `known` scenarios not run again.
         decisions: of the policy: in the `search`, to `confirm` findings, to `shrink` them, and for the `moment`.
         random: random scenarios at the beginning: `at_fault`, failing in a collision by the ego's fault; failing

@@ -22,7 +22,7 @@ from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Cluster, ExecutionError, Here, Job, runner_for
 from pytest_pafot.findings.finding import ads_failure, raised_failure
 from pytest_pafot.findings.verdict import PROCESS_CRASH, Failure, Verdict, severity_of
-from pytest_pafot.model.instructions import Cell, ScenarioError
+from pytest_pafot.model.instructions import ScenarioError
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import WORLD_HANG, Outcome, Trace
 from pytest_pafot.oracle.run import Recording, Rejected, Run, recorded
@@ -132,19 +132,8 @@ def headline(run: Run, verdict: Verdict) -> str:
 
 
 def collision_in_short(run: Run) -> str:
-    """Return one line on a run's collision: time, closing speed, NPC and fault; empty if there was no collision."""
-    hit = run.collision
-    if hit is None:
-        return ""
-    zone = run.zone_of(hit)
-    if zone is None and hit.cell is not None:
-        place = hit.cell.label.replace("front", "ahead").replace("rear", "behind").replace("-", " ")
-        place = f" on the {place}" if hit.cell in (Cell.LEFT, Cell.RIGHT) else f" {place}"
-    else:
-        place = "" if zone is None else f" {zone.whence}"
-    what = "a fixed object" if hit.npc is None else f"NPC {hit.npc}"
-    who = AT_FAULT[run.attribution.responsibility]
-    return f"collision after {hit.time:.1f} s, closing at {hit.closing_speed:.1f} m/s: {what}{place}, {who}"
+    """Return one line on a run's collision: who hit whom, and who is at fault; empty if there was no collision."""
+    return run.impact and f"{run.impact}; {AT_FAULT[run.attribution.responsibility]}"
 
 
 def skips() -> tuple[type[BaseException], ...]:

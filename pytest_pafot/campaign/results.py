@@ -18,7 +18,7 @@ from pytest_pafot.campaign.harness import Cause, Harness, cause_of, headline, un
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.runner import CapturedOutput, Chunk, Job, LostRun, Timed, expectation, run_recorded
 from pytest_pafot.findings.finding import Finding, Found, is_faster, of_failure, speed_of
-from pytest_pafot.findings.sighting import Alike, worse
+from pytest_pafot.findings.sighting import Alike
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Trace
@@ -286,7 +286,9 @@ class Counts:
         if not evaluation.discarded and result.kind != "invalid":
             counts.fails[result.fails] = 1
         if isinstance(evaluation.kind, Signature):
-            counts.failures[evaluation.kind] = Alike(runs=1, number=number, severity=result.severity)
+            counts.failures[evaluation.kind] = Alike(
+                runs=1, number=number, severity=result.severity, least=result.severity
+            )
         if result.cause is not None:
             counts.causes[result.cause] = 1
         counts.caught.update(result.caught)
@@ -299,9 +301,7 @@ class Counts:
         for name in _COUNTERS:
             getattr(self, name).update(getattr(other, name))
         for signature, more in other.failures.items():
-            known = self.failures.get(signature)
-            runs = more.runs + (0 if known is None else known.runs)
-            self.failures[signature] = replace(more if known is None else worse(known, more), runs=runs)
+            self.failures[signature] = self.failures.get(signature, Alike()) + more
         self.decisions += other.decisions
         self.health += other.health
         self.doubt = self.doubt or other.doubt

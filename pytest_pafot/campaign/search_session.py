@@ -648,9 +648,9 @@ class SearchSession:
             first = "delete its files and " if any(each.path for each in left) else ""
             again = f"{first}search again with {request.option('seed', settings.seed)}"
             if is_broken_off:
-                yield f"ended before {what} shrunk: {again}"
+                yield f"ended before {what} simplified: {again}"
             else:
-                yield f"{Ending.MAX_TIME} ended before {what} shrunk: {again} and more time"
+                yield f"{Ending.MAX_TIME} ended before {what} simplified: {again} and more time"
         if self.bench.is_at_limit:
             yield f"simplifying stopped at its limit; {flag('shrink_rollouts')}=N lets it go on"
         is_short = settings.runs == RUNS

@@ -175,7 +175,7 @@ def run(given: argparse.Namespace, command: Sequence[str]) -> int:
         lines += [f"{rate.ads} in {given.world}: {first}", *others, *([f"  {hint}"] if hint else [])]
     lines += compared(rates[0], rates[1:])
     width = shutil.get_terminal_size().columns
-    sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width, phrases=True)))
+    sys.stdout.write("".join(f"{part}\n" for line in lines for part in wrapped_to(line, width)))
     objections = [*_objections(rates, limit)]
     sys.stderr.write("".join(f"rate: {visible(each)}\n" for each in objections))
     return int(bool(objections))

@@ -8,6 +8,7 @@ returns to Python. Here each process has its own pipe, and the calling thread se
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import math
 import multiprocessing
@@ -161,6 +162,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
         """The deaths of processes in tasks that succeeded when they were tried a second time."""
         self.failure = ""
         """The reason why no process can be started, so that tasks have no results; else empty."""
+        self._has_lost = False  # whether a process has died
         self._context: Any = multiprocessing.get_context(self.method)
         self._workers: list[_Worker[TaskT]] = []
         self._looked_at = -math.inf  # when all processes, including silent ones, were last checked
@@ -306,7 +308,8 @@ class WorkerPool(Generic[TaskT, ResultT]):
                 if idle is not None:  # It ended between two tasks, so no task is the cause.
                     self._remove(idle)
                 others = [worker.connection for worker in self._workers]
-                idle = _Worker(self._context, self.work, others, self.grace, self.idle, self.leave, self.farewell)
+                work = partial(_quietly, self.work) if self._has_lost else self.work
+                idle = _Worker(self._context, work, others, self.grace, self.idle, self.leave, self.farewell)
                 self._workers.append(idle)
         except OSError as error:
             self._fail(task, str(error))
@@ -384,6 +387,7 @@ class WorkerPool(Generic[TaskT, ResultT]):
 
     def _lose(self, task: TaskT, worker: _Worker[TaskT], how: str | int = "", *, is_hang: bool = False) -> None:
         self._remove(worker)
+        self._has_lost = True
         lost = ProcessLostError(task, pid=worker.pid, how=how or worker.process.exitcode, is_hang=is_hang)
         if not worker.has_begun:
             self._fail(task, self.failure or f"a process {lost.end} before it had begun")
@@ -560,6 +564,12 @@ def _end_with_session(patience: float | None) -> None:
         # A signal that this thread took would not wake the main thread, which waits or sleeps.
         with _blocked(signal.valid_signals()):
             threading.Thread(target=watch, name="pafot-session-guard", daemon=True).start()
+
+
+def _quietly(work: Work[Any], task: Any, tell: Callable[[Any], object]) -> Any:
+    """Run a task after another process has died: where such a policy dies was printed then, in some hundred lines."""
+    faulthandler.disable()
+    return work(task, tell)
 
 
 def _serve(

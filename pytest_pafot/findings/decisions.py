@@ -13,14 +13,13 @@ from pytest_pafot.attribution.responsibility import DRIFTING, Fault, frame_of
 from pytest_pafot.findings.finding import Expect
 from pytest_pafot.model.trace import HEADING, LANE, OFFSET, SPEED, Trace, X, Y
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import flag
 
 PARTS = {
-    "acceleration": (0.2, "{:.1f} m/s^2"),
-    "steering": (0.02, "{:.2f} rad"),
-    "speed": (0.2, "{:.1f} m/s"),
-    "lateral_acceleration": (0.2, "{:.1f} m/s^2"),
-    "lateral_jerk": (0.2, "{:.1f} m/s^3"),
+    "acceleration": (0.2, "{:z.1f} m/s^2"),
+    "steering": (0.02, "{:z.2f} rad"),
+    "speed": (0.2, "{:z.1f} m/s"),
+    "lateral_acceleration": (0.2, "{:z.1f} m/s^2"),
+    "lateral_jerk": (0.2, "{:z.1f} m/s^3"),
 }
 """The parts of a planner's decision: the smallest difference that counts, and how each is shown."""
 SHARE = 0.05
@@ -66,29 +65,30 @@ class Moment:
     conditions: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     def __str__(self) -> str:
-        if self.reference:
-            return f"{self.time:.1f} s, the first that differs: {self.action}; the reference {self.reference}"
-        whom = f"NPC {self.npc}"
-        told = [f"{self.time:.1f} s: it saw {whom} {self.seen}" if self.seen else f"{self.time:.1f} s"]
-        told[0] += f"{', and answered' if self.seen else ':'} {self.action}"
-        if self.hidden is not None:
-            told.append(f"with {whom} hidden {self.hidden or 'the same'}")
-        if self.otherwise is not None:
-            told.append(
-                f"with {whom} {self.otherwise}" if self.otherwise else f"no change of {whom} that was tried changes it"
-            )
-        return "; ".join(told)
+        whom, changed = f"NPC {self.npc}", [self.brief.removesuffix(".")]
+        if self.hidden is not None and not self.reference:
+            changed.insert(1, f"with {whom} hidden {self.hidden or 'the same'}")
+        if self.otherwise == "" and not self.reference:
+            changed.append(f"no change of {whom} that was tried changes it")
+        return f"{'; '.join(changed)}."
 
-    def condition_lines(self, most: float = math.inf) -> list[str]:
-        """Return the rows of the conditions, at most so many, below whom they are about, and how many are left out."""
-        lines, left = [], most
+    @property
+    def brief(self) -> str:
+        """The decision in a sentence, with the smallest change that changes it."""
+        at = f"At {self.time:.1f} s"
+        if self.reference:
+            first = f"{at}, in the first decision that differs, the policy answered {self.action}"
+            return f"{first}, the reference {self.reference}."
+        saw = f"saw NPC {self.npc} {self.seen}, and " if self.seen else ""
+        otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
+        return f"{at} the policy {saw}answered {self.action}{otherwise}."
+
+    def condition_lines(self) -> list[str]:
+        """Return the rows of the conditions, below whom they are about."""
+        lines = []
         for whom, rows in self.conditions:
-            shown = rows[: int(min(left, len(rows)))]
-            left -= len(shown)
-            lines += [f"{whom}:"] if whom and shown else []
-            lines += [f"{'  ' if whom else ''}{row}" for row in shown]
-        out = sum(len(rows) for _, rows in self.conditions) - most
-        return [*lines, f"{out} more on the page of {flag('report')}"] if out > 0 else lines
+            lines += [*([f"{whom}:"] if whom else []), *(f"{'  ' if whom else ''}{row}" for row in rows)]
+        return lines
 
 
 def vehicle_of(run: Run, expect: Expect) -> int | None:
@@ -153,7 +153,7 @@ def fact_on(run: Run) -> str:
         if _drifted(run.trace, number, time):
             return f"the ego drifted from {began:.1f} s on, over the line at {time:.1f} s"
         return f"the ego began to change lanes at {began:.1f} s, over the line at {time:.1f} s"
-    told = run.attribution.sentences[0 if run.attribution.fault in NEEDLESS else -2]
+    told = run.attribution.sentences[0 if run.attribution.fault in NEEDLESS else -1]
     return f"{told[:1].lower()}{told[1:]}".removesuffix(".")
 
 

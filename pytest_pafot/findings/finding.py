@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
-from pytest_pafot.attribution.sentences import AT_FAULT
+from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.findings.shrink import Shrunk
 from pytest_pafot.findings.situation import BEFORE, Situation, ZoneSituation, missed, seconds_after, situation_of
 from pytest_pafot.findings.verdict import (
@@ -39,7 +38,7 @@ from pytest_pafot.model.sight import Sight
 from pytest_pafot.model.trace import Outcome, Side, Trace, Y
 from pytest_pafot.oracle.run import Check, CheckFailed, Run
 from pytest_pafot.support.errors import plain_number
-from pytest_pafot.support.text import visible
+from pytest_pafot.support.text import capitalised, visible
 
 # Error texts are cleaned of everything that differs between processes, so that the same seed writes the same files.
 
@@ -161,16 +160,8 @@ class Expect:
         return Signature.of(**{part.name: getattr(self, part.name, None) for part in fields(Signature)})
 
     @property
-    def event(self) -> str:
-        """The failure in a line: the check with its value and bound, the collision, or the error."""
-        return self._in_words(is_brief=False)
-
-    @property
     def brief(self) -> str:
-        """The failure in a line, without the side of the ego that was hit and who is responsible."""
-        return self._in_words(is_brief=True)
-
-    def _in_words(self, *, is_brief: bool) -> str:
+        """The failure in a line: the check with its value and bound, the collision, or the error."""
         if self.check is not None:
             told = {name: value for name, value in asdict(self.check).items() if name != "value"}
             value = math.nan if self.check.value is None else self.check.value
@@ -180,13 +171,10 @@ class Expect:
         if self.signature.is_property or self.outcome is Outcome.SAFE:
             how = "fails" if self.failure == AssertionError.__name__ else f"raises {self.failure}"
             return f"{self.assertion.removeprefix('assert ') or 'the test function'} {how}"
-        npc = "" if self.npc is None else f": NPC {self.npc}"
-        npc = ": a fixed object" if self.outcome is Outcome.COLLISION and self.npc is None else npc
-        place = "" if self.zone is None else f" {self.zone}"
-        place = place if self.cell is None else f" in cell {int(self.cell)} ({self.cell.label})"
-        side = "" if self.side is None or is_brief else f" against the ego's {self.side}"
-        who = "" if self.responsibility == "none" else f", {AT_FAULT[self.responsibility]}"
-        return f"{self.outcome} after {self.time:.1f} s{npc}{place}{side}{'' if is_brief else who}"
+        if self.outcome is not Outcome.COLLISION:
+            return f"{self.outcome} after {self.time:.1f} s"
+        whence = "" if self.zone is None else self.zone.partition(" ")[2]
+        return capitalised(impact(self.time, self.npc, self.side, self.cell, whence, self.closing_speed))
 
     def is_of(self, run: Run) -> bool:
         """Return whether a run has the collision that this finding is about."""
@@ -196,10 +184,9 @@ class Expect:
     def sentences_on(self, run: Run) -> tuple[str, ...]:
         """Return the sentences that explain a run; if it has this collision, also what a careful driver avoids."""
         told = run.sentences
-        avoids = None if self.takeover is None else takeovers.sentence(self.takeover)
-        if avoids is None or avoids in told or not self.is_of(run):
+        if self.takeover is None or not self.is_of(run):
             return told
-        return *told[:-1], avoids, told[-1]
+        return *told[:-1], responsible_sentence(run.attribution.responsibility, self.npc, self.takeover)
 
     @classmethod
     def of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -13,7 +13,7 @@ from pytest_pafot.findings.verdict import Severity, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.proportions import none_text
-from pytest_pafot.support.text import ascii_text, plural
+from pytest_pafot.support.text import plural
 
 Label = Literal["error", "still failing", "drifted", "flaky", "accepted", "passes", "fixed"]
 """The word in which a session says what became of a saved scenario."""
@@ -127,8 +127,6 @@ def label(observed: Observed) -> Label | New:
     return "fixed" if observed.searched else "passes"
 
 
-CONDITIONS = 6
-"""The largest number of conditions of a decision in a report."""
 NOT_REPEATED, ENDED_OTHERWISE = "running it again gave a different run", "a later run of it ended differently"
 """How the difference begins of a policy that drives the same scenario in different ways."""
 
@@ -140,19 +138,19 @@ class Alike:
     Attributes:
         runs: the number of the runs; in what is seen of a finding, of all but the one that it was found in.
         number: the number of the worst of all these runs in the search, from 0.
-        severity: how bad the worst one was; None if nothing measures it.
+        severity, least: how bad the worst one was, and the mildest; None if nothing measures it.
     """
 
     runs: int = 0
     number: int = 0
     severity: Severity | None = None
+    least: Severity | None = None
 
-
-def worse(one: Alike, other: Alike) -> Alike:
-    """Return the runs whose worst run is the worse one; the first of two equal ones."""
-    if other.severity is None:
-        return one
-    return other if one.severity is None or one.severity < other.severity else one
+    def __add__(self, other: Alike) -> Alike:
+        """Return these runs and others, which come after these."""
+        is_worse = other.severity is not None and (self.severity is None or self.severity < other.severity)
+        worst, least = other if is_worse else self, min(filter(None, [self.least, other.least]), default=None)
+        return replace(worst, runs=self.runs + other.runs, least=least)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,12 +276,23 @@ class Seen:
         return f"no such failure in {plural(drawn, 'random run')}{none_text(drawn)}{others}"
 
     @property
-    def on_alike(self) -> str:
-        """The number of runs that failed like it, and the worst; empty if none was worse than the finding itself."""
+    def worst(self) -> str:
+        """The worst of the runs that failed like it; empty if none was worse than the finding itself."""
         worst, number, own = self.alike.severity, self.alike.number, self.severity
         if worst is None or (own is not None and (not own < worst or worst.figure == own.figure)):
             return ""
-        return f"{plural(1 + self.alike.runs, 'run')} fail like this; the worst is number {number}, which {worst}"
+        return f"the worst, number {number}, {worst}"
+
+    @property
+    def impacts(self) -> str:
+        """The range of closing speeds, or of a check's excess, of the runs that failed like it; empty without one."""
+        worst, least = self.alike.severity or self.severity, self.alike.least or self.severity
+        if worst is None or least is None or None in (worst.value, least.value):
+            return ""
+        low = f"{least.figure} to " if least.figure != worst.figure else ""
+        return (
+            f", {'closing at' if worst.kind == 'collision' else 'broken by'} {low}{worst.figure} {worst.unit}".rstrip()
+        )
 
     @property
     def remark(self) -> str:
@@ -291,14 +300,3 @@ class Seen:
         flaky = f"flaky: {self.finding.flaky}" if self.is_flaky else ""
         timed = "depends on wall-clock time" if self.is_timed else ""
         return "; ".join(filter(None, [flaky, self.finding.on_rate, timed, self.unshrunk]))
-
-    def on_decisions(self) -> list[str]:
-        """Return lines on the policy's decisions, each with a title of ten letters at most, or indented below one."""
-        if self.moment is None:
-            return []
-        return [f"moment     {self.moment}", *(f"  {each}" for each in self.moment.condition_lines(CONDITIONS))]
-
-    @property
-    def summary(self) -> str:
-        """The headline of the finding in one line, with its remarks."""
-        return ascii_text(f"{self.headline} ({self.remark})" if self.remark else self.headline)

@@ -23,7 +23,7 @@ from pytest_pafot import criticality
 from pytest_pafot.attribution import takeovers
 from pytest_pafot.attribution.mistakes import attributed, decided
 from pytest_pafot.attribution.responsibility import Attribution, Responsibility, position_rule
-from pytest_pafot.attribution.sentences import responsible_sentence
+from pytest_pafot.attribution.sentences import impact, responsible_sentence
 from pytest_pafot.criticality import Passage, passages
 from pytest_pafot.criticality.signals import (
     Asked,
@@ -39,11 +39,11 @@ from pytest_pafot.criticality.signals import (
 from pytest_pafot.model.crossings import Zone
 from pytest_pafot.model.instructions import Cell, CrossingInstruction
 from pytest_pafot.model.scenario import Chromosome, Scenario, continues
-from pytest_pafot.model.trace import ACCELERATION, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
+from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, AdsError, Collision, FloatArray, Outcome, Trace
 from pytest_pafot.model.vehicle_type import CAR, STYLES
 from pytest_pafot.support import import_late
 from pytest_pafot.support.errors import POSITIVE, DriverError, checked_number, install
-from pytest_pafot.support.text import ascii_text
+from pytest_pafot.support.text import ascii_text, capitalised, wrapped_to
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -294,10 +294,14 @@ def _short(value: float, bound: float | None) -> str:
     )
 
 
+SENTENCE_WIDTH = 72
+"""The width at which the sentences of an explanation are wrapped: pytest shows them behind a margin."""
 LINE_LENGTH = 99
 """The longest line of an explanation."""
 BACKWARDS = 0.5
 """The lowest backward speed that an explanation mentions [m/s]. Less is the overshoot of a car that stops."""
+NEAR_SPEED = 0.5
+"""The largest difference at which an explanation says that an instruction's speed was reached [m/s]."""
 MAX_GENE_ROWS = 5
 """The largest number of rows in an explanation's table of genes."""
 _WORDINGS = (("reached at ", True), ("reached ", True), ("reached ", False), ("", False))
@@ -597,11 +601,6 @@ class Run:
         return asked(self.trace)
 
     @property
-    def as_asked(self) -> bool:
-        """True if all crossing NPCs came as they were asked to."""
-        return all(each.is_met for each in self.asked)
-
-    @property
     def sentences(self) -> tuple[str, ...]:
         """The sentences of the verdict.
 
@@ -610,16 +609,32 @@ class Run:
         if self.collision is None:
             return ()
         verdict = self.attribution
-        avoids = () if verdict.takeover is None else (takeovers.sentence(verdict.takeover),)
-        return *verdict.sentences, *avoids, responsible_sentence(verdict.responsibility, self.collision.npc)
+        who = responsible_sentence(verdict.responsibility, self.collision.npc, verdict.takeover)
+        return *verdict.sentences, who
+
+    @property
+    def impact(self) -> str:
+        """Who hit whom, when and how fast; empty without a collision."""
+        hit = self.collision
+        if hit is None:
+            return ""
+        zone = self.zone_of(hit)
+        whence, way = "" if zone is None else zone.whence, "along"
+        if hit.npc is not None:
+            turned = self.trace.states[hit.tick, hit.npc + 1, HEADING] - self.trace.ego[hit.tick, HEADING]
+            way = "backwards" if hit.ego_speed < -BACKWARDS else "along" if np.cos(turned) >= 0 else "towards"
+        return capitalised(impact(hit.time, hit.npc, hit.side, hit.cell, whence, hit.closing_speed, way))
 
     def explain(self, *, instructions: bool = True) -> str:
         """Explain the run in some twenty lines of ASCII at most: events, verdict, NPCs' instructions.
 
         Args:
-            instructions: whether to name the scenario and its instructions.
+            instructions: whether to name the scenario and its instructions; without them, each sentence is one line.
         """
-        lines = [self._headline(), *(f"  {sentence}" for sentence in self.sentences), *self._measures()]
+        is_whole, lines = not instructions or self.collision is None, [self._headline()]
+        lines += [f"  {each}" for each in self.sentences]
+        lines = lines if is_whole else [part for each in lines for part in wrapped_to(each, SENTENCE_WIDTH)]
+        lines += self._measures()
         if instructions:
             names = [f"scenario {self.scenario.id}", f"repair seed {self.scenario.seed}"]
             names += [f"position rule: {self.second_opinion}"] if self.second_opinion != self.responsibility else []
@@ -633,7 +648,8 @@ class Run:
             crossing = _crossing_lines(self.trace)
             lines += [*crossing, *_gene_table(self.trace, MAX_GENE_ROWS - len(crossing)), f"  {', '.join(names)}"]
         texts = (ascii_text(" ".join(line.splitlines())) for line in lines)
-        return "\n".join(text if len(text) <= LINE_LENGTH else text[: LINE_LENGTH - 3] + "..." for text in texts)
+        most = math.inf if self.collision is not None and not instructions else LINE_LENGTH
+        return "\n".join(text if len(text) <= most else text[: LINE_LENGTH - 3] + "..." for text in texts)
 
     def __repr__(self) -> str:
         return f"<Run {self.outcome} after {self.duration:.1f} s, scenario {self.scenario.id}>"
@@ -657,9 +673,8 @@ class Run:
     def _headline(self) -> str:
         hit = self.collision
         if hit is not None:
-            place = f"{self.place_of(hit)} ".lstrip()
-            what = "a fixed object " if hit.npc is None else f"NPC {hit.npc} "
-            return f"collision after {hit.time:.1f} s: {what}{place}against the ego's {hit.side}"
+            other = "" if hit.npc is None else f": {hit.ego_speed:.1f} against {hit.npc_speed:.1f} m/s"
+            return f"{self.impact}{other}"
         if self.ads_error is not None:
             who = "ADS" if self.ads_error.is_of_ads else "environment"
             what = f"{who} hangs" if self.outcome is Outcome.HANG else "ADS error"
@@ -676,9 +691,7 @@ class Run:
     def _measures(self) -> list[str]:
         brake, hit = self._hardest_brake(), self.collision
         if hit is not None:
-            other = "" if hit.npc is None else f"NPC {hit.npc_speed:.1f} m/s, "
-            speeds = f"ego {hit.ego_speed:.1f} m/s, {other}closing {hit.closing_speed:.1f} m/s"
-            return [f"  at the impact: {speeds}", f"  {brake}", *self._backwards()]
+            return [f"  {brake}", *self._backwards()]
         lines, worst = [], self.worst_ttc
         if worst is not None:
             place = f" {self.place_of(worst)}".rstrip()
@@ -812,5 +825,13 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
         return f"{instruction.target} {instruction.speed:.1f}"
     arrivals = (arrival(trace, npc, each) for each in genes if each < len(chain))
     tick = next((each for each in arrivals if each is not None), None)
-    end = "not reached" if tick is None else f"{reached}{tick / trace.physics_hz:.1f} s"
+    if tick is None:
+        return instruction.row(lanes_apart(trace, npc, gene), "not reached", names_side=names_side)
+    first, last = (round(each * trace.scenario.gene_seconds * trace.physics_hz) for each in (gene, genes[-1] + 1))
+    speeds = trace.states[min(first, trace.ticks) : last + 1, npc + 1, SPEED]
+    nearest = float(speeds[np.abs(speeds - instruction.speed).argmin()])
+    end, at = f"{reached}{tick / trace.physics_hz:.1f} s", f"{tick / trace.physics_hz:.1f} s"
+    if abs(nearest - instruction.speed) > NEAR_SPEED:  # It was reached only in its place.
+        how = f"{'slowest' if nearest > instruction.speed else 'fastest'} {nearest:.1f} m/s"
+        end = f"in place from {at}, {how}" if len(reached) == len("reached at ") else f"in place {at}"
     return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

@@ -20,7 +20,17 @@ from weakref import WeakKeyDictionary
 import pytest
 
 from pytest_pafot.corpus import layout
-from pytest_pafot.plugin.session import GIVEN, INVENTORY, SHARED, Inventory, base_line, call_of, path_of, value_if_right
+from pytest_pafot.plugin.session import (
+    GIVEN,
+    INVENTORY,
+    SHARED,
+    Inventory,
+    base_line,
+    call_of,
+    cost_line,
+    path_of,
+    value_if_right,
+)
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.request import Request, SearchArguments
@@ -363,16 +373,18 @@ class Collection:
             gone = set(dropped)
             items[:] = [item for item in items if item not in gone]
 
-    def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> str | None:
-        """Return the line after collection: how many items are searches, and how many replay saved scenarios."""
+    def pytest_report_collectionfinish(self, items: list[pytest.Item]) -> list[str]:
+        """Return the lines after collection: how many searches and saved scenarios, and what they may cost."""
         searches = sum(map(is_search, items))
         saved = sum(saved_of(item) is not None for item in items)
         if not searches and not saved:
-            return None
+            return []
         counts = f"{searches} search{'' if searches == 1 else 'es'}, {saved} saved scenario{'' if saved == 1 else 's'}"
         # pytest rewrites the assertions of test files, conftest.py and plugins, so that they run all the same.
         off = "" if __debug__ else "python -O: assertions in modules that pytest does not rewrite are off"
-        return "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
+        first = "; ".join(filter(None, (f"pafot: {counts}", base_line(self._config), off)))
+        cost = cost_line(self._config, [arguments_of(item) or {} for item in items if is_search(item)])
+        return [first, *([cost] if cost else [])]
 
 
 def is_search(item: pytest.Item) -> bool:

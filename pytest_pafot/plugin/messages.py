@@ -20,14 +20,16 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
+from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.reader import Saved
+from pytest_pafot.findings.decisions import fact_on, moved_over
 from pytest_pafot.findings.sighting import Seen
-from pytest_pafot.oracle.run import Check, CheckFailed, Run
+from pytest_pafot.oracle.run import Check, Run
 from pytest_pafot.plugin.collection import base_id, is_driven, saved_of
 from pytest_pafot.plugin.session import AS_SAVED, PHASE, SHARED, report_on
 from pytest_pafot.searching.plain import plain
-from pytest_pafot.support.text import MARKER, fitted_lines, visible, visible_lines
+from pytest_pafot.support.text import MARKER, capitalised, fitted_lines, visible, visible_lines
 
 if TYPE_CHECKING:
     from pytest_pafot.campaign.options import Settings
@@ -59,7 +61,13 @@ def send_seen(
         note: what the page adds to the headline.
         more: further data for the terminal.
     """
-    sentences = seen.finding.expect.sentences_on(seen.run) if seen.headline and seen.run is not None else ()
+    sentences: tuple[str, ...] = ()
+    if seen.headline and seen.run is not None:
+        sentences = seen.finding.expect.sentences_on(seen.run)
+        if sentences and check is not None:  # What both did is about the collision, and not about the check.
+            sentences = (f"This run has a collision, too. {collision_in_short(seen.run)}.",)
+        elif sentences and moved_over(seen.run) is not None:  # the decision to move, which no verdict knows
+            sentences = (*sentences[:-1], f"{capitalised(fact_on(seen.run))}.", sentences[-1])
     seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
     if settings.report is not None and seen.headline:
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415
@@ -149,16 +157,6 @@ REPLAYED = pytest.StashKey[bool]()
 NOT_ACCEPTED = pytest.StashKey[str]()
 """How the failure of a replay goes beyond the one that its file accepts."""
 
-SCENARIO = re.compile(r"E +scenario [0-9a-f]+, repair seed \d+(, position rule: \w+)?(, [a-z]+ traffic.*)?")
-"""The last line of ``run.explain()``. It is left out, since the saved file and the report page contain it, too."""
-
-REPEATED = (
-    SCENARIO,
-    re.compile(r"E +assert not <Collision [^<>]*>"),
-    re.compile(r"E +\+  where .* = <Run [^<>]*>\.\w+"),
-)
-"""Lines of a report that are left out, because the explanation or the line of the assertion says the same."""
-
 OUTPUT_END = 10_000
 """The length of the beginning and of the end of captured output that a report contains [characters]."""
 
@@ -246,7 +244,7 @@ class Failures:
             entry = {"id": saved.id, "file": relative(saved.path, item.config.rootpath), "test": base_id(item)}
             setattr(report, AS_SAVED, json.dumps(entry))
         _make_visible(report)
-        _fit(report.longrepr, item.config.stash[SHARED].width, is_brief=is_brief)
+        _fit(report.longrepr, item.config.stash[SHARED].width)
         return report
 
 
@@ -276,15 +274,6 @@ def _count_unless_accepted(item: pytest.Item, saved: Saved, report: pytest.TestR
         del report.wasxfail
 
 
-def explained(run: Run, exception: BaseException) -> str:
-    """Return the explanation of a run, for the message of a failure.
-
-    If a check failed, the text is a line with a title, because it follows the check's own explanation.
-    """
-    text = run.explain().rpartition("\n")[0]  # the last line names the scenario, as the file does
-    return f"run        {text}" if isinstance(exception, CheckFailed) else text
-
-
 def _make_visible(report: pytest.TestReport) -> None:
     """Make unprintable characters of a report visible, outside its traceback: in an error, a skip or an xfail."""
     match report.longrepr:
@@ -299,13 +288,11 @@ def _make_visible(report: pytest.TestReport) -> None:
         crash.message = visible_lines(_COLOUR.sub("", crash.message))
 
 
-def _fit(longrepr: Any, width: int, *, is_brief: bool) -> None:
+def _fit(longrepr: Any, width: int) -> None:
     """Wrap the lines of a failure message to a width, except lines of code, and make unprintable characters visible."""
     tracebacks = [each[0] for each in getattr(longrepr, "chain", ())] or [getattr(longrepr, "reprtraceback", None)]
     for entry in (entry for each in tracebacks if each is not None for entry in each.reprentries):
         lines = [_COLOUR.sub("", line) for line in entry.lines]
-        if is_brief and any(map(SCENARIO.fullmatch, lines)):
-            lines = [line for line in lines if not any(each.fullmatch(line) for each in REPEATED)]
         code = [] if entry.style == "value" else list(takewhile(lambda line: not line.startswith(MARKER), lines))
         entry.lines = [*map(visible_lines, code), *fitted_lines(lines[len(code) :], width)]
         for values in filter(None, [getattr(entry, "reprlocals", None)]):

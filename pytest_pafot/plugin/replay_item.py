@@ -21,9 +21,9 @@ from pytest_pafot.findings.decisions import deciding, seen_of, vehicle_of
 from pytest_pafot.findings.finding import SAME_TIME, Finding, of_failure, unhandled
 from pytest_pafot.findings.sighting import Observed, Seen, label
 from pytest_pafot.findings.verdict import Verdict
-from pytest_pafot.oracle.run import CheckFailed, Run
+from pytest_pafot.oracle.run import Run
 from pytest_pafot.plugin import collection, messages
-from pytest_pafot.plugin.messages import NOT_ACCEPTED, OF_ONE_RUN, REPLAYED, explained, set_properties
+from pytest_pafot.plugin.messages import NOT_ACCEPTED, OF_ONE_RUN, REPLAYED, set_properties
 from pytest_pafot.plugin.search_item import harness_of, shown, watch_again
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
@@ -77,15 +77,6 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     if not now.fails or raised is None:
         _conclude_pass(*now.ran, sighting.label, detail, is_strict=request.settings.strict_drift)
         return
-    lines = [f"replay: {sighting.label}{f', {detail}' if detail else ''}"]
-    if now.run is not None and isinstance(raised, CheckFailed):  # others have the test function's own message
-        lines += explained(now.run, raised).splitlines()
-    if now.beyond:
-        lines.append(
-            f"not accepted: the line `xfail:` of {sighting.path} accepts {visible(finding.expect.brief)}, received "
-            f"{visible(now.beyond)}; correct the policy, or delete the file, search again and accept what is found then"
-        )
-    _add_section(item, lines)
     if isinstance(raised, ProcessLostError):
         pytest.fail(f"{line}: {cause(raised, 'delete the file')}", pytrace=False)
     raise shown(raised)

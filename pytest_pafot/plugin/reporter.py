@@ -12,15 +12,15 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 from collections.abc import Callable, Generator, Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import pytest
 
 from pytest_pafot.campaign.options import BY_NAME
+from pytest_pafot.corpus.layout import relative
 from pytest_pafot.plugin.collection import SAVED_MARK, SEARCH_MARK
 from pytest_pafot.plugin.session import (
     AS_SAVED,
@@ -38,12 +38,9 @@ from pytest_pafot.plugin.session import (
 )
 from pytest_pafot.report.session import RESULTS, Session
 from pytest_pafot.support import monotonic
+from pytest_pafot.support.compiled import PACKAGE
 from pytest_pafot.support.errors import flag, rerun
-from pytest_pafot.support.text import ascii_text
-
-if TYPE_CHECKING:
-    from pytest_pafot.findings.sighting import Seen
-
+from pytest_pafot.support.text import ascii_text, capitalised
 
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
@@ -124,9 +121,6 @@ class Files:
             lines.append(f"{flag('json', self._json)}: not written: {problem}" if problem else f"json: {self._json}")
 
 
-VERDICT = re.compile(r"\b(is|are) responsible|at fault\b")
-DEED = re.compile(r"\bThe ego\b.*\bbraked?\b|\bavoids the collision")
-
 TERMINAL_SECONDS = 0.25  # the interval between reports of a search's progress on a terminal [s]
 
 
@@ -199,10 +193,8 @@ class Reporter:
         self._record = config.stash[SESSION]
         self._live = LiveTerminal(config)
         self._session: pytest.Session | None = None
-        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any, tuple[float | str, ...]]]] = {}
-        self._has_story = False
+        self._pending: dict[str, dict[str, tuple[dict[str, Any], Any]]] = {}
         self._expanded: set[str] = set()
-        self._worked_on: set[tuple[str, str]] = set()  # searches and findings whose simplification was shown
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> Generator[None, object, object]:
@@ -214,9 +206,9 @@ class Reporter:
         if message is None:
             self._take_phase(report)
             self._live.erase_progress()
-            if report.failed and VERDICT.search(report.longreprtext):
-                own = partial(pytest.TestReport.toterminal, report)
-                report.__dict__["toterminal"] = lambda writer: own(cast("Any", _Sparing(writer)))
+            if report.failed and report.when == "call":
+                with self._record.faults(f"block on {report.nodeid}"):
+                    self._show_block(report)
         result = yield
         if message is not None:
             self._take(report, *message)
@@ -227,6 +219,55 @@ class Reporter:
         elif report.when == "teardown":
             self._expand(report.nodeid)
         return result
+
+    def _show_block(self, report: pytest.TestReport) -> None:
+        """Replace pytest's text on a failure by the block on it, if an item has sent what it found or replayed.
+
+        With ``-v``, or an option for another traceback, the block follows pytest's own text, and with ``-v`` it has all
+        that is known. The failure of a search has a text of its own only with ``-v``, since each of its findings has a
+        block; the text has what its runs have printed.
+        """
+        from pytest_pafot.campaign.events import Ending  # noqa: PLC0415
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
+        search, seen = self._record.searches.get(report.nodeid), self._record.seen.get(report.nodeid)
+        option, is_whole = self._config.option, self._config.get_verbosity() > 0
+        if search is not None and search.finds and search.reason != Ending.ERROR and not is_whole:
+            report.__dict__["_pdbshown"] = True  # pytest's mark for a failure that needs no text at the end
+        if seen is None or not seen.headline:
+            return
+        found_in = self._record.searches.get(self._record.items.get(report.nodeid, ""))
+        crash = getattr(report.longrepr, "reprcrash", None)
+        # Of a process that died, pytest's text has the likely cause; of an assertion on anything else than a collision,
+        # the block says where it is, and what it compared.
+        place, message, expect = "", "", seen.finding.expect
+        if expect.is_crash:
+            message = capitalised(" ".join(report.longreprtext.split()))
+        elif crash is not None and expect.check is None and expect.signature.is_property:
+            is_here = PACKAGE not in Path(crash.path).parents  # and not raised in another process, or of another run
+            place = f"{relative(Path(crash.path), self._config.rootpath)}:{crash.lineno}" if is_here else ""
+            message = crash.message.splitlines()[0].removeprefix("AssertionError: ")
+        lines = terminal.block_lines(
+            seen,
+            self._record.command(seen, "pytest") if seen.path else "",
+            runs=found_in.runs if found_in is not None and seen.observed.new else 0,
+            place=place,
+            message=message,
+            width=self._config.stash[SHARED].width,
+            is_whole=is_whole,
+        )
+        longrepr: Any = report.longrepr
+        traceback = getattr(longrepr, "reprtraceback", None)
+        if is_whole or getattr(option, "showlocals", False) or getattr(option, "tbstyle", "auto") != "auto":
+            report.sections.append(("pafot", "\n".join(lines)))
+        elif traceback is None or not traceback.reprentries:
+            report.longrepr = "\n".join(lines)
+        else:
+            entry = traceback.reprentries[-1]
+            entry.lines, entry.style = lines, "value"
+            entry.reprfuncargs = entry.reprlocals = entry.reprfileloc = None
+            traceback.reprentries, traceback.extraline = [entry], None
+            longrepr.chain = [(traceback, crash, None)]
 
     def _take_phase(self, report: pytest.TestReport) -> None:
         """Take the result of a phase. A saved scenario that failed without a message could not be read or run."""
@@ -294,12 +335,12 @@ class Reporter:
             from pytest_pafot.report import terminal  # noqa: PLC0415
 
             terminalreporter.section("pafot")
-            for line in terminal.session_lines(record, width=self._config.stash[SHARED].width):
-                is_verdict = line.startswith("  ") and VERDICT.search(line) and ": " in line and " hits " in line
-                terminalreporter.line(line, **({"red": True} if is_verdict else {}))
+            width, is_whole = self._config.stash[SHARED].width, self._config.get_verbosity() > 0
+            for line in terminal.session_lines(record, width=width, is_whole=is_whole):
+                terminalreporter.line(line)
             if os.environ.get("GITHUB_ACTIONS") == "true":
                 page = self._config.getoption(BY_NAME["report"].key) or ""
-                for line in terminal.annotation_lines(record.finds, page):
+                for line in terminal.annotation_lines(record.red, page):
                     terminalreporter.line(line)
         for line in own.problems:
             terminalreporter.line(ascii_text(line))
@@ -323,37 +364,25 @@ class Reporter:
             case Search():
                 self._files.write_json()
             case Progress():
-                # A log keeps every line, and hundreds of runs to shrink one finding say nothing new.
-                key = (event.node_id, event.of)
-                if self._live.rewrites or not event.of or key not in self._worked_on:
+                # A log keeps every line, and simplifying has hundreds of runs.
+                if self._live.rewrites or not event.phase:
                     self._live.show_progress(partial(terminal.progress_line, event))
-                    self._worked_on.add(key)
             case Seen() if event.observed.new == "new":
                 self._files.write_json()
-                self._show_new(report, event, more, is_first=is_first)
+                if event.node_id not in self._expanded:
+                    pending = self._pending.setdefault(report.nodeid, {})
+                    pending[event.node_id] = more["report"], getattr(report, "node", None)
+                self._live.erase_progress()
+                if is_first and self._config.get_verbosity() >= 0:
+                    self._live.write([terminal.found_line(event)])
             case Seen() if event.observed.new == "no worse":
                 self._pending.get(report.nodeid, {}).pop(event.node_id, None)
 
-    def _show_new(self, report: pytest.TestReport, seen: Seen, data: dict[str, Any], *, is_first: bool) -> None:
-        from pytest_pafot.report import terminal  # noqa: PLC0415
-
-        if seen.node_id not in self._expanded:
-            pending = data["report"], getattr(report, "node", None), terminal.by_rank(seen)
-            self._pending.setdefault(report.nodeid, {})[seen.node_id] = pending
-        self._live.erase_progress()
-        width, verbosity, whole = self._config.stash[SHARED].width, self._config.get_verbosity(), data.get("whole")
-        if is_first and verbosity >= 0:
-            # The first finding of a session has its story at once; those of later searches would bury it.
-            story = whole if whole is not None and not self._has_story else {}
-            self._has_story = self._has_story or whole is not None
-            self._live.write(terminal.found_lines(seen, width, **story))
-        elif whole is not None and verbosity == -1:
-            self._live.write(terminal.found_lines(seen, width))
-
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""
-        pending = sorted(self._pending.pop(search_id, {}).items(), key=lambda each: each[1][2])
-        for node_id, (data, node, _) in pending:
+        pending = self._pending.pop(search_id, {})
+        for node_id in sorted(pending, key=lambda each: self._record.seen[each].rank):
+            data, node = pending[node_id]
             self._expanded.add(node_id)
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
             if self._session is not None:
@@ -364,29 +393,6 @@ class Reporter:
                 if node is not None:
                     phase.__dict__["node"] = node  # as pytest-xdist does for reports of its workers
                 self._config.hook.pytest_runtest_logreport(report=phase)
-
-
-class _Sparing:
-    """A terminal writer that colours only the headline, the verdict and the deadline of a message.
-
-    pytest colours each line of a message. If all lines are red, none stands out.
-    """
-
-    def __init__(self, writer: Any) -> None:
-        self._writer = writer
-        self._last = (0, True)  # the indentation of the line before, and whether that line stands out
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._writer, name)
-
-    def line(self, text: str = "", **markup: bool) -> None:
-        """Write a line, without its colour if it is a part of a message that says neither."""
-        indent = len(text[1:]) - len(text[1:].lstrip())
-        stands_out = not text.startswith("E    ") or bool(VERDICT.search(text) or DEED.search(text))
-        if text.startswith("E    ") and indent == self._last[0] + 2:  # the rest of a wrapped line
-            stands_out, indent = self._last[1], self._last[0]
-        self._last = indent, stands_out
-        self._writer.line(text, **(markup if stands_out else {}))
 
 
 def unclaimed(config: pytest.Config) -> list[str]:

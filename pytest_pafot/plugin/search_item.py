@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_pafot.attribution import takeovers
 from pytest_pafot.campaign.events import (
     Ending,
     Note,
@@ -39,22 +37,20 @@ from pytest_pafot.campaign.search_session import (
 from pytest_pafot.corpus.layout import SUFFIX, chosen_folder, files_in, folder_of_test, link_below, refusal
 from pytest_pafot.execution.crash_records import records_of
 from pytest_pafot.execution.runner import ExecutionError
-from pytest_pafot.findings.decisions import fact_on, moved_over
-from pytest_pafot.findings.finding import message_of
-from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
+from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import CheckFailed
 from pytest_pafot.plugin import collection, messages
 from pytest_pafot.plugin.collection import COLLECTED, REQUEST, RUN
-from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, explained, of_findings, set_properties
+from pytest_pafot.plugin.messages import OF_ONE_RUN, OUTPUT, OfOneRun, of_findings, set_properties
 from pytest_pafot.plugin.reporter import LiveTerminal
 from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.evaluation import GenerationFinished
 from pytest_pafot.support import monotonic
-from pytest_pafot.support.errors import RequestError, flag, rerun
+from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.files import remove_unfinished
 from pytest_pafot.support.process import REPLACED, installed_versions
-from pytest_pafot.support.text import capitalised, plural
+from pytest_pafot.support.text import plural
 from pytest_pafot.world.driving.policy import Policy
 
 if TYPE_CHECKING:
@@ -78,13 +74,6 @@ OF_ONE_CALL = {
     "syrupy": "numbers its snapshots by the calls in a test",
 }
 """The packages whose fixtures fail in a second call of the test function, with the reason."""
-
-BEST_ACTION = "or let a model take its best action (with Stable-Baselines3: predict(..., deterministic=True))"
-DRAWS = f"the ADS probably draws from a generator of its own: seed it in its factory, {BEST_ACTION}"
-DRAWS_IN_WRAPPERS = (
-    "the ADS or a wrapper probably draws from a generator of its own: let a wrapper draw from self.np_random, and seed "
-    f"the ADS in its factory, {BEST_ACTION}"
-)
 
 
 def harness_of(item: pytest.Function, request: Request, *, writes: bool = True) -> Harness:
@@ -314,42 +303,17 @@ class SearchMessages:
             messages.send(self.item, event)
 
     def _send_finding(self, seen: Seen) -> None:
-        item, settings, finding, run, whole = self.item, self.settings, seen.finding, seen.run, None
+        item, settings = self.item, self.settings
         if seen.label == "no worse":  # it was sent as new before, and gets no item
             self.sent.pop(seen.id, None)
             messages.send_seen(item, settings, seen, note=seen.detail)
             return
-        is_first, is_told = seen.id not in self.sent, bool(self.sent)
         self.sent[seen.id] = seen  # even if an interrupt ends what follows
-        lines = [] if run is None else explained(run, seen.raised).splitlines()
-        lines = [] if lines and lines[0] in message_of(seen.raised) else lines
-        if run is not None and run.collision is not None and moved_over(run) is not None:
-            lines.append(f"{capitalised(fact_on(run))}.")  # its decision, which no verdict knows
-        avoids = "" if finding.expect.takeover is None else takeovers.sentence(finding.expect.takeover)
-        lines += [avoids] * bool(avoids and avoids not in " ".join(lines))
-        advice = "it does not repeat, so it is not shrunk" if seen.is_flaky else ""
-        if finding.flaky == NOT_REPEATED:
-            advice = DRAWS_IN_WRAPPERS if finding.world.get("wrappers") else DRAWS
-        width = item.config.stash[SHARED].width
-        section = terminal.find_section(seen, lines, is_first=is_first, advice=advice, width=width)
-        # Nobody should have to wait for the end of the search to learn what the first failure is.
-        if is_first and not is_told:
-            story = [] if run is None else run.explain(instructions=False).splitlines()
-            is_said = bool(story) and story[0].partition(":")[0] in seen.headline
-            if seen.is_firm and settings.shrink_rollouts != 0:
-                story.append("as found; at the end, shrinking changes times and numbers of NPCs")
-            # A file whose finding does not count in a comparison will be removed.
-            is_sure = settings.against is None
-            # A file in a corpus of the command line can only be run with the same option.
-            corpus = item.config.getoption(BY_NAME["corpus"].key)
-            where = [] if corpus is None else [f"{flag('corpus')}={corpus}"]
-            again = rerun(["pytest", seen.path], os.environ, *where, saved=seen.id) if is_sure else ""
-            whole = {"story": story[is_said:], "again": again}
         check = seen.raised.check if isinstance(seen.raised, CheckFailed) else None
-        messages.send_seen(item, settings, seen, check=check, report=_report(item, seen, section), whole=whole)
+        messages.send_seen(item, settings, seen, check=check, report=_report(item, seen))
 
 
-def _report(item: pytest.Item, seen: Seen, section: str) -> dict[str, Any]:
+def _report(item: pytest.Item, seen: Seen) -> dict[str, Any]:
     """Return the serialised failure report of a new finding, under the node id that will replay it in the next session.
 
     pytest's own hooks make the report, so marks of the test function, such as xfail, apply to it.
@@ -367,7 +331,6 @@ def _report(item: pytest.Item, seen: Seen, section: str) -> dict[str, Any]:
     report: pytest.TestReport = item.ihook.pytest_runtest_makereport(item=item, call=call)
     report.nodeid = seen.node_id
     report.location = (*report.location[:2], collection.saved_name(item, seen.id))
-    report.sections.append(("pafot", section))
     item.stash[OF_ONE_RUN].show(seen.run, report.user_properties)
     set_properties(report.user_properties, **of_findings([seen]))
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)

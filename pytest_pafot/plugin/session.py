@@ -8,7 +8,8 @@ import shlex
 import shutil
 import sys
 import traceback
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from datetime import date, timedelta
 from functools import partial
@@ -177,6 +178,19 @@ def base_line(config: pytest.Config) -> str:
     if not settings.is_search:
         return ""
     return f"base seed {settings.seed} (for other scenarios: {flag('seed', settings.seed + 1)})"
+
+
+def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) -> str:
+    """Return how many runs the searches with these arguments may make; empty if that is unknown."""
+    most = Counter[str]()
+    for marker in markers:
+        try:
+            settings = resolve(config, marker)
+        except RequestError:  # which the search itself reports
+            return ""
+        most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
+    counts = " and ".join(f"{count:,} {name}" for name, count in most.items() if count)
+    return counts and f"pafot: at most {counts}, and about as many decisions again to simplify what fails"
 
 
 def stale_day(asked: str, today: date) -> list[str]:

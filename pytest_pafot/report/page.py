@@ -131,7 +131,7 @@ def finding_article(finding: Shown, index: int) -> str:
     """Return the HTML article on one finding, with an empty place for its picture."""
     seen, view, is_check, responsible = finding.seen, finding.view, finding.who == "check", finding.seen.responsible
     besides, traffic = view["besides"], STYLES[seen.finding.scenario.traffic].described
-    tags = [finding.label, view["assertion"] * (not is_check), traffic, seen.on_alike or plural(finding.runs, "run")]
+    tags = [finding.label, view["assertion"] * (not is_check), traffic, plural(finding.runs, "run"), seen.worst]
     if is_check and responsible != "none" and not besides:
         tags.append(f"{WHO.get(responsible, responsible)} for the collision")
     parts = [

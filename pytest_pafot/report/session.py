@@ -154,6 +154,11 @@ class Session:
         """The new findings of all searches that have ended."""
         return [find for search in self.ended for find in search.finds]
 
+    @property
+    def red(self) -> list[Seen]:
+        """The failures that make a session fail: new findings, and replays whose failure is not accepted."""
+        return [*self.finds, *(each for each in self.replays if each.headline and each.label != "accepted")]
+
     def command(self, seen: Seen, *words: str, name: str = "") -> str:
         """Return the command ``words`` with which a finding is run again: its file, or the item ``name`` of it.
 

@@ -25,9 +25,8 @@ from pytest_pafot.findings.sighting import GROUPS, Observed, Seen, label
 from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.vehicle_type import STYLES
 from pytest_pafot.report.session import ADVICE, RESULTS, Session
-from pytest_pafot.report.terminal import further, parameter_shares
+from pytest_pafot.report.terminal import FAILING, further, told
 from pytest_pafot.support.process import installed_versions
-from pytest_pafot.support.proportions import none_text
 from pytest_pafot.support.text import capitalised, code, plain, plural, quiet_json
 
 VERSION = 5
@@ -64,7 +63,7 @@ FINDING: Mapping[str, tuple[Any, Callable[[Seen], Any] | None]] = MappingProxyTy
     "size": ("", lambda seen: size_of(seen.finding.scenario, seen.finding.longest_run)),
     "traffic": ("", lambda seen: STYLES[seen.finding.scenario.traffic].described),
     "runs": (0, lambda seen: 1 + seen.alike.runs if seen.observed.new else 0),
-    "worst": (None, lambda seen: {name: value for name, value in asdict(seen.alike).items() if name != "runs"}),
+    "worst": (None, lambda seen: {name: asdict(seen.alike)[name] for name in ("number", "severity")}),
     "seed": (None, lambda seen: seen.finding.found.seed),
     "algorithm": ("", lambda seen: seen.finding.found.algorithm),
     "policy": (None, lambda seen: seen.finding.found.policy),
@@ -243,9 +242,6 @@ def _lines(session: Session, rest: str) -> Iterator[str]:
             others = f"{len(group) - most} more" if most else f"{len(group)}"
             yield from ([f"- ... and {others}: {rest}" if most else f"- {others}: {rest}"] if len(group) > most else [])
     searches = [session.searches[node_id] for node_id in sorted(session.searches)]
-    for test, shares in parameter_shares(searches).items():
-        worst_ones = [f"{code(parameters)} {told}" for share, parameters, told, _ in shares if share]
-        yield from _listed(f"Parameters of {code(test)} that fail most", worst_ones, MAX_TOLD)
     # The new findings of the others make these fail.
     failed = [each.node_id for each in searches if session.results.get(each.node_id) in RESULTS[-2:] and not each.finds]
     faulty = [f"{code(node_id)}: {plain(session.reasons.get(node_id, ''))}" for node_id in failed]
@@ -269,15 +265,9 @@ def _search_lines(session: Session) -> Iterator[str]:
     if against:
         yield f"A run counts as a failure only if {against} passes it."
     drawn = [search.random for search in ran if search.random["runs"]]
-    failing, others, checks, counted = (
-        sum(each[name] for each in drawn) for name in ("at_fault", "otherwise", "checks", "runs")
-    )
-    if failing or others:
-        more = [f"{checks} failed a check"] if checks else []
-        more += [f"{others - checks} failed in other ways"] if others > checks else []
-        told = none_text(counted) if not failing and len(drawn) == 1 else ""
-        told += "".join(f", {each}" for each in more)
-        yield f"Of {plural(counted, 'random scenario')} {failing} failed by the ego's fault{told}."
+    failing, counted = (sum(each[name] for each in drawn for name in names) for names in (FAILING, ("runs",)))
+    if failing:
+        yield f"Of {plural(counted, 'random scenario')}, {failing} failed."
     for compared in dict.fromkeys(plain(search.compared) for search in ran if search.compared):
         yield f"{capitalised(compared)}."
 
@@ -291,13 +281,12 @@ def _finding_lines(seen: Seen, session: Session) -> Iterator[str]:
     worse = worsening(seen.severity, now.before) if now.before is not None else ""
     parts += [f"worse: {plain(worse)}"] if worse else []
     parts += [f"flaky: {plain(finding.flaky)}"] if finding.flaky else []
-    parts += [plain(seen.unshrunk), plain(seen.on_alike)]
+    parts += [plain(seen.unshrunk), plain(seen.worst)]
     if finding.xfail is not None and seen.label == "accepted":
         parts.append(f"accepted until {finding.xfail_until}: {plain(finding.xfail)}")
     yield f"- {': '.join([code(finding.test), '; '.join(filter(None, parts))])}"
-    told = now.sentences or ([] if seen.moment is None else [str(seen.moment)])
     is_pass = seen.label in ("passes", "fixed")
-    yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else told))
+    yield from (f"  <br>{plain(sentence)}" for sentence in ([] if is_pass else told(seen)[1:]))
     missing = "" if seen.path else f"not saved: {plain(seen.detail)}; "
     yield f"  <br>{missing}{code(session.command(seen, 'python', '-m', 'pytest'))}"
 

@@ -233,8 +233,6 @@ def finding_view(sighting: Seen, *, note: str = "", check: Check | None = None) 
     lines = (others if check is None or besides else [first, *others]) or [expect.message]
     if deed and not besides and deed not in sentences:
         sentences = (deed, *sentences)
-    if check is None and headline.endswith("at fault") and run is not None and run.event_npc is not None:
-        sentences = sentences[:-1]  # the headline says who is responsible
     view = {
         "headline": headline or first or expect.message or expect.failure,
         "sentences": sentences,
@@ -320,7 +318,7 @@ def _moment(sighting: Seen) -> tuple[Paragraph, ...]:
     if moment is None:
         return (("The traceback", "", (("", tuple(raised.splitlines()[1:])),)),) if raised else ()
     listed = ["its conditions then, with their values:"] if moment.conditions else []
-    return (("The moment", _prose([f"at {moment}", *listed]), moment.conditions),)
+    return (("The moment", _prose([str(moment), *listed]), moment.conditions),)
 
 
 def _happened(lines: Sequence[str], finding: Finding) -> tuple[Paragraph, ...]:

@@ -112,7 +112,6 @@ MARKER = "E   "
 
 _GLUED = r"(?<=\d) (?=(?:%|h|m|s|m/s|m/s\^[23])(?![\w/^]))|(?<=\bNPC) (?=\d)"
 _GLUE = "\N{NO-BREAK SPACE}"
-_PHRASE = r"(?<=[,;]) "
 
 
 def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
@@ -120,11 +119,10 @@ def fitted_lines(lines: Iterable[str], width: int) -> list[str]:
     return [part for line in lines for part in wrapped_to(line, width, MARKER if line.startswith(MARKER) else "")]
 
 
-def wrapped_to(line: str, width: int, prefix: str = "", *, phrases: bool = False) -> list[str]:
+def wrapped_to(line: str, width: int, prefix: str = "") -> list[str]:
     """Wrap a line between words, but not between a number and its unit, or between NPC and its number.
 
-    All resulting lines are safe to print, and begin with the prefix and the indentation of ``line``. With ``phrases``,
-    for lists, the parts between commas and semicolons stay whole if they are shorter than half the width.
+    All resulting lines are safe to print, and begin with the prefix and the indentation of ``line``.
     """
     line = visible(line.expandtabs())  # before wrapping, which would turn other line breaks into spaces
     text = line.removeprefix(prefix)
@@ -132,11 +130,7 @@ def wrapped_to(line: str, width: int, prefix: str = "", *, phrases: bool = False
     wrapper = textwrap.TextWrapper(width, indent, f"{indent}  ", break_long_words=False, break_on_hyphens=False)
     if len(line) <= width:
         return [line]
-    text = text.strip()
-    if phrases:
-        parts = re.split(_PHRASE, text)
-        text = " ".join(part.replace(" ", _GLUE) if len(part) < width // 2 else part for part in parts)
-    return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text))]
+    return [part.replace(_GLUE, " ") for part in wrapper.wrap(re.sub(_GLUED, _GLUE, text.strip()))]
 
 
 MAX_TOLD = 3

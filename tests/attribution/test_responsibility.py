@@ -1,4 +1,4 @@
-"""The five rules of docs/explanation/verdicts.md and the sentences, each against collisions made by hand."""
+"""The five rules of docs/explanation/verdicts.md against collisions made by hand."""
 
 import pickle
 import re
@@ -11,13 +11,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pytest_pafot.attribution.responsibility import DISTANCES, Conflict, position_rule, rss_rule
-from pytest_pafot.attribution.sentences import responsible_sentence
 from pytest_pafot.criticality import RoadFrame
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.trace import HEADING, SPEED, STEERING, Outcome, X, Y
-from pytest_pafot.oracle.run import LINE_LENGTH, Run
+from pytest_pafot.oracle.run import Run
 from tests.helpers.drives import HZ, crash, driven
-from tests.helpers.situations import SITUATIONS, cut_in, lane_change
+from tests.helpers.situations import cut_in, lane_change
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, random_states, straight_lanes, trace_of, vehicle
 from tests.helpers.work import calls_in
@@ -128,33 +127,7 @@ def test_stop_close_behind_standing_vehicle_has_a_reason(gap, expected):
     assert who(crash(ego, behind, ahead, side="rear", cell=Cell.REAR)) == expected
 
 
-# Sentences: measured facts, which decide nothing.
-
-
-@table(("brakes", "says"), [
-    ([], "The ego kept 20.0 m/s and did not brake in the 4.7 s before the impact."),
-    ([(7.0, 1.0, 0.0)], "The ego did not brake for 1.7 s after 5.3 s, then braked at up to 1.0 m/s^2, to 16.3 m/s."),
-    ([(4.0, -2.0, 25.0)], "The ego did not brake, but sped up to 25.0 m/s from 4.7 s on."),
-    (
-        [(5.4, 1.0, 19.0), (6.5, -2.0, 25.0)],
-        "The ego braked at up to 1.0 m/s^2 to 19.0 m/s, and sped up to 25.0 m/s from 6.5 s on.",
-    ),
-])  # fmt: skip
-def test_deeds_are_told_from_the_danger_on(brakes, says):
-    found = rss_rule(crash(driven(0.0, brakes=brakes), driven(105.0, speed=10.0)))
-    assert found.responsibility == "ego"
-    assert re.match(r"The ego was [\d.]+ m behind NPC 0 at [\d.]+ s; [\d.]+ m are safe\.", found.sentences[0])
-    assert found.sentences[1] == says
-    assert found.sentences[2].startswith("NPC 0 kept 10.0 m/s and did not brake in the ")
-
-
-@table("name", [each.name for group in SITUATIONS.values() for each in group])
-def test_each_sentence_is_uncut_and_a_fact(name):
-    found = rss_rule(next(each for group in SITUATIONS.values() for each in group if each.name == name).trace())
-    told = [*found.sentences, responsible_sentence(found.responsibility, 0)]
-    assert 4 <= len(told) <= 7
-    assert all(text[0].isupper() and text.endswith(".") and len(text) <= LINE_LENGTH - 2 for text in told)
-    assert not {"should", "would", "could", "avoids"} & set(" ".join(found.sentences).split())
+# Any run.
 
 
 def test_without_a_collision_nobody_is_responsible():
@@ -209,7 +182,7 @@ def test_any_collision_gets_verdict_with_reason_and_time(seed, ticks, vehicles):
     assert found.responsibility in ("ego", "npc", "both")
     assert 0 <= found.tick <= ticks
     assert found.time == found.tick / 15
-    assert len(found.sentences) == 3
+    assert len(found.sentences) in (2, 3)
     assert "".join(found.sentences).isascii()
 
 

@@ -122,7 +122,7 @@ def test_drive_goes_on_for_four_seconds_if_the_world_can(longer):
 
 
 def test_sentences_on_takeovers():
-    assert sentence(1.25) == "A careful driver who takes over 1.25 s before the impact still avoids it."
+    assert sentence(1.25) == "A careful driver who takes over 1.25 s before the impact at the latest avoids it."
     assert sentence(0.0) == "No careful driver who takes over in the last 3 s avoids it reliably."
 
 

@@ -26,7 +26,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -44,9 +44,21 @@ from tests.benchmarks.planted import PLANTED
 from tests.benchmarks.survival import Curve, Sample, common_limit, ratio, ratio_interval
 
 DEFAULT = "default"
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnPafotSearch(PafotSearch):
+    """The paper's algorithm in the scenarios of the default search, and not in the paper's."""
+
+    name: ClassVar[str] = "pafot-drawn"
+    is_papers: ClassVar[bool] = False
+    draws_vehicles: ClassVar[bool] = True
+
+
 ARMS: Mapping[str, Mapping[str, Any]] = {
     DEFAULT: {},
     "pafot": {"algorithm": PafotSearch},
+    "pafot-drawn": {"algorithm": DrawnPafotSearch},
     "cells": {"instructions": "cells"},
     "lanes": {"instructions": "lanes"},
 }

@@ -71,7 +71,7 @@ def test_a_finding_that_draws_repeats_at_its_seed_and_says_in_how_many_others_it
     assert finding.rate.runs == 10
     assert 3 <= finding.rate.failing <= 9
     assert told.finding.on_rate == f"fails in {finding.rate.failing} of 10 other seeds"
-    assert told.finding.on_rate in told.summary
+    assert told.finding.on_rate in told.remark
     assert len(finding.scenario.npcs) == 1
 
 

@@ -194,17 +194,17 @@ def test_unused_share_of_time_goes_to_other_findings(clock):
 
 def test_unshrunk_finding_says_how_to_continue(clock):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=3)
-    assert set(unshrunk(result)) == {"not shrunk: out of time"}
+    assert set(unshrunk(result)) == {"not simplified: out of time"}
     assert any("ended before" in note and note.endswith(" and more time") for note in result.summary.notes)
 
 
 def test_finding_with_time_limit_is_saved_partly_shrunk(clock, tmp_path):
     result = searched(clock, fails_in_three_ways, runs=1000, max_time=50, shrink_rollouts=300)
-    assert set(unshrunk(result)) == {"shrunk in part: out of time"}
+    assert set(unshrunk(result)) == {"simplified in part: out of time"}
     assert all(finding.shrunk.before for finding in result.findings)
     assert len(files(tmp_path / "corpus")) == 3
     last_told = {event.id: event for event in result.events if isinstance(event, Seen)}
-    assert all(find.unshrunk and "out of time" in find.summary for find in last_told.values())
+    assert all(find.unshrunk and "out of time" in find.remark for find in last_told.values())
 
 
 def test_without_a_limit_no_clock_decides_anything(clock, tmp_path):
@@ -282,7 +282,7 @@ def test_what_was_shrunk_before_a_run_is_cut_is_saved(clock, monkeypatch):
         monkeypatch.setattr(f"pytest_pafot.campaign.{module}.runs_end_in", runs_end_in)
     options = SHORT | {"runs": 1000, "stop_after": 1, "max_time": 174, "shrink_rollouts": 300}
     result = pafot.explore(slow, holds=fails_in_three_ways, corpus="corpus", **options)
-    assert unshrunk(result) == ["shrunk in part: out of time"]
+    assert unshrunk(result) == ["simplified in part: out of time"]
     assert result.findings[0].shrunk.before
     assert clock.now <= 176
 

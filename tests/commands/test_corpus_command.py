@@ -81,7 +81,7 @@ def test_accepting_a_failure_changes_one_listed_line(folder, capsys):
     capsys.readouterr()
     assert main(["corpus", "list", str(folder)]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "cell 2 (front); accepted: TICKET-7, until 2999-02-01 b-222222" in told
+    assert "The ego's front hit NPC 0 after 12.4 s; accepted: TICKET-7, until 2999-02-01 b-222222" in told
 
 
 def test_a_full_disk_leaves_the_file_as_it_was(folder, capsys, monkeypatch):

@@ -63,7 +63,7 @@ def ids(rows):
 
 
 @pytest.mark.parametrize(("changes", "what"), [
-    ({}, "collision after 12.4 s: NPC 0 in cell 2 (front)"),
+    ({}, "The ego's front hit NPC 0 after 12.4 s"),
     (
         {"failure": "CheckFailed", "assertion": "gap", "check": Bounded(value=0.64, at_least=10.0, unit="m")}
         | AHEAD,

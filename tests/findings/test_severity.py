@@ -9,12 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pytest_pafot.findings.sighting import Alike
 from pytest_pafot.findings.verdict import CHECK_FAILED, Failure, Severity, severity_of, worsening
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome, Y
 from pytest_pafot.oracle.run import Check, CheckFailed, Run, check
 from pytest_pafot.world import Highway
+from tests.findings.builders import sighting
 from tests.helpers.tables import table
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
@@ -127,3 +129,39 @@ def test_check_of_many_values_uses_its_named_value():
     made = Check(name="gap", value=0.4, margin=-0.2, at_least=0.5, unit="m", time=3.0)
     severity = severity_of(crash(), Failure(kind=CHECK_FAILED, assertion="gap", check=made))
     assert str(severity) == "breaks gap by 0.1 m"
+
+
+def alike(*runs):
+    """Return the sum over runs of a search: their numbers, each with its closing speed, or None."""
+    hits = [(number, None if speed is None else replace(HIT, value=speed)) for number, speed in runs]
+    each = [Alike(runs=1, number=number, severity=hit, least=hit) for number, hit in hits]
+    return sum(each, start=Alike())
+
+
+@table(("runs", "number", "worst", "least"), [
+    ([(3, 9.8), (4, 12.1), (5, 2.0)], 4, 12.1, 2.0),
+    ([(3, 9.8), (4, 9.8)], 3, 9.8, 9.8),  # of two equal ones, the first
+    ([(3, None), (4, 2.0), (5, None)], 4, 2.0, 2.0),
+    ([(7, 5.0)], 7, 5.0, 5.0),
+])  # fmt: skip
+def test_runs_that_fail_alike_have_their_worst_and_their_mildest(runs, number, worst, least):
+    found = alike(*runs)
+    assert (found.runs, found.number, found.severity.value, found.least.value) == (len(runs), number, worst, least)
+    halves = [alike(*runs[:1]), alike(*runs[1:])]
+    assert halves[0] + halves[1] == found
+
+
+def test_runs_without_a_measure_are_only_counted():
+    assert (alike((3, None), (4, None)).runs, alike((3, None)).severity, alike((3, None)).least) == (2, None, None)
+
+
+@table(("of", "own", "told"), [
+    (alike((3, 9.8), (4, 2.0)), HIT, ", closing at 2.0 to 9.8 m/s"),
+    (alike((3, 9.81), (4, 9.79)), HIT, ", closing at 9.8 m/s"),
+    (Alike(), HIT, ", closing at 9.8 m/s"),
+    (Alike(), None, ""),
+    (Alike(runs=2, severity=JERK, least=replace(JERK, value=3.0)), JERK, ", broken by 3 to 15.1 m/s^3"),
+    (Alike(), replace(JERK, unit=""), ", broken by 15.1"),
+])  # fmt: skip
+def test_the_impacts_of_runs_that_fail_alike_are_a_range(of, own, told):
+    assert sighting(severity=own, alike=of).impacts == told

@@ -23,11 +23,10 @@ def lines_of(*npcs, **more):
     return Run(junction_trace(*npcs, **more)).explain().splitlines()
 
 
-def test_headline_names_zone_and_origin_of_npc():
+def test_headline_names_origin_of_npc():
     run = crash()
-    assert run.explain().splitlines()[0] == (
-        "collision after 4.8 s: NPC 0 from the left in the zone o3>o1 against the ego's front"
-    )
+    assert run.impact == "The ego hit NPC 0, which came from the left, after 4.8 s, closing at 0.0 m/s"
+    assert " ".join(run.explain().split()).startswith(f"{run.impact}: 10.0 against 10.0 m/s The ego entered ")
     assert run.event_cell is None
     assert run.place_of(run.collision) == "from the left in the zone o3>o1"
 
@@ -54,7 +53,9 @@ def test_merged_npc_has_a_cell_after_its_zone():
 def test_collision_place_without_record_is_left_out():
     """A user's own world may have such a track, and no zones."""
     trace = replace(crash().trace, zones=(), on_way=None)
-    assert Run(trace).explain().startswith("collision after 4.8 s: NPC 0 against the ego's front\n")
+    run = Run(trace)
+    assert run.impact == "The ego's front hit NPC 0 after 4.8 s, closing at 0.0 m/s"
+    assert run.sentences[0] == "NPC 0 kept 10.0 m/s and did not brake from 2.8 s on."
 
 
 def test_moments_of_a_run_include_crossing_npcs():
@@ -95,7 +96,7 @@ def test_explanations_stay_short_however_many_cross(count, others):
     npcs = [(CROSSES, -7.0 * number) for number in range(count)]
     for hits in (None, 0):
         lines = lines_of(*npcs, *others, hits=hits)
-        assert len(lines) < 15
+        assert len(lines) < 17
         assert all(len(line) < 100 and line.isascii() for line in lines)
     told = [line for line in lines if line.startswith("  NPC ") and "; " in line]
     left_out = count - len(told)
@@ -139,6 +140,6 @@ def test_run_that_left_route_is_described_with_crossing():
 def test_collision_with_npc_merged_long_ago_has_cell():
     hit = collision_at(90, cell=Cell.FRONT)
     run = Run(junction_trace((MERGES, 0.0), seconds=6.0, outcome=Outcome.COLLISION, collision=hit))
-    assert "NPC 0 in cell 2 (front)" in run.explain()
+    assert run.impact.startswith("The ego hit NPC 0 from behind after 6.0 s")
     assert run.zone_of(hit) is None
     assert run.zone_of(replace(hit, cell=None)) == ZONES[MERGES]

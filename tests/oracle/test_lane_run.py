@@ -73,16 +73,21 @@ def test_lane_that_does_not_exist_is_kept():
     assert lane_text(trace, 0, 0) == "keep the lane left of the ego"
 
 
-def test_cut_in_reads_in_two_short_lines():
-    run = run_of(in_lanes("right@10 keep@0"), lanes=((0, 1),), arrivals=((28, 30),))
+@pytest.mark.parametrize(("speed", "end"), [
+    ("19.6", "reached at 1.9 s"),
+    ("10.0", "in place from 1.9 s, slowest 20.0 m/s"),
+    ("26.8", "in place from 1.9 s, fastest 20.0 m/s"),
+])  # fmt: skip
+def test_cut_in_reads_in_two_short_lines_that_say_if_its_speed_was_not_reached(speed, end):
+    run = run_of(in_lanes(f"right@{speed} keep@0"), lanes=((0, 1),), arrivals=((28, 30),))
     assert rows(run) == [
-        "       0.0  from the left into the ego's lane 10.0 m/s reached at 1.9 s",
+        f"       0.0  from the left into the ego's lane {speed} m/s {end}",
         "       2.0  keep the ego's lane 0.0 m/s",
     ]
 
 
 def test_lane_change_may_end_in_the_next_gene():
-    run = run_of(in_lanes("right@10 keep@0"), lanes=((0, 1),), arrivals=((None, 36),))
+    run = run_of(in_lanes("right@20 keep@0"), lanes=((0, 1),), arrivals=((None, 36),))
     assert rows(run)[0].endswith("reached at 2.4 s")
 
 
@@ -111,10 +116,10 @@ def test_equal_changes_in_a_row_are_all_told():
 
 
 def test_both_kinds_share_a_table():
-    on_grid = (PositionInstruction(2, 26.8), PositionInstruction(1, 26.8))
+    on_grid = (PositionInstruction(2, 20.0), PositionInstruction(1, 26.8))
     run = run_of(on_grid, in_lanes("left@26.8 keep@8"), lanes=((1, 1), (2, 1)), arrivals=((20, None), (None, 40)))
     assert rows(run) == [
-        "       0.0  2 front 26.8 m/s reached 1.3 s     into the ego's lane 26.8 m/s reached 2.7 s",
+        "       0.0  2 front 20.0 m/s reached 1.3 s     into the ego's lane 26.8 m/s in place 2.7 s",
         "       2.0  1 front-left 26.8 m/s not reached  keep the ego's lane 8.0 m/s",
     ]
 
@@ -141,7 +146,7 @@ def test_two_columns_drop_words_until_they_fit():
     """The arrival in the ego's lane comes before the side, and a table of more lanes has only the targets."""
     cut_ins = [in_lanes("right@10"), in_lanes("left@10")]
     run = run_of(*cut_ins, lanes=((0, 0), (2, 2)), arrivals=((28,), (None,)))
-    expected = "       0.0  into the ego's lane 10.0 m/s reached 1.9 s  into the ego's lane 10.0 m/s not reached"
+    expected = "       0.0  into the ego's lane 10.0 m/s in place 1.9 s  into the ego's lane 10.0 m/s not reached"
     assert rows(run) == [expected]
     far = [in_lanes("right@10"), in_lanes("right@10")]
     run = run_of(*far, ego=0, lanes=((1, 1), (2, 2)))

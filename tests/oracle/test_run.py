@@ -95,15 +95,14 @@ def test_its_repr_fits_the_header_of_a_traceback():
 def test_explanation_covers_event_fault_and_npc_instructions():
     text = crash(arrivals=((12,), (None,))).explain()
     assert text.splitlines() == [
-        "collision after 2.0 s: NPC 0 in cell 2 (front) against the ego's front",
-        "  The ego was 21.0 m behind NPC 0 at 0.0 s; 47.1 m are safe.",
-        "  The ego kept 20.0 m/s and did not brake in the 2.0 s before the impact.",
-        "  NPC 0 kept 10.0 m/s and did not brake in the 2.0 s before the impact.",
+        "The ego hit NPC 0 from behind after 2.0 s, closing at 10.0 m/s: 20.0",
+        "  against 10.0 m/s",
+        "  NPC 0, 21.0 m ahead of the ego at 0.0 s, kept 10.0 m/s.",
+        "  The ego kept 20.0 m/s and did not brake from 0.0 s on.",
         "  The ego is responsible.",
-        "  at the impact: ego 20.0 m/s, NPC 10.0 m/s, closing 10.0 m/s",
         "  hardest brake of the ego: 0.0 m/s^2",
-        "  from [s]  NPC 0                                NPC 1",
-        "       0.0  1 front-left 20.0 m/s reached 0.8 s  2 front 20.0 m/s not reached",
+        "  from [s]  NPC 0                                 NPC 1",
+        "       0.0  1 front-left 20.0 m/s in place 0.8 s  2 front 20.0 m/s not reached",
         f"  scenario {crash().scenario.id}, repair seed 0",
     ]
 

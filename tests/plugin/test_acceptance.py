@@ -52,7 +52,7 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
     result, finding = replayed(accepted, f"return (0.0, 0.0) if observation.time < 2 else {later}")
     assert (result.ret, finding["result"]) == (1, "failed")
     told = " ".join(result.stdout.str().split())
-    assert "accepts collision after" in told
+    assert "accepts The ego hit NPC " in told
     assert f"received {received}" in told
 
 
@@ -96,7 +96,7 @@ def test_a_search_that_hits_faster_than_all_that_was_known_is_red_until_that_is_
         result.stdout.fnmatch_lines([f"  note: {worse.id} is worse than saved-*: no run hit faster than * when it*"])
         text = (accepted.path / new[0]).read_text()
         (accepted.path / new[0]).write_text(text.replace("# xfail", "xfail: {reason: ours, until: 9999-12-31} #"))
-        made = re.search(r"1 new finding in (\d+) runs", result.stdout.str())[1]
+        made = re.search(r"1 new failure in (\d+) runs", result.stdout.str())[1]
         assert accepted.run(runs=made).ret == 0
         assert len(accepted.files) == 2
 

@@ -77,7 +77,7 @@ def test_custom_algorithm_class_is_named_in_all_output(project, argument, option
         f"from own import Own\n@pafot.search(SHORT, {argument})  # stop_after=1\n"
         "def test_it(run):\n    assert not run.collision\n"
     )
-    result = project.run(*options, runs=32)
+    result = project.run("-v", *options, runs=32)
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["*own, seed *"])
+    result.stdout.fnmatch_lines(["  Algorithm own, seed *"])
     assert "algorithm: own" in project.only_file.read_text()

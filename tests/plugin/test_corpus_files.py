@@ -51,7 +51,7 @@ def test_unwritable_corpus_loses_no_finding(failing):
     (failing.path / "pafot_corpus").write_text("a file where the folder should be")
     result = failing.run()
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  not saved: *expected to write a finding*", "the file would be:", "  pafot: 3"])
+    result.stdout.fnmatch_lines(["It is not saved: *expected to write a finding*", "The file would be:", "  pafot: 3"])
 
 
 RAISES = """

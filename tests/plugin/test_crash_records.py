@@ -16,7 +16,7 @@ def test_killed_session_causes_no_false_crash_of_replay(failing):
     for _ in range(2):
         result = failing.run(runs=0)
         result.assert_outcomes(failed=1, skipped=1)
-        result.stdout.fnmatch_lines(["replay: still failing"])
+        result.stdout.fnmatch_lines(["Replayed, it is still failing."])
 
 
 def test_an_ads_that_raises_later_has_not_ended_its_process(project):

@@ -75,7 +75,7 @@ def test_repeated_crash_fails_only_its_own_item(crash, more, runs):
     result = replayed(crash, *asked, runs=runs)
     result.assert_outcomes(failed=1, passed=1, deselected=1)
     result.stdout.fnmatch_lines(
-        ["the process (pid *) that ran this scenario was ended by SIGSEGV*", "*1 saved scenario: 1 still failing*"]
+        ["The process (pid *) that ran this scenario was ended by SIGSEGV*", "*1 saved scenario: 1 still failing*"]
     )
     assert 'tests="2"' in (crash.path / "junit.xml").read_text()
     assert not crash.records
@@ -87,8 +87,8 @@ def test_search_after_a_saved_crash_runs_isolated(crash):
     result.assert_outcomes(failed=1, passed=2)  # the replay fails; the search finds nothing new
     result.stdout.fnmatch_lines(
         [
-            "*ended: all runs done*",
-            "*like saved-crash-*",
+            "*[[]search[]]: * of 4 runs failed.",
+            "  crash-*: * run* (known).",
             "*note: ran as with --pafot-isolate, since a process died in this search before*",
             "*1 saved scenario: 1 still failing*",
         ]

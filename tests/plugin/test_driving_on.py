@@ -129,7 +129,7 @@ def test_a_collision_at_another_time_still_fails_and_says_when(saved):
     text = saved.only_file.read_text()
     saved.only_file.write_text(re.sub(r"(outcome: collision, time: )[0-9.]+", r"\g<1>4.6", text))
     result = replay(saved, "fast")
-    result.stdout.fnmatch_lines(["replay: still failing, collision at 4.6 s in the file, collision at 5.6 s now"])
+    result.stdout.fnmatch_lines(["*still failing: collision at 4.6 s in the file, collision at 5.6 s now."])
 
 
 ACCEPTS_LATER = TEST.replace("not run.collision", "not run.collision or run.collision.time > 6")
@@ -201,7 +201,7 @@ def test_death_after_the_end_of_a_crash_still_fails(project):
     filed(project, expect=expectation(died))
     result = replay(project, "dying")
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replay: still failing, driven on past the file's end", "*1 still failing"])
+    result.stdout.fnmatch_lines(["Replayed, it is still failing: driven on past the file's end.", "*1 still failing"])
 
 
 def test_failure_by_chance_after_the_end_is_flaky(saved):

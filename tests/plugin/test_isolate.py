@@ -121,9 +121,10 @@ def test_ads_that_ends_its_process_is_a_finding(isolated):
     assert load(project.path / crash).expect.message == "the process that ran this scenario ended with exit code 9"
     assert len(project.files) > 1
     result.assert_outcomes(failed=1 + len(project.files), passed=1)
-    result.stdout.fnmatch_lines(["*ended: all runs done*"])
+    result.stdout.fnmatch_lines(["*[[]search[]]: * of 12 r* failed*"])
+    result.stdout.no_fnmatch_line("*ended early*")
     again = project.run("--pafot-isolate", "--pafot-shrink-rollouts=0", runs=12, apart=True)
-    again.stdout.re_match_lines([rf"  \d+ runs? fails? like saved-{crash.rpartition('/')[2][:-11]}"])
+    again.stdout.re_match_lines([rf"  {crash.rpartition('/')[2][:-11]}: \d+ runs? \(known"])
     assert not project.records
 
 
@@ -152,7 +153,7 @@ def test_process_death_while_shrinking_is_a_finding(isolated):
     assert len(load(project.path / crash).scenario.npcs) == 1
     assert load(project.path / other).shrunk is not None
     result.assert_outcomes(failed=3, passed=1)
-    result.stdout.fnmatch_lines(["*2 new findings*", "*crash-* (0 runs)*"])  # none of the search
+    result.stdout.fnmatch_lines(["  crash-*: 0 runs (new).", "FAILED * 2 new failures in *"])  # none of the search
 
 
 ONCE = """

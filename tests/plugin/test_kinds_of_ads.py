@@ -27,7 +27,7 @@ def test_vehicle_class_works_in_search_and_replay(project, in_highway_env):
     for given, source in VEHICLES.items():
         project.write(textwrap.dedent(source), name=f"test_{given}")
     result = project.run("--pafot-shrink-rollouts=5")
-    result.stdout.fnmatch_lines(["*1 new finding in 1 run*"] * len(VEHICLES))
+    result.stdout.fnmatch_lines(["*: 1 new failure in 1 run: *"] * len(VEHICLES))
     assert sorted(name.split("/")[1] for name in project.files) == sorted(f"test_{given}" for given in VEHICLES)
     assert "flaky" not in result.stdout.str()
     project.run(runs=0).assert_outcomes(failed=len(VEHICLES), skipped=len(VEHICLES))
@@ -70,11 +70,11 @@ def test_any_exception_of_ads_is_saved_and_replayed(project, in_highway_env):
     for number, failure in enumerate(RAISED.values()):
         (name,) = [name for name in project.files if f"/test_drive_{number}/" in name]
         finding = load(project.path / name)
-        shows(result, f"test_drive_{number}[saved-{finding.id}]", f"the ADS failed: {failure}*")
+        shows(result, f"test_drive_{number}[saved-{finding.id}]", f"After ?.? s: {failure}*")
         assert finding.expect.failure == failure
         assert finding.id.startswith("ads-error-")
-    result.stdout.fnmatch_lines(["the ADS failed: KeyError: *", "*return {}*missing key*"])
-    result.stdout.fnmatch_lines(["*2 failing*"] * len(RAISED))
+    result.stdout.fnmatch_lines(["After ?.? s: KeyError: *", "*return {}*missing key*"])
+    result.stdout.fnmatch_lines(["*: 2 of 2 random scenarios failed: *"] * len(RAISED))
     project.run(runs=0).assert_outcomes(failed=len(RAISED), skipped=len(RAISED))
 
 

@@ -89,7 +89,7 @@ def test_link_within_project_is_read_but_not_written(failing):
     before = all_in(failing.path / "shared")
     result = failing.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"*saved-{id_}*", "replay: still failing"])
+    result.stdout.fnmatch_lines([f"*saved-{id_}*", "Replayed, it is still failing."])
     failing.run(seed=2).stdout.fnmatch_lines([f"*received the link {corpus}, which may lead to*"])
     assert all_in(failing.path / "shared") == before
 

@@ -53,7 +53,7 @@ def test_what_a_policy_answers_to_is_told_also_if_it_is_isolated(project):
     result, record, _ = run(project, "--pafot-shrink-rollouts=0")
     moment = record["moment"]
     assert (moment["npc"], moment["action"], moment["hidden"], moment["otherwise"]) == (0, "1", "", None)
-    result.stdout.re_match_lines([r"moment +\d+\.\d s: it saw NPC 0 .*"])
+    result.stdout.re_match_lines([r"At \d+\.\d s the policy saw NPC 0 .*"])
     apart = run(project, "--pafot-shrink-rollouts=0", "--pafot-isolate")[1]
     assert apart["moment"] == moment
 
@@ -82,7 +82,8 @@ def test_collides(run):
     result, record, _ = run(project, "--pafot-runs=60")
     moment = record["moment"]
     assert (moment["action"], moment["reference"]) == ("acceleration 0.0 m/s^2", "acceleration -6.0 m/s^2")
-    result.stdout.re_match_lines([r"moment +\d+\.\d s, the first that differs: acceleration 0\.0 m/s\^2; .*"])
+    answers = r"the policy answered acceleration 0\.0 m/s\^2, and the reference acceleration -6\.0 m/s\^2\."
+    result.stdout.re_match_lines([rf"At \d+\.\d s, first of all, {answers}"])
 
 
 READS = """
@@ -117,7 +118,7 @@ def test_the_conditions_of_the_moment_are_told_also_if_the_policy_is_isolated(pr
     assert row.startswith(f"line {line}: gap < 90.0 or self.decisions < 1  (gap = ")
     assert row.endswith(") -> True")
     result.stdout.re_match_lines(
-        [r"moment +\d+\.\d s: .*", f"  {whom}:", rf"    line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
+        [r"At \d+\.\d s the policy saw .*", rf"  line {line}: gap < 90\.0 or self\.decisions < 1  .*"]
     )
     assert f"line {line}: gap" in (project.path / "out.html").read_text()
     apart = run(project, *options, "--pafot-isolate", runs=80, seed=4)[1]

@@ -21,11 +21,12 @@ def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
     page = tmp_path / "page.html"
     project.write(TEST.replace("PERCEPTION", "latency=0.1, range=0.0"))
     told = project.run(f"--pafot-report={page}")
-    told.stdout.fnmatch_lines(["*, found with a range of 0 m and 0.1 s of latency"])
+    found = "found with a range of 0 m and 0.1 s of latency"
+    told.stdout.fnmatch_lines([f"The ego hit NPC *, {found}.", "The ego is responsible."])
     assert load(project.only_file).perception == Sight(latency=0.1, range=0.0)
-    assert "found with a range of 0 m and 0.1 s of latency" in page.read_text(encoding="utf-8").lower()
+    assert found in page.read_text(encoding="utf-8").lower()
 
-    change = "found with a range of 0 m and 0.1 s of latency, run with"
+    change = f"{found}, run with"
     project.write(TEST.replace("PERCEPTION", "dropout=0.01"))
     result = project.run(runs=0)
     result.assert_outcomes(passed=1, skipped=1)
@@ -34,7 +35,7 @@ def test_finding_names_its_perception_and_replay_the_change(project, tmp_path):
     project.write(TEST.replace("PERCEPTION", "range=0.0"))
     result = project.run(runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    result.stdout.fnmatch_lines([f"replay: still failing, {change} a range of 0 m"])
+    result.stdout.fnmatch_lines([f"Replayed, it is still failing: {change} a range of 0 m."])
 
 
 def no_collision(run):

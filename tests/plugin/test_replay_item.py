@@ -56,7 +56,7 @@ def test_a_search_counts_a_known_failure_and_passes(saved):
     before = saved.contents
     result = saved.run(runs=20)
     result.assert_outcomes(failed=1, passed=1)
-    result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
+    result.stdout.fnmatch_lines([f"  {saved.only_id}: * (known)."])
     assert saved.contents == before
 
 
@@ -65,7 +65,7 @@ def test_accepted_failure_lets_the_session_pass(saved):
     result = saved.run(runs=20)
     assert result.ret == 0
     result.assert_outcomes(passed=1, xfailed=1)
-    result.stdout.fnmatch_lines([f"  * like saved-{saved.only_id}, not looked at"])
+    result.stdout.fnmatch_lines([f"  {saved.only_id}: * (known)."])
 
 
 def test_accepted_file_that_passes_fails_until_line_removed(saved):
@@ -165,7 +165,7 @@ def test_uneventful_runs_are_compared_by_most_critical_moment(project):
     project.only_file.write_text(f"{head}time: 99.5,{tail.partition(',')[2]}")
     result = project.run(runs=0)
     result.stdout.fnmatch_lines(
-        ["*drifted, safe and most critical at 99.5 s in the file, safe and most critical at * s now"]
+        ["*drifted: safe and most critical at 99.5 s in the file, safe and most critical at * s now."]
     )
 
 
@@ -246,7 +246,7 @@ def test_brakes(run):
 """
     )
     result = project.run()
-    result.stdout.fnmatch_lines(["*flaky: running it again gave a different run*"])
+    result.stdout.fnmatch_lines(["*Flaky: running it again gave a different run*"])
     file = project.only_file
     file.write_text(re.sub(r"(?m)^rate: .*\n", "", file.read_text()))
     project.write((project.path / "test_it.py").read_text().replace("if len(calls) % 2", "if len(calls) % 2 == 0"))
@@ -263,7 +263,7 @@ def test_replay_says_that_the_test_names_another_world(saved):
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run("-v", "--pafot-json=pafot.json", runs=0)
     result.assert_outcomes(failed=1, skipped=1)
-    assert f"replay: still failing, {OTHER_WORLD}" in " ".join(result.stdout.str().split())
+    assert f"Replayed, it is still failing: {OTHER_WORLD}" in " ".join(result.stdout.str().split())
     assert json.loads((saved.path / "pafot.json").read_text())["findings"][0]["detail"] == OTHER_WORLD
     saved.write(PASSES.replace("@pafot.search(", "@pafot.search(world=pafot.Highway(lanes=5, duration=10), "))
     result = saved.run(runs=0)
@@ -275,7 +275,7 @@ def test_replay_says_that_the_test_names_other_traffic(saved):
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='everyday', "))
     shown = " ".join(saved.run(runs=0).stdout.str().split())
     named = "paper there, everyday now"
-    assert f"still failing, run in the traffic of the file, which is not the test's: {named}" in shown
+    assert f"still failing: run in the traffic of the file, which is not the test's: {named}" in shown
     saved.write(FAILS.replace("@pafot.search(", "@pafot.search(traffic='paper', "))
     assert "in the traffic of the file" not in saved.run(runs=0).stdout.str()
 
@@ -325,7 +325,7 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
     by_chance("4")  # The replay passes, and later runs of the search fail in the same way.
     result = project.run("--pafot-today=2027-01-31", "test_it.py::test_brakes[search]", runs=8)
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines([f"  * like saved-{project.only_id}, not looked at"])
+    result.stdout.fnmatch_lines([f"  {project.only_id}: * (known)."])
     assert project.contents == before
     over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", runs=8)
     assert over.ret == pytest.ExitCode.TESTS_FAILED

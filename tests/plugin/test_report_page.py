@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.attribution.takeovers import sentence
 from pytest_pafot.corpus.reader import load
 from pytest_pafot.report.terminal import shrunk_lines
@@ -80,7 +81,7 @@ def test_accepted_failure_is_shown_with_its_reason(saved, page):
 def test_unsaved_finding_shows_the_command_of_its_search(failing, page):
     result = failing.run("--pafot-report=report.html", "--pafot-save=none")
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["  not saved: --pafot-save=none"])
+    result.stdout.fnmatch_lines(["It is not saved: --pafot-save=none."])
     assert failing.files == []
     _, (finding,), _ = read_page(page)
     assert finding.file == f"{finding.id}.pafot.yaml"
@@ -174,7 +175,7 @@ def test_page_shows_shrinking_and_the_careful_driver_after_replay(project, page,
     project.run("--pafot-report=report.html", runs=24, seed=4)
     (finding, *_) = [each for each in read_page(page)[1] if each.data["event"]["side"] == "front"]
     saved = load(project.path / finding.file)
-    told = [f"{how} in {saved.shrunk.rollouts} runs" for how in shrunk_lines(saved)]
+    told = shrunk_lines(saved)
     assert told[0].startswith("from 2 NPCs")
     told = [each[1:] for each in told]  # a sentence of the page begins with a capital letter
     assert all(html.escape(each) in read_page(page)[0] for each in [*told, sentence(saved.expect.takeover)])
@@ -184,7 +185,7 @@ def test_page_shows_shrinking_and_the_careful_driver_after_replay(project, page,
     assert len(ghost["along"]) == len(ego["along"]) - first
     assert ghost["along"][0] == pytest.approx(ego["along"][first], abs=0.5)
     assert ghost["along"][-1] < ego["along"][-1] - 1.0, "it brakes"
-    assert finding.data["headline"].endswith(f", {saved.expect.responsibility} at fault")
+    assert finding.data["headline"].endswith(f"; {AT_FAULT[saved.expect.responsibility]}")
     assert len(finding.data["vehicles"]) == 2
     project.run("--pafot-report=report.html", runs=0)
     (again,) = [each for each in read_page(page)[1] if each.id == finding.id]

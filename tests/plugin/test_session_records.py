@@ -69,7 +69,7 @@ def test_a_search_and_its_find_are_recorded(failing):
     assert (record.exit, record.problems) == (pytest.ExitCode.TESTS_FAILED, [])
     assert (search.node_id, search.result, search.finds) == ("test_it.py::test_fails[search]", "failed", [saved.id])
     assert (search.base_seed, search.seed) == (1, saved.found.seed)
-    assert search.message == f"1 new finding in {search.runs} run, reported below"
+    assert search.message == f"1 new failure in {search.runs} run: {find.id}"
     assert (find.node_id, find.status, find.result) == (f"test_it.py::test_fails[saved-{saved.id}]", "new", "failed")
     assert (find.file, find.replay) == (failing.files[0], f"python -m pytest {failing.files[0]}")
     assert (find.signature, find.responsible) == (saved.signature.told, saved.expect.responsibility)
@@ -277,7 +277,7 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
     assert len(lines) == 6
     for line in lines[:5]:
         command, text = re.fullmatch(r"::error file=test_50%25%2Cx\.py,title=[a-z0-9-]+::(.*?)%0A(.*)", line).groups()
-        assert command.startswith("collision after ")
+        assert command.startswith("The ego hit NPC ")
         assert text.count("%0A") >= 1  # the sentences
         assert text.replace("%0A", "").replace("%25", "").count("%") == 0
         assert "responsible" in text
@@ -289,7 +289,7 @@ def test_a_job_on_github_tells_five_findings_and_escapes_what_commands_mean(summ
     project.forget()
     result = project.run("-k", "test_b")
     (line,) = [line for line in result.outlines if line.startswith("::")]
-    assert "::ValueError: 50 %25 done" in line
+    assert re.search(r"::After \d\.\d s: ValueError: 50 %25 done", line)
     assert not any(each.startswith("::warning") for each in [*result.outlines, *summary.read_text().splitlines()])
 
 
@@ -319,5 +319,5 @@ def test_what_is_left_to_shrink_of_a_new_finding_is_still_known_after_its_replay
 
     assert left(unshrunk="not confirmed: out of time") == "not confirmed: out of time"
     assert left() == ""  # it was confirmed
-    assert left(unshrunk="not shrunk: out of time") == "not shrunk: out of time"
-    assert left(label="still failing") == "not shrunk: out of time"
+    assert left(unshrunk="not simplified: out of time") == "not simplified: out of time"
+    assert left(label="still failing") == "not simplified: out of time"

@@ -1,10 +1,18 @@
 """The option `workers`: several processes, the same search."""
 
 import json
+import os
 import re
+import signal
+import subprocess
 import sys
+import time
 
 import pytest
+
+from pytest_pafot.corpus.reader import load
+from pytest_pafot.model.trace import Outcome
+from tests.helpers.processes import begun
 
 pytestmark = [
     pytest.mark.processes,
@@ -101,3 +109,124 @@ def test_number_of_workers_does_not_change_what_is_worse_than_accepted(dear):
             path.unlink()
     assert told[0] == told[1]
     assert len(told[0][1]) == 1
+
+
+@pytest.mark.parametrize("capture", ["fd", "sys"])
+def test_what_the_ads_prints_is_captured_as_ever(dear, capture):
+    project = dear("chatty", "def chatty(observation):\n    print('at', observation.time)\n    return 0.0, 0.0\n")
+    printed = []
+    for workers in (1, 2):
+        result, _ = session(project, workers, "-v", f"--capture={capture}", runs=8)
+        printed.append([line for line in result.stdout.lines if line.startswith("at ")])
+    assert len(printed[0]) > 100
+    assert printed[0] == printed[1]
+
+
+def test_an_ads_that_raises_is_the_same_finding(dear):
+    more = (
+        "def fails(observation):\n    if observation.time > 3:\n        raise KeyError('lane')\n    return 0.0, 0.0\n"
+    )
+    project = dear("fails", more)
+    _, contents = session(project, 1, runs=8)
+    several, same = session(project, 2, runs=8)
+    several.stdout.fnmatch_lines([IN_USE])
+    assert same == contents
+    assert any("ads-error-" in name for name in contents)
+
+
+@pytest.mark.parametrize(("drive", "test", "message"), [
+    ("keep if not in_worker() else 1 / 0", MANY, None),
+    ("keep", MANY.replace("npcs=2", "fitness=lambda trace: 'high'"), "*fitness: expected*a number, received 'high'*"),
+], ids=["factory", "fitness"])  # fmt: skip
+def test_errors_outside_the_ads_are_as_without_workers(dear, drive, test, message):
+    project = dear(drive, test=test)
+    alone, contents = session(project, 1, runs=8)
+    several, same = session(project, 2, runs=8)
+    assert same == contents
+    assert summary(several) == summary(alone)
+    if message:
+        several.stdout.fnmatch_lines([message])
+
+
+DIES = """
+def dies(observation):
+    ego, other = observation.ego, observation.others[0]
+    if in_worker() and observation.time == 1 and other.lane == ego.lane:
+        os._exit(9)
+    return 0.0, 0.0
+"""
+
+
+IMPATIENT = """
+@pytest.fixture
+def pafot_world():
+    from pytest_pafot import Highway
+
+    return Highway(hang_limit=0.1)
+"""
+
+
+def test_worker_death_is_a_finding_and_search_continues(dear):
+    project = dear("dies", DIES)
+    result, contents = session(project, 2, runs=16)
+    (crash,) = [name for name in contents if "crash-" in name]
+    finding = load(project.path / crash)
+    assert finding.expect.message == "the process that ran this scenario ended with exit code 9"
+    assert finding.found.generation > 0
+    assert [name for name in contents if "crash-" not in name]
+    result.assert_outcomes(failed=1 + len(contents))
+    result.stdout.fnmatch_lines(
+        [
+            "The process (pid *) that ran this scenario ended with exit code 9, also when it was tried again:*",
+            "*[[]search[]]: * of 16 r* failed*",
+        ]
+    )
+    result.stdout.no_fnmatch_line("*ended early*")
+    assert "During handling" not in result.stdout.str()
+    assert not project.records
+
+
+def test_a_worker_whose_decision_hangs_interrupts_it(dear):
+    hangs = DIES.replace("def dies", "def hangs").replace("os._exit(9)", "time.sleep(60)")
+    project = dear("hangs", hangs + IMPATIENT)
+    result, contents = session(project, 2, runs=16)
+    finding = next(load(project.path / name) for name in contents if "hang-" in name)
+    assert finding.expect.outcome is Outcome.HANG
+    result.stdout.fnmatch_lines(["*one decision took longer than the hang limit*"])
+
+
+def test_keyboard_interrupt_ends_all_processes_without_losing_findings(dear):
+    more = """
+def noting(observation):
+    open(f"pid-{os.getpid()}", "w").close()
+    time.sleep(0.002)
+    return 0.0, 0.0
+"""
+    project = dear("noting", more, test=MANY)
+    command = [sys.executable, "-m", "pytest", "-p", "pafot", "--pafot-generations=999", "--pafot-seed=1"]
+    one = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with begun([*command, "--pafot-workers=2"], cwd=project.path, text=True, **one) as process:
+        found = next(line for line in process.stdout if line.startswith("pafot: found ")).split()[-1]
+        while len(list(project.path.glob("pid-*"))) < 3:
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        rest = process.stdout.read()
+    assert process.returncode == pytest.ExitCode.INTERRUPTED
+    assert "Traceback" not in rest
+    id_ = found.partition("saved-")[2].removesuffix("]")
+    assert f"pafot_corpus/test_it/test_many/{id_}.pafot.yaml" in project.files
+    assert f"FAILED {found}" in rest
+    with pytest.raises(ProcessLookupError):  # No process of its group is left.
+        os.killpg(process.pid, 0)
+    assert not project.records
+
+
+def test_xdist_allows_one_process_for_each_search(dear):
+    pytest.importorskip("xdist")
+    project = dear(test=MANY + MANY.replace("test_many", "test_more"))
+    _, contents = session(project, 1, runs=8)
+    result, same = session(project, 2, "-n1", runs=8)
+    assert same == contents
+    text = result.stdout.str()
+    assert text.count("--pafot-workers is 1 under pytest-xdist") == 1
+    assert "in use after" not in text

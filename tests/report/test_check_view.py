@@ -100,11 +100,11 @@ def test_a_collision_of_the_run_has_its_own_line_and_its_advice_is_not_the_check
     assert collided.deed.startswith("The ego kept ")
     assert view.deed == collided.deed
     assert view.sentences == ()
-    assert view.besides.startswith("Also in this run: collision after ")
-    assert view.besides.endswith(", both at fault")
+    assert view.besides.startswith("Also in this run: The ego hit NPC 0 from behind after ")
+    assert view.besides.endswith("; both at fault")
     title, words, _ = view.happened[0]
     assert title == "The collision"
-    assert words.startswith("Collision after ")
+    assert words.startswith("The ego hit NPC 0 from behind after 14.3 s, closing at 8.2 m/s: 22.0 against 13.8 m/s. ")
     assert words.endswith(" ".join(collided.sentences))
     article = finding_article(view, 0).replace("\u00a0", " ")
     assert f'{view.besides} <span class="deed">{collided.deed}</span></p>' in article  # red, as a collision's

@@ -130,8 +130,8 @@ def test_headline_and_prose_are_from_run_by_default():
     view, hit = view_of(rear_trace()), rear_trace().collision
     assert (view.event.kind, view.event.npc, view.event.side) == ("collision", hit.npc, hit.side)
     assert view.event.time == pytest.approx(hit.time, abs=0.001)
-    assert view.headline.startswith("collision after ")
-    assert "At the impact: ego" in words_of(view)[0]
+    assert view.headline == f"{Run(rear_trace()).impact}: {hit.ego_speed:.1f} against {hit.npc_speed:.1f} m/s"
+    assert words_of(view)[0].startswith("Hardest brake of the ego: ")
     assert view_of(rear_trace(), headline="H").headline == "H"
 
 
@@ -146,8 +146,8 @@ def test_takeover_is_above_the_picture():
     assert view_of(trace, other).sentences == (first, *others)  # this finding is from a different run
     assert view_of(safe, avoided).sentences == ()
     view = view_of(trace, avoided)
-    careful = "A careful driver who takes over 1.25 s before the impact still avoids it."
-    assert view.sentences == (first, *others[:-1], careful, "NPC 0 is responsible.")
+    careful = "A careful driver who takes over 1.25 s before the impact at the latest avoids it."
+    assert view.sentences == (first, *others[:-1], f"NPC 0 is responsible. {careful}")
     assert view.deed == ""  # NPC 0 is responsible
     (prose,) = words_of(view)
     assert not any(each in prose for each in view.sentences[:-1])
@@ -171,8 +171,8 @@ def test_page_shows_the_verdict_that_a_careful_driver_has_decided(seconds, respo
     view = Viewed(seen=seen, view=finding_view(replace(seen, observed=replace(seen.observed, run=run))))
     assert run.responsibility == responsible
     assert view.sentences == run.sentences
-    assert takeovers.sentence(seconds) in view.sentences
-    assert view.deed == (run.attribution.sentences[1] if responsible == "both" else "")
+    assert view.sentences[-1].endswith(f" responsible. {takeovers.sentence(seconds)}")
+    assert view.deed == (run.attribution.sentences[-1] if responsible == "both" else "")
 
 
 class MovingLeft(ControlledVehicle):

@@ -14,7 +14,6 @@ from pytest_pafot.findings.finding import FailureRate
 from pytest_pafot.findings.sighting import Alike, Seen
 from pytest_pafot.findings.verdict import Severity
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.plugin.messages import SCENARIO
 from pytest_pafot.report.page import finding_article
 from pytest_pafot.report.session import Session
 from pytest_pafot.report.session_record import FINDING, NOT_WRITTEN, finding_entry, to_text
@@ -64,7 +63,6 @@ def test_finding_names_the_traffic_it_was_driven_in():
     trace = Highway(duration=1.0).rollout(scenario, lambda: lambda observation: (0.0, 0.0))
     explanation = Run(trace).explain()
     assert explanation.endswith(f", repair seed 7, {told}")
-    assert SCENARIO.fullmatch(f"E   {explanation.splitlines()[-1]}")
     assert f"<li>{told}</li>" in finding_article(view_of(trace), 0)
 
 
@@ -123,10 +121,11 @@ def test_every_key_is_described_in_a_docstring(thing, names):
 def test_a_finding_tells_of_the_worst_run_that_failed_like_it():
     own, worse = (Severity(kind="collision", value=speed, unit="m/s") for speed in (3.0, 14.2))
     seen = sighting(severity=own, alike=Alike(runs=11, number=87, severity=worse))
-    assert seen.on_alike == "12 runs fail like this; the worst is number 87, which hits at 14.2 m/s"
-    assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).on_alike == ""
+    assert seen.worst == "the worst, number 87, hits at 14.2 m/s"
+    assert replace(seen, alike=Alike(runs=11, number=3, severity=own)).worst == ""
     assert finding_entry(seen)["worst"] == {"number": 87, "severity": asdict(worse)}
-    assert f"  {seen.id}: {seen.on_alike}" in search_lines(Search(node_id="t", finds=(seen,)), width=99)
-    assert f"<li>{seen.on_alike}</li>" in finding_article(
+    assert seen.impacts == ", closing at 3.0 to 14.2 m/s"
+    assert f"  {seen.id}: 12 runs{seen.impacts} (new)." in search_lines(Search(node_id="t", finds=(seen,)), width=99)
+    assert f"<li>{seen.worst}</li>" in finding_article(
         as_seen(view_of(None, plain_finding()), observed=seen.observed, alike=seen.alike), 0
     )

@@ -7,7 +7,6 @@ from collections import Counter
 from dataclasses import replace
 
 from pytest_pafot.campaign.events import Ending, Progress, Search, concluded
-from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.shrink import Shrunk, described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.findings.verdict import Severity
@@ -15,7 +14,6 @@ from pytest_pafot.model.instructions import Cell, PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report import terminal
-from pytest_pafot.report.session_record import markdown
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding, sighting
 from tests.helpers.tables import table
@@ -65,7 +63,7 @@ CUT_IN, AHEAD = PositionInstruction(Cell.FRONT_LEFT, 20.0), PositionInstruction(
     ([[CUT_IN, AHEAD]], [[AHEAD]], True, "from 2 instructions, 20 s to 1 instruction, 10 s"),
     ([[CUT_IN, AHEAD]], [[AHEAD]], False, "from 2 instructions, 20 s to 1 instruction, 10 s, and could be simpler"),
     ([[CUT_IN]], [[AHEAD]], True, "to a simpler scenario of the same size"),
-    (None, [[AHEAD]], False, "to nothing simpler so far, and could be simpler"),
+    (None, [[AHEAD]], False, None),
     (None, [[AHEAD]], True, None),
 ])  # fmt: skip
 def test_only_what_shrinking_changed_is_reported(found, simplest, is_minimal, line):
@@ -81,55 +79,6 @@ def test_another_traffic_is_reported():
     assert terminal.shrunk_lines(finding) == ["from hostile traffic to paper traffic"]
 
 
-def test_failures_are_listed_worst_first_whether_new_or_not(snapshot):
-    hit = Severity(kind="collision", value=4.6, unit="m/s")
-    finds = [
-        sighting("other", node_id="t[o]"),
-        sighting("slow", severity=hit, responsible="both", repeats=1),
-        sighting("fast", severity=replace(hit, value=12.1), responsible="npc"),
-    ]
-    replays = [
-        sighting("a", label="fixed"),
-        sighting("known", label="still failing", headline="hit", severity=replace(hit, value=30.0), responsible="none"),
-        sighting("mine", label="introduced", headline="hit", severity=hit),
-    ]
-    session = session_of(searches=[replace(SEARCH, finds=tuple(finds))], seen=replays)
-    assert "\n".join(terminal.worst_lines(session)) == snapshot
-    assert terminal.worst_lines(session_of(searches=[SEARCH])) == []
-
-
-def tried(name, failing, runs=20, otherwise=0, **changes):
-    """Return a search of the parameters ``name`` of a test, with counts of its random scenarios."""
-    random = Counter(at_fault=failing, otherwise=otherwise, runs=runs)
-    return replace(SEARCH, node_id=f"t.py::test_it[{name}-search]", **{"finds": (), "random": random} | changes)
-
-
-def test_parameters_of_a_test_that_fail_most_are_first(snapshot):
-    hit = Severity(kind="collision", value=4.5, unit="m/s")
-    finds = (sighting("a", severity=hit), sighting("b", severity=replace(hit, value=12.06)))
-    searches = [
-        tried("fair", 0),
-        tried("good", 1, 19, finds=finds),
-        tried("x::[y]", 2, 20, otherwise=9),
-        tried("cut", 0, 0),
-        replace(tried("a", 5), node_id="t.py::test_alone[a-search]"),
-        replace(tried("a", 5), node_id="t.py::test_it[search]"),
-    ]
-    assert "\n".join(terminal.parameter_lines(searches, 99)) == snapshot
-    assert terminal.parameter_lines([tried("a", 0), tried("b", 0)]) == []
-    # The summary of a CI's job has the same rows.
-    told = markdown(session_of(searches=searches))
-    assert "**Parameters of `t.py::test_it` that fail most**\n\n- `x::[y]` fails in 11 of 20 random scenarios\n" in told
-    assert "fair" not in told
-    assert max(map(len, terminal.parameter_lines(searches, 40)[1:])) <= 40
-
-
-def test_a_listed_failure_names_the_parameters_of_its_test():
-    test = {"test": "t.py::test_it[planner-a]"}
-    session = session_of(searches=[replace(SEARCH, finds=(sighting("a", finding=test), sighting("b")))])
-    assert terminal.worst_lines(session)[1:] == ["  new: a [planner-a] has no measure", "  new: b has no measure"]
-
-
 def test_annotations_tell_the_worst_five_and_where_the_others_are():
     hits = [Severity(kind="collision", value=float(speed), unit="m/s") for speed in (3, 8, 1, 9, 5, 7, 2)]
     finds = [
@@ -137,7 +86,7 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
         for each in hits
     ]
     lines = terminal.annotation_lines(finds)
-    assert lines[0] == "::error file=a.py,title=at-9::50 %25 hit%0AWho."
+    assert lines[0] == "::error file=a.py,title=at-9::50 %25 hit.%0AWho."
     assert [line.split("::")[1].partition("title=")[2] for line in lines[:5]] == [f"at-{n}" for n in (9, 8, 7, 5, 3)]
     assert lines[5:] == ["::notice title=pafot::2 more findings: see `python -m pytest_pafot corpus list`"]
     assert "see r%25.html among" in terminal.annotation_lines(finds, "r%.html")[-1]
@@ -145,37 +94,58 @@ def test_annotations_tell_the_worst_five_and_where_the_others_are():
     assert terminal.annotation_lines([]) == []
 
 
-@table(("failing", "otherwise", "checks", "end"), [
-    (1, 15, 15, "; 15 more failed a check"),
-    (0, 15, 15, "; 15 failed a check"),
-    (1, 15, 12, "; 12 more failed a check, 3 failed in other ways"),
-    (1, 15, 0, "; 15 failed in other ways"),
-    (1, 0, 0, ""),
+@table(("failing", "otherwise", "runs", "lines"), [
+    (1, 15, 20, ["18 of 48 runs failed", "Of 20 random scenarios, 16 failed: 80.0 % (95 %: 56.3 to 94.3 %)."]),
+    (0, 0, 20, ["18 of 48 runs failed", "Of 20 random scenarios, none failed: 0 % (95 %: at most 16.8 %)."]),
+    (3, 15, 44, ["18 of 44 random scenarios failed: 40.9 % (95 %: "]),  # of 48 runs, 4 evaluated nothing
+    (0, 0, 0, ["18 of 48 runs failed"]),
 ])  # fmt: skip
-def test_other_failures_of_random_scenarios_are_named(failing, otherwise, checks, end):
-    random = Counter(at_fault=failing, otherwise=otherwise, checks=checks, runs=20)
-    lines = terminal.search_lines(replace(SEARCH, random=random), width=200)
-    (line,) = [line for line in lines if "random scenarios" in line]
-    assert line.partition(" %)")[2] == end
+def test_the_share_of_random_scenarios_that_fail_is_told_once(failing, otherwise, runs, lines):
+    random = Counter(at_fault=failing, otherwise=otherwise, runs=runs)
+    told = "\n".join(terminal.search_lines(replace(SEARCH, random=random), width=200))
+    assert all(line in told for line in lines)
+    assert told.count("random scenario") == len([line for line in lines if "random" in line])
 
 
-def test_a_search_that_finds_nothing_has_five_lines():
+def test_a_search_that_finds_nothing_has_one_line():
     drawn = "3 to 6 NPCs in hostile traffic; the ego starts at 12 to 26.8 m/s in lanes 0 to 3"
     quiet = replace(
         SEARCH, kinds=Counter(passed=48), finds=(), known={}, warnings=(), notes=(), drawn=drawn,
-        random=Counter(runs=19), more_runs=Counter(), no_interaction=0,
+        random=Counter(runs=48), more_runs=Counter(), no_interaction=0,
     )  # fmt: skip
-    lines = terminal.search_lines(quiet)
-    assert len(lines) == 5
-    assert max(map(len, lines)) <= 80
-    assert "  3 to 6 NPCs in hostile traffic" in lines
+    lines, whole = (terminal.search_lines(quiet, is_whole=is_whole) for is_whole in (False, True))
+    assert len(lines) == 2  # of which the second one is its end, wrapped
+    assert max(map(len, whole)) <= 80
+    assert whole[:2] == lines
+    assert "  3 to 6 NPCs in hostile traffic" in "\n".join(whole)
     many = [replace(quiet, node_id=f"t.py::test_{number}[search]") for number in range(500)]
-    told = terminal.session_lines(session_of(searches=many))
-    assert len(told) == 501
-    few = many[: terminal.MAX_WHOLE]
-    assert len(terminal.session_lines(session_of(searches=few))) == 5 + 4 * (
-        len(few) - 1
-    )  # what they draw is said once
+    assert len(terminal.session_lines(session_of(searches=many))) == 1000
+    assert "\n".join(terminal.session_lines(session_of(searches=many), is_whole=True)).count("hostile traffic") == 1
+
+
+def test_a_summary_has_eight_lines_and_the_whole_one_all_kinds_and_counts():
+    finds = tuple(named(f"front-2-{number}", alike=Alike(runs=number)) for number in range(6))
+    random = Counter(runs=20, at_fault=3)
+    search = replace(SEARCH, finds=finds, warnings=(), notes=(), random=random, no_worse={"a": "hit"})
+    short, whole = (terminal.search_lines(search, is_whole=is_whole) for is_whole in (False, True))
+    assert len(short) <= 8 + 2  # the first line and that on failures elsewhere are wrapped
+    assert "  5 more kinds of failures." in short
+    assert not any("more kinds" in line for line in whole)
+    for each in finds:
+        assert sum(line.startswith(f"  {each.id}: ") for line in whole) == 1
+    assert "48 runs (2 invalid, 1 rejected and 1 skipped)" in " ".join(short)
+    assert "  5 of these runs had no interaction." in whole
+    assert "  NPCs reached 63 % of their goals." in whole
+    assert "  Algorithm pafot, seed 4154884243 from --pafot-seed=3." in whole
+    assert not {"interaction.", "reached", "Algorithm"} & {word for line in short for word in line.split()}
+
+
+def test_of_a_search_that_ended_early_and_of_its_decisions_the_summary_tells():
+    search = replace(SEARCH, decisions=Counter(search=3923, shrink=8357), more_runs=Counter(shrink=3, moment=4))
+    lines = terminal.search_lines(search)
+    assert "1 skipped) and 7 to simplify what failed; 12,280 decisions." in " ".join(map(str.strip, lines))
+    cut = replace(search, reason=Ending.INTERRUPTED, asked={"runs": 100})
+    assert f"  It ended early, after 48 of 100 runs: {Ending.INTERRUPTED}." in terminal.search_lines(cut)
 
 
 def test_the_summary_of_a_session_reads_so(snapshot):
@@ -204,47 +174,10 @@ def test_the_summary_of_a_session_reads_so(snapshot):
     assert all(len(line) <= 80 for line in lines if line.startswith("  "))
 
 
-def many_searches():
-    passed = [
-        replace(
-            SEARCH, node_id=f"t.py::test_{number}", kinds=Counter(passed=48), finds=(), known={}, warnings=(), notes=()
-        )
-        for number in range(9)
-    ]
-    warned = [replace(each, warnings=(f"only {3 + number} % reached",)) for number, each in enumerate(passed[:3])]
-    failed = replace(SEARCH, node_id="t.py::test_failed")
-    untested = replace(SEARCH, node_id="t.py::test_untested", kinds=Counter(skipped=2), finds=())
-    return [*warned, *passed[3:], failed, untested]
-
-
-def test_many_searches_without_a_failing_run_have_a_line_each():
-    searches = many_searches()
-    lines = terminal.session_lines(session_of(searches=searches))
-    assert [line.split(": ")[0] for line in lines[:9]] == [f"t.py::test_{number}" for number in range(9)]
-    assert "ended: " in lines[0]
-    whole = terminal.search_lines(searches[9]) + terminal.search_lines(searches[10])
-    assert lines[9 : 9 + len(whole)] == whole
-    rest = lines[9 + len(whole) :]
-    assert [line for line in rest if "reached" in line] == [
-        "warning: only 3 % reached (in t.py::test_0, and likewise in 2 more)"
-    ]
-    assert any(line.startswith("9 searches without a failing run, from --pafot-seed=") for line in rest)
-
-
 def test_the_failure_of_a_search_reads_so(snapshot):
     flaky = named("rear-6-222222", flaky=NOT_REPEATED)
     search = replace(SEARCH, finds=(FIND, flaky))
     assert terminal.failure_message(search) == snapshot
-
-
-def test_the_section_of_a_find_reads_so(snapshot):
-    hang = replace(FIND.finding, expect=replace(FIND.finding.expect, outcome=Outcome.HANG))
-    find = replace(FIND, finding=hang, path="", detail="read-only file system")
-    explanation = "E     At 0.9 s the ego was 42.7 m (safe: 48.4 m) behind NPC 0, which was 9.9 m/s slower."
-    text = terminal.find_section(find, [explanation], advice="run it again")
-    told, _, content = text.partition("the file would be:\n")
-    assert told == snapshot
-    assert content.splitlines() == [f"  {line}" for line in text_of(hang).splitlines()]
 
 
 def test_progress_is_one_line_with_the_name_cut():
@@ -276,14 +209,6 @@ def test_progress_says_how_long_the_runs_take_that_are_left(runs, seconds, field
     assert terminal.progress_line(progress, 200).endswith(end)
 
 
-def test_decisions_are_counted_where_they_take_the_time():
-    search = replace(SEARCH, seconds=99.0, decisions=Counter(search=3923, shrink=8357))
-    assert "  3,923 decisions and 8,357 to shrink" in terminal.search_lines(search)
-    confirmed = replace(search, decisions=Counter(search=3923, confirm=198, shrink=8357))
-    assert "  3,923 decisions, 198 to confirm and 8,357 to shrink" in terminal.search_lines(confirmed)
-    assert "decisions" not in "\n".join(terminal.search_lines(replace(search, seconds=12.0)))
-
-
 @table(("flags", "remark"), [
     ({}, ""),
     ({"flaky": NOT_REPEATED}, "flaky: running it again gave a different run"),
@@ -305,18 +230,6 @@ def test_a_replay_says_what_was_driven_and_what_the_search_found(snapshot):
     assert concluded(failing, other) is failing
 
 
-def test_finding_that_is_told_whole_has_its_story_and_its_command():
-    find = sighting(node_id="t", headline="collision", path="corpus/a.pafot.yaml")
-    told = {"story": ("NPC 0 braked.", "The ego is responsible."), "again": "pytest corpus/a.pafot.yaml"}
-    lines = ["pafot: found t", "  collision", "  NPC 0 braked.", "  The ego is responsible."]
-    assert terminal.found_lines(find, **told) == [*lines, "  saved; run it with: pytest corpus/a.pafot.yaml"]
-    of_command = terminal.found_lines(find, **{**told, "again": "search -- -k a"})
-    assert of_command == [*lines, "  saved as corpus/a.pafot.yaml; run it with: search -- -k a"]
-    assert terminal.found_lines(sighting(node_id="té", headline="→"))[:2] == ["pafot: found t\\xe9", "  \\u2192"]
-    unsaved = terminal.found_lines(replace(find, path="", detail="no room"), **told)
-    assert unsaved == [*lines, "  not saved: no room"]
-
-
 @table("width", [60, 80, 120])
 def test_lines_are_wrapped_to_the_terminal_width(width):
     lines = terminal.session_lines(session_of(searches=[SEARCH]), width=width)
@@ -326,19 +239,12 @@ def test_lines_are_wrapped_to_the_terminal_width(width):
     )
 
 
-LISTED = "  20 runs in 0.5 s, 0 failing, 3 npc at fault; a phrase that is longer than half a line stays a text"
-
-
-@table(("line", "width", "options", "lines"), [
-    (LISTED, 36, {"phrases": True}, [
-        "  20 runs in 0.5 s, 0 failing,", "    3 npc at fault; a phrase that is", "    longer than half a line stays a",
-        "    text",
-    ]),
-    (LISTED[:45], 36, {}, ["  20 runs in 0.5 s, 0 failing, 3 npc", "    at fault"]),
-    ("E       one two three", 15, {"prefix": "E   "}, ["E       one two", "E         three"]),
+@table(("line", "width", "prefix", "lines"), [
+    ("  20 runs in 0.5 s, 0 failing, 3 npc at fault", 36, "", ["  20 runs in 0.5 s, 0 failing, 3 npc", "    at fault"]),
+    ("E       one two three", 15, "E   ", ["E       one two", "E         three"]),
     # No line ends between a number and its unit.
-    *((f"  one two {kept} andsoon", 13, {}, ["  one two", f"    {kept}", "    andsoon"])
+    *((f"  one two {kept} andsoon", 13, "", ["  one two", f"    {kept}", "    andsoon"])
       for kept in ("37.9 %)", "7.5 m/s,", "6 m/s^2", "1.9 s", "NPC 0,")),
 ])  # fmt: skip
-def test_lines_are_wrapped_between_phrases_and_keep_their_mark_and_indentation(line, width, options, lines):
-    assert wrapped_to(line, width, **options) == lines
+def test_lines_are_wrapped_between_words_and_keep_their_mark_and_indentation(line, width, prefix, lines):
+    assert wrapped_to(line, width, prefix) == lines

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign import saved_scenario
-from pytest_pafot.campaign.events import Progress, Search
+from pytest_pafot.campaign.events import Ending, Progress, Search
 from pytest_pafot.corpus.reader import Saved, load
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.plugin.collection import saved_part
@@ -69,7 +69,8 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     find = sighting(node_id=text, headline=other, path=text, detail=other, finding={"flaky": f"- {text}"})
     search = Search(
         node_id=text, generations=1, kinds=Counter(failed=1, passed=2), seconds=1.0, finds=(find,), known={text: 1},
-        algorithm=other, seed=1, base_seed=1, reason=text, warnings=(text,), notes=(other,), against=text, drawn=other,
+        algorithm=other, seed=1, base_seed=1, reason=Ending.MAX_TIME, warnings=(text,), notes=(other,),
+        against=text, drawn=other,
     )  # fmt: skip
     replay = sighting(headline=text, node_id=f"{text} again", label="drifted", detail=other, against=text)
     session = session_of(
@@ -77,10 +78,11 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
         problems=[text], written=[visible(text)], warnings=[text], notes=[text],
     )  # fmt: skip
     progress = Progress(node_id=text, generation=1, generations=2, runs=1, budget=None, failing=0, finds=0, seconds=1)
-    lines = [*terminal.session_lines(session, width=width), *terminal.found_lines(find, width)]
-    unsaved = replace(find, path="")
-    section = terminal.find_section(unsaved, [text], advice=text, width=width)
-    assert obeyed("\n".join([*lines, terminal.progress_line(progress, width), section])) == []
+    lines = [*terminal.session_lines(session, width=width), terminal.found_line(find)]
+    for is_whole in (False, True):
+        unsaved = replace(find, path="")
+        lines += terminal.block_lines(unsaved, text, place=other, message=text, width=width, is_whole=is_whole)
+    assert obeyed("\n".join([*lines, terminal.progress_line(progress, width)])) == []
     assert all("\n" not in line and line.isascii() for line in lines)
 
 

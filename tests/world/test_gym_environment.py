@@ -833,7 +833,7 @@ def test_contact_with_an_obstacle_is_a_collision_for_which_the_ego_is_responsibl
     assert (run.outcome, hit.npc, hit.side, hit.cell, hit.npc_speed) == ("collision", None, "front", None, 0.0)
     assert 0 <= 300.0 - 1.0 - (first.ego[-2, 0] + 2.5) < hit.ego_speed / first.physics_hz, "the last tick before it"
     assert (run.responsibility, run.event_npc, run.off_road) == ("ego", None, False)
-    assert run.explain().startswith(f"collision after {hit.time:.1f} s: a fixed object against the ego's front")
+    assert run.explain().startswith(f"The ego hit a fixed object after {hit.time:.1f} s")
     assert "The ego is responsible, because a fixed object does not move." in run.explain()
     beside = world.rollout(replace(scenario, ego_lane=2), factory)
     assert beside.outcome == "safe"
@@ -976,7 +976,7 @@ def test_finding_at_an_obstacle_is_saved_and_read(register, tmp_path):
     failure = Failure(kind="AssertionError", message="assert not run.collision", assertion="not run.collision")
     expect = Expect.of(run, failure)
     assert (expect.outcome, expect.npc, expect.cell, expect.side) == ("collision", None, None, "front")
-    assert expect.brief == "collision after 4.8 s: a fixed object"
+    assert expect.brief == "The ego hit a fixed object after 4.8 s, closing at 20.0 m/s"
     assert is_same_event(expect, run, failure)
     for given in (expect, replace(expect, npc=0), replace(expect, cell=Cell.FRONT)):
         path = tmp_path / f"front-{given.npc}-{given.cell}.pafot.yaml"

@@ -206,7 +206,7 @@ def simplest_of(
     def attempt(candidate: Scenario, best: Scenario) -> Refining[Shown]:
         began = bench.clock()
         turn.check(began, bench)
-        yield Phase(f"shrinking {id_}, run {turn.attempts + 1} of {rollouts}", id_)
+        yield Phase(f"simplifying {id_}, run {turn.attempts + 1} of {rollouts}", id_)
         most = None
         try:
             with runs_end_in(turn.end - turn.to_conclude - began):

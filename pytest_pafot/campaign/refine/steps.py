@@ -90,7 +90,7 @@ def _in_turns(state: State, bench: Bench, store: Store) -> Refining[set[str]]:
             done.add(id_)
         else:
             sighting, why = store.findings[id_], "at the limit of decisions" if bench.is_at_limit else "out of time"
-            cut = f"not shrunk: {why}" if sighting.finding.shrunk is None else f"shrunk in part: {why}"
+            cut = f"not simplified: {why}" if sighting.finding.shrunk is None else f"simplified in part: {why}"
             yield from store.publish(replace(sighting, unshrunk=sighting.unshrunk or cut))
         bench.is_at_limit |= was_at_limit
     return done
