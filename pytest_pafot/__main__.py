@@ -41,7 +41,7 @@ COMMANDS = MappingProxyType({
     "search": Command(
         "pytest_pafot.commands.search_command",
         "search for traffic in which a policy crashes, without a test",
-        "Search for traffic in which a policy crashes. Findings are saved in pafot_corpus/, explained, and displayed "
+        "Search for traffic in which a policy crashes. Findings are saved in pafot_found/, explained, and displayed "
         "on a web page.",
         is_gate=True,
     ),

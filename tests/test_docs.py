@@ -59,7 +59,8 @@ COMPARISONS = ROOT / "docs" / "comparisons"
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
 COMMANDS = {
-    "the main job": "python -m pip install . && cd docs/start && python -m pytest --rootdir=. --pafot-seed=1",
+    "the main job": "python -m pip install . && cd docs/start && python -m pytest --rootdir=. test_cruise.py "
+    "--pafot-seed=1",
     "the tests": 'python -m pip install ".[test]" && python -m pytest -n 2',
 }
 

@@ -205,11 +205,12 @@ def test_session_of_search_names_commands_that_work_without_test_files(here, mon
     code, told = ran("python -m pytest_pafot search 'planner:Planner:a b' --seed 2 --runs 4 --pafot-json=j.json")
     assert code == 1, told
     (file,) = here.rglob("*.pafot.yaml")
-    single = named_in(told, "run a single saved scenario with: ").replace("ID", file.name.partition(".")[0])
+    single = named_in(told, "\nreplay ")
     finding = json.loads((here / "j.json").read_text())["findings"][0]
     report = html.unescape((here / "pafot.html").read_text())
     (again,) = set(re.findall(r"python -m pytest_pafot replay [^<\"]*b'", report))
     assert single == again == finding["replay"]
+    assert file.name.partition(".")[0] in single
     keep = named_in(told, "keep it as a test: ").partition(", and commit")[0]
     code, told = ran(single)
     assert (code, "replayed 1 saved scenario: 1 still failing" in told) == (1, True)
@@ -224,9 +225,9 @@ def test_session_of_search_names_commands_that_work_without_test_files(here, mon
 @pytest.mark.processes
 def test_options_that_a_session_of_search_names_repeat_it(here):
     search = "python -m pytest_pafot search planner:Planner --runs 4 --pafot-shrink-rollouts=0"
-    told = ran(f"{search} --pafot-save=none --pafot-json=j.json")[1]
+    told = ran(f"{search} --pafot-save=none --pafot-json=j.json -- -v")[1]
     seed, base = re.search(r"seed (\d+) from (--pafot-seed=\d+)", told).groups()
-    again = ran(f"{search} {base}")[1]
+    again = ran(f"{search} {base} -- -v")[1]
     assert f"seed {seed} from {base}" in again
     for finding in json.loads((here / "j.json").read_text())["findings"]:
         assert finding["file"] is None

@@ -130,14 +130,21 @@ def sentences_on(
             told = [f"{who} touched {whom} at {at}, outside the zone where their ways meet."]
     since = max(min(tick, end - round(TOLD * hz)), 0)
     # The places of two vehicles whose ways meet are not along one road, and one off the ego's way has none on it.
-    is_along = not (trace.zones and trace.zones[npc]) and not (happened == "moved" and since == tick)
-    is_along &= bool(np.isfinite(ahead[since]))
+    crosses = bool(trace.zones and trace.zones[npc])
+    is_told = crosses or (happened, since) == ("moved", tick) or bool(np.isnan(ahead[since]))
     towards = " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
-    where = f", {place(float(ahead[since]), 'the ego', since)}{towards} at {since / hz:.1f} s," if is_along else ""
-    speeds = trace.states[:, npc + 1, SPEED]
-    is_ahead = bool(trace.zones and trace.zones[npc]) or ahead[since] > 0  # else it could have braked for the ego
-    deed = _deed(speeds, hz, since, is_ahead=is_ahead, is_told=bool(where))
-    told.append(f"{_name(npc + 1)}{where} {deed}.")
+    # Its lane is told if it is not the ego's, and again if it left it.
+    then, last = (int(each) for each in trace.road.numbers(npc + 1)[[since, end]])
+    in_lane = f" in lane {then}" if then not in (-1, int(trace.road.numbers(0)[since])) else ""
+    has_left = happened != "moved" and -1 not in (then, last) and then != last
+    left = f", and was in lane {last} at the impact" if has_left else ""
+    where = (
+        "" if is_told else f", {place(float(ahead[since]), 'the ego', since)}{in_lane}{towards} at {since / hz:.1f} s,"
+    )
+    # One that was behind the ego could have braked for it.
+    is_ahead = crosses or bool(ahead[since] > 0)
+    deed = _deed(trace.states[:, npc + 1, SPEED], hz, since, is_ahead=is_ahead, is_told=not is_told)
+    told.append(f"{_name(npc + 1)}{where} {deed}{left}.")
     # How late the ego braked is the distance to a vehicle that was ahead of it in its track.
     gaps = np.where((frame.gap_across[:, npc] <= 0) & (ahead > half), ahead - half, np.nan)
     told.append(f"The ego {_deed(trace.states[:, 0, SPEED], hz, since, gaps, _name(npc + 1))}.")

@@ -343,7 +343,8 @@ class Replays:
         second = self._driven_on(saved, world, owner, first)
         (run, verdict), is_alike = second.ran, begins_alike(first, second.ran[0])
         is_hit = is_alike and _is_hit_soon(finding, first, run)
-        note = f"{PAST_END}: the same NPC still hits the ego: {headline(run, verdict)}" if is_hit else second.note
+        hit = f"{PAST_END}: the same NPC still collides with the ego ({headline(run, verdict)})"
+        note = hit if is_hit else second.note
         passed = replace(now, note=note, is_lost=second.is_lost, is_handled=now.is_handled and not is_hit)
         passed = replace(passed, is_unsteady=finding.flaky is not None or not is_alike)
         failure = verdict.failure if verdict.failed else None

@@ -133,14 +133,12 @@ class Guard:
         config = self._config
         if OF_COMMAND in os.environ or _only_lists(config):
             return  # The command asks for one test. All others of the project are not collected.
-        left = sorted(self._left_out())
+        left = [pair for pair in sorted(self._left_out()) if not self._is_chosen(*pair)]
         values = (config.getoption(name, None) for name in _SELECTING)
         is_partial = any(each is True or each not in (None, 0, 1, "") for each in values)
         may_fail = self._is_whole and self.cause and not is_partial and not value_if_right(config, "allow_orphans")
-        fails = [file for file, owner in left if may_fail and not self._is_chosen(file, owner)]
-        others = (file for file, _ in left if file not in set(fails))
-        names = [visible(relative(file, config.rootpath)) for file in (*fails, *others)]
-        self._session.left, self._session.fails = names, names[: len(fails)]
+        names = [visible(relative(file, config.rootpath)) for file, _ in left]
+        self._session.left, self._session.fails = names, names if may_fail else []
 
     def _is_chosen(self, *paths: Path) -> bool:
         """Return whether a path, or ``--ignore``, of this call leaves out a saved scenario or its test file."""
@@ -165,7 +163,8 @@ class Guard:
         is yielded itself.
         """
         inventory, top = self._config.stash[INVENTORY], self._config.rootpath
-        known = self._run | (inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set())
+        known = self._run | {each.path for each in self._session.seen.values() if each.observed.new}  # reported later
+        known |= inventory.deselected if any(map(_BY_NAME.match, call_of(self._config))) else set()
         corpus = Path(value_if_right(self._config, "corpus") or CORPUS)
         asked = [each for each in (path_of(self._config, each) for each in self._config.args) if is_folder(each)]
         own = [each for each in map(Path, inventory.corpora) if link_below(top, each) is None]

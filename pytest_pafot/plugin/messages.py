@@ -67,7 +67,8 @@ def send_seen(
         if sentences and check is not None:  # What both did is about the collision, and not about the check.
             sentences = (f"This run has a collision, too. {collision_in_short(seen.run)}.",)
         elif sentences and moved_over(seen.run) is not None:  # the decision to move, which no verdict knows
-            sentences = (*sentences[:-1], f"{capitalised(fact_on(seen.run))}.", sentences[-1])
+            began = capitalised(fact_on(seen.run).partition(",")[0])
+            sentences = (f"{began}, and {sentences[0].removeprefix('The ego ')}", *sentences[1:])
     seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
     if settings.report is not None and seen.headline:
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415

@@ -40,7 +40,7 @@ from pytest_pafot.report.session import RESULTS, Session
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.compiled import PACKAGE
 from pytest_pafot.support.errors import flag, rerun
-from pytest_pafot.support.text import ascii_text, capitalised
+from pytest_pafot.support.text import ascii_text
 
 SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable in which GitHub Actions names the file for the summary of a step."""
@@ -236,23 +236,16 @@ class Reporter:
             report.__dict__["_pdbshown"] = True  # pytest's mark for a failure that needs no text at the end
         if seen is None or not seen.headline:
             return
-        found_in = self._record.searches.get(self._record.items.get(report.nodeid, ""))
-        crash = getattr(report.longrepr, "reprcrash", None)
-        # Of a process that died, pytest's text has the likely cause; of an assertion on anything else than a collision,
-        # the block says where it is, and what it compared.
-        place, message, expect = "", "", seen.finding.expect
-        if expect.is_crash:
-            message = capitalised(" ".join(report.longreprtext.split()))
-        elif crash is not None and expect.check is None and expect.signature.is_property:
-            is_here = PACKAGE not in Path(crash.path).parents  # and not raised in another process, or of another run
-            place = f"{relative(Path(crash.path), self._config.rootpath)}:{crash.lineno}" if is_here else ""
-            message = crash.message.splitlines()[0].removeprefix("AssertionError: ")
+        crash: Any = getattr(report.longrepr, "reprcrash", None)
+        # An exception that was raised in another process, or in another run, has no place in the test.
+        file = None if crash is None or PACKAGE in Path(crash.path).parents else Path(crash.path)
+        place = "" if file is None else f"{relative(file, self._config.rootpath)}:{crash.lineno}"
         lines = terminal.block_lines(
             seen,
             self._record.command(seen, "pytest") if seen.path else "",
-            runs=found_in.runs if found_in is not None and seen.observed.new else 0,
+            search=self._record.searches.get(self._record.items.get(report.nodeid, "")),
             place=place,
-            message=message,
+            text=report.longreprtext if crash is None else crash.message,
             width=self._config.stash[SHARED].width,
             is_whole=is_whole,
         )
@@ -283,7 +276,7 @@ class Reporter:
                 result = "passed" if not report.skipped else "xfailed" if hasattr(report, "wasxfail") else "skipped"
             record.results[node_id] = max(record.results.get(node_id, ""), result, key=RESULTS.index)
         if report.failed:
-            crash = getattr(report.longrepr, "reprcrash", None)
+            crash: Any = getattr(report.longrepr, "reprcrash", None)
             text = report.longreprtext if crash is None else str(crash.message).removeprefix("Failed: ")
             reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
             saved = json.loads(getattr(report, AS_SAVED, "{}")) if SAVED_MARK in report.keywords else None
@@ -381,7 +374,9 @@ class Reporter:
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""
         pending = self._pending.pop(search_id, {})
-        for node_id in sorted(pending, key=lambda each: self._record.seen[each].rank):
+        from pytest_pafot.report import terminal  # noqa: PLC0415
+
+        for node_id in [each.node_id for each in terminal.ranked(map(self._record.seen.__getitem__, pending))]:
             data, node = pending[node_id]
             self._expanded.add(node_id)
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)

@@ -189,7 +189,7 @@ def cost_line(config: pytest.Config, markers: Iterable[Mapping[str, object]]) ->
         except RequestError:  # which the search itself reports
             return ""
         most.update({name: getattr(settings, name) or 0 for name in BUDGETS})
-    counts = " and ".join(f"{count:,} {name}" for name, count in most.items() if count)
+    counts = " and ".join(f"{count:,} {name if count > 1 else name[:-1]}" for name, count in most.items() if count)
     return counts and f"pafot: at most {counts}, and about as many decisions again to simplify what fails"
 
 

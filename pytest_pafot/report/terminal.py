@@ -11,7 +11,6 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from operator import attrgetter
 
 from pytest_pafot.attribution.sentences import AT_FAULT
 from pytest_pafot.campaign.events import UNTESTED, Note, Progress, Search
@@ -23,7 +22,7 @@ from pytest_pafot.findings.verdict import worsening
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
 from pytest_pafot.searching.plain import from_plain
-from pytest_pafot.support.errors import command, flag, rerun
+from pytest_pafot.support.errors import OF_SEARCH, command, flag
 from pytest_pafot.support.proportions import interval_text
 from pytest_pafot.support.text import ascii_text, capitalised, fitted_lines, listed, plural, wrapped_to
 
@@ -38,8 +37,6 @@ ROOM = 11
 """The largest number of lines of a failure's block below its title, at 80 columns."""
 FAILING = ("at_fault", "otherwise")
 """The counts of random scenarios that fail."""
-RANK = attrgetter("rank")
-"""The key by which findings are listed, the worst first."""
 MAX_KINDS = 3
 """The largest number of kinds of failures that the summary of a search lists."""
 MAX_FINDS = 20
@@ -89,23 +86,19 @@ def progress_line(progress: Progress, width: int = WIDTH) -> str:
 def found_line(seen: Seen) -> str:
     """Return the line on a new finding while the search continues. What is told of it comes at the end, simplified."""
     expect = seen.finding.expect
-    what = {
-        Outcome.COLLISION: "a collision",
-        Outcome.ADS_ERROR: "an error of the policy",
-        Outcome.HANG: "a decision that takes too long",
-    }.get(expect.outcome, "a failure")
+    kinds = {"collision": "a collision", "ads_error": "an error of the policy", "hang": "a decision that hangs"}
+    what = kinds.get(expect.outcome, "a failure")
     if (expect.is_crash and expect.outcome is not Outcome.HANG) or expect.signature.is_property:
         what = "a process that dies" if expect.is_crash else "a failed check" if expect.check else "a failed assertion"
-    where = "" if seen.path else f", not saved: {seen.detail}"
-    return ascii_text(f"pafot: found {what}: {seen.node_id}{where}")
+    return ascii_text(f"pafot: found {what}: {seen.node_id}{'' if seen.path else f', not saved: {seen.detail}'}")
 
 
 def told(seen: Seen) -> list[str]:
     """Return what happened, as it is told everywhere: who hit whom, what both did, who is responsible, the decision."""
     expect, sentences = seen.finding.expect, seen.observed.sentences
     headline = seen.headline.replace(f"; {AT_FAULT[expect.responsibility]}", "") if sentences else seen.headline
-    parts = [f"{'The check fails: ' if expect.check else ''}{headline.removesuffix('.')}."]
-    if expect.outcome in (Outcome.ADS_ERROR, Outcome.HANG) and expect.check is None:
+    parts = [f"{'The check fails: ' if expect.check else ''}{headline}{'' if headline.endswith(('.', '?')) else '.'}"]
+    if expect.outcome in ("ads_error", "hang") and not expect.check and (seen.observed.new or seen.observed.is_same):
         # The last frame in the policy, without the marks below its line.
         lines = [line.rstrip() for line in expect.traceback.splitlines() if line.startswith("  ")]
         parts = [f"After {expect.time:.1f} s: {parts[0]}", *[line for line in lines if line.strip(" ~^")][-2:]]
@@ -116,9 +109,9 @@ def block_lines(
     seen: Seen,
     again: str,
     *,
-    runs: int = 0,
+    search: Search | None = None,
     place: str = "",
-    message: str = "",
+    text: str = "",
     width: int = WIDTH,
     is_whole: bool = False,
 ) -> list[str]:
@@ -130,20 +123,23 @@ def block_lines(
     Args:
         seen: the failure.
         again: the command that runs its file again.
-        runs: the number of runs of its search; 0 for a replay.
-        place: the place of an assertion that is not about the collision, such as ``test_a.py:12``.
-        message: what that assertion says, or how a process ended that died, with the likely cause.
+        search: its search; None if that is unknown.
+        place: the place where the test failed, such as ``test_a.py:12``; it is told if that is not about a collision.
+        text: pytest's text on it: what an assertion says, or how a process ended that died, with the likely cause.
         width: the width of the terminal in columns.
         is_whole: whether the block has all that is known, of any length.
     """
     finding, moment, now = seen.finding, seen.moment, seen.observed
+    runs = search.runs if search is not None and now.new else 0
     first, *others = told(seen)
     # Each text with a number: 0 if it stays, otherwise the larger, the earlier it is left out.
     parts: list[tuple[int, str]] = []
-    if finding.expect.is_crash and message:
-        first, place = f"{message.removesuffix('.')}.", ""
-    elif place:
-        parts = [] if message in first or seen.is_flaky else [(0, f"{place}: {message} ({finding.expect.assertion}).")]
+    expect, message = finding.expect, next(iter(text.splitlines()), "").removeprefix("AssertionError: ")
+    if expect.is_crash and text and (now.new or now.is_same):  # A replay can fail in another way than its file.
+        first, place = f"{capitalised(' '.join(text.removeprefix('Failed: ').split())).removesuffix('.')}.", ""
+    place = place if expect.check is None and (expect.signature.is_property or expect.is_crash) else ""
+    if place and message not in first and not seen.is_flaky:
+        parts = [(0, f"{place}: {message}{f' ({expect.assertion})' if expect.assertion else ''}.")]
     parts += [(0, f"{'' if parts or not place else f'{place}: '}{first}")]
     parts += [
         (0 if text in now.sentences[-1:] else 6 if moment and text == moment.brief else 5, text) for text in others
@@ -207,21 +203,26 @@ def event_of(kind: str, text: str) -> Event:
     return from_plain(kinds[kind], json.loads(text))
 
 
+def ranked(findings: Iterable[Seen]) -> list[Seen]:
+    """Return findings in the order in which they are listed, the worst first."""
+    return sorted(findings, key=lambda each: each.rank)
+
+
 def failure_message(search: Search) -> str:
     """Return why the item of a search fails: its new findings. Each one is also reported as a separate item."""
-    names = [f"{each.id}{' (flaky)' if each.is_flaky else ''}" for each in sorted(search.finds, key=RANK)]
+    names = [f"{each.id}{' (flaky)' if each.is_flaky else ''}" for each in ranked(search.finds)]
     return f"{plural(len(names), 'new failure')} in {plural(search.runs, 'run')}: {_listed(names)}"
 
 
 def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) -> list[str]:
     """Summarise a search in at most eight lines at 80 columns; in more if there are warnings, or with ``is_whole``."""
-    finds, kinds, more, random = sorted(search.finds, key=RANK), search.kinds, search.more_runs, search.random
+    finds, kinds, more, random = ranked(search.finds), search.kinds, search.more_runs, search.random
     drawn, failing = random["runs"], sum(random[each] for each in FAILING)
     share = interval_text(failing, drawn) if drawn and not kinds["common"] else ""  # else these count, too
     others = ((kinds["npc"], "the NPC is responsible"), (kinds["common"], "the reference fails, too"))
     first = f"{kinds['failed'] or 'none'} of {plural(search.runs, 'run')} failed"
     evaluated = search.runs - sum(kinds[kind] for kind in UNTESTED)
-    if (drawn, failing) == (evaluated, kinds["failed"]):  # All scenarios were drawn at random.
+    if drawn and (drawn, failing) == (evaluated, kinds["failed"]):  # All scenarios were drawn at random.
         first, share = f"{failing or 'none'} of {plural(drawn, 'random scenario')} failed: {share}", ""
     texts = ["; ".join([first, *(f"in {count} of the others {what}" for count, what in others if count)])]
     rows = [(each.id, 1 + each.alike.runs, each.impacts, "new, flaky" if each.is_flaky else "new") for each in finds]
@@ -245,7 +246,9 @@ def search_lines(search: Search, *, width: int = WIDTH, is_whole: bool = False) 
         left = [f"{made[what]} of {most} {what}" for what, most in search.asked.items() if made[what] < most]
         texts.append(f"It ended early{', after ' if left else ''}{listed(left)}: {search.reason}")
     folders = dict.fromkeys(os.path.dirname(each.path) for each in finds if each.path)  # noqa: PTH120
-    texts += [f"Saved in {' and '.join(folders)}; commit it"] if folders else []
+    texts += (
+        [f"Saved in {' and '.join(folders)}{'' if os.environ.get(OF_SEARCH) else '; commit it'}"] if folders else []
+    )
     texts += [f"Not saved: {each}" for each in dict.fromkeys(each.detail for each in finds if not each.path)]
     texts += [capitalised(search.compared)] if search.compared else []
     if search.no_worse:
@@ -325,12 +328,10 @@ def session_lines(session: Session, *, width: int = WIDTH, is_whole: bool = Fals
     lines += [f"not run: {test}: {WHY_UNNAMED}" for test in session.unnamed]
     if session.left:
         lines.append(f"not run: {plural(len(session.left), 'saved scenario')}: {_listed(session.left, MAX_LEFT)}")
-    if any(find.path for find in session.finds):
-        seeds = dict.fromkeys(each.base_seed for each in session.ended if each.finds)
-        same = " or ".join(rerun(["pytest"], os.environ, flag("seed", seed)) for seed in seeds)
-        lines += wrapped_to(
-            f"{rerun(['pytest'], os.environ, flag('runs', 0))} replays what is saved; {same} repeats.", width
-        )
+    if any(find.path for find in session.finds) and not os.environ.get(OF_SEARCH):  # which says more itself
+        seeds = dict.fromkeys(f"pytest {flag('seed', each.base_seed)}" for each in session.ended if each.finds)
+        what, again = ("it", "this search") if len(session.ended) == 1 else ("what is saved", "the searches")
+        lines += wrapped_to(f"pytest {flag('runs', 0)} replays {what}; {' or '.join(seeds)} repeats {again}.", width)
     lines += [line for text in session.written for line in text.splitlines()]
     warnings = sorted(set(session.warnings))
     for kind, texts in (("warning", warnings), ("note", session.notes), ("problem", session.problems)):
@@ -354,16 +355,16 @@ def annotation_lines(sightings: Iterable[Seen], page: str = "") -> list[str]:
     and in names, what such a command reads as its own marks is escaped. If there are more findings, a notice counts
     them and says where they are: on the report page, whose path is ``page``, or in the list of the corpus.
     """
-    ranked = sorted(sightings, key=RANK)
+    worst = ranked(sightings)
     lines = []
-    for sighting in ranked[:MAX_ANNOTATED]:
+    for sighting in worst[:MAX_ANNOTATED]:
         text = "%0A".join(ascii_text(each).replace("%", "%25") for each in told(sighting))
         file, title = (
             ascii_text(each).replace("%", "%25").replace(":", "%3A").replace(",", "%2C")
             for each in (sighting.node_id.partition("::")[0], sighting.id)
         )
         lines.append(f"::error file={file},title={title}::{text}")
-    left = len(ranked) - MAX_ANNOTATED
+    left = len(worst) - MAX_ANNOTATED
     where, rest = further(page)
     where = where if page else f"`{where}`"
     text = ascii_text(f"{plural(left, 'more finding')}: see {where}{rest}").replace("%", "%25")

@@ -68,9 +68,9 @@ def unshrunk(exploration):
 
 
 def attempts(exploration):
-    """Return how many runs were made to shrink each finding; progress is reported before each run."""
+    """Return how many runs were made to simplify each finding; progress is reported before each run."""
     phases = [event.phase.split() for event in exploration.events if isinstance(event, Progress)]
-    return Counter(phase[1] for phase in phases if phase[:1] == ["shrinking"])
+    return Counter(phase[1] for phase in phases if phase[:1] == ["simplifying"])
 
 
 def test_a_finding_of_a_slow_policy_is_told_before_it_is_confirmed(clock, monkeypatch):

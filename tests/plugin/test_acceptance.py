@@ -52,8 +52,8 @@ def test_an_error_of_the_policy_names_what_is_accepted_and_what_came(accepted, l
     result, finding = replayed(accepted, f"return (0.0, 0.0) if observation.time < 2 else {later}")
     assert (result.ret, finding["result"]) == (1, "failed")
     told = " ".join(result.stdout.str().split())
-    assert "accepts The ego hit NPC " in told
-    assert f"received {received}" in told
+    assert "accepts `The ego's front hit NPC " in told
+    assert f"received `{received}`" in told
 
 
 @pytest.mark.parametrize(("old", "new", "received"), [

@@ -17,7 +17,7 @@ def test_lane_finding_is_saved_confirmed_shrunk_and_replayed(project, in_highway
     result.assert_outcomes(failed=2)
     result.stdout.no_fnmatch_line("*flaky*")
     text = project.only_file.read_text()
-    assert re.search(r"- \{lane: (keep|left|right), speed: \d", text)
+    assert re.search(r"NPC \d: \[\{lane: (keep|left|right), speed: \d", text)
     assert "algorithm: random-manoeuvre" in text
     assert "shrunk:" in text
     assert "{cell:" not in text

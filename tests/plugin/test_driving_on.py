@@ -144,7 +144,7 @@ def test_a_pass_is_no_fix_if_the_same_npc_hits_the_ego_soon_after_the_end(saved,
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
     assert ("policies:fast, which fails" in result.stdout.str()) == bool(against)
-    told = "driven on past the file's end: the same NPC still hits the ego: collision after 6.5 s"
+    told = "driven on past the file's end: the same NPC still collides with the ego (The ego hit NPC 0 from behind "
     assert (label == "drifted") == (told in " ".join(result.stdout.str().split()))
 
 

@@ -64,7 +64,7 @@ def test_two_checks_make_one_shrunk_finding_each(buggy):
         assert len(re.findall(rf"^The check fails: {sentence}\.$", text, re.MULTILINE)) == 1
     assert text.count("checks.py") == 0
     assert len(re.findall(r"^  It took .* and \d+ to simplify what failed", text, re.MULTILINE)) == 1
-    assert all(load(buggy.path / name).original is not None for name in buggy.files)
+    assert all(load(buggy.path / name).shrunk.before for name in buggy.files)
 
 
 def test_fixed_planner_retains_saved_scenarios_as_guards(buggy):

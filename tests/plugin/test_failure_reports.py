@@ -71,7 +71,7 @@ KINDS = {  # the policy, the arguments of its search, the body of its test, and 
               "a failed check"),
     "measure": ("cruise", "", "assert run.min_ttc > 1.0", "a failed assertion"),
     "error": ("raises", "", "pass", "an error of the policy"),
-    "hang": ("hangs", "world=pafot.Highway(hang_limit=0.2)", "pass", "a decision that takes too long"),
+    "hang": ("hangs", "world=pafot.Highway(hang_limit=0.2)", "pass", "a decision that hangs"),
     "death": ("dies", "isolate=True", "pass", "a process that dies"),
     "random": ("dice", "blame='ego'", "assert not run.collision", "a collision"),
 }  # fmt: skip

@@ -302,4 +302,4 @@ def test_terminal_rewrites_the_line_with_each_run(collides):
     terminal = ON_A_TERMINAL.partition("@pytest.hookimpl")[2]
     collides.pytester.makeconftest(f"{IMPATIENT}\n@pytest.hookimpl{terminal}")
     output = run(collides).stdout.str()
-    assert output.count(f"shrinking {collides.only_id}, run ") > 5
+    assert output.count(f"simplifying {collides.only_id}, run ") > 5

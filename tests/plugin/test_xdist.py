@@ -152,7 +152,7 @@ def idles():
 def test_a_signal_to_the_controller_loses_nothing_that_workers_have_saved(project):
     # The workers search on for some seconds before pytest-xdist interrupts them.
     project.write(IDLES + TWO.replace("SHORT", "SHORT, runs=100000, ads=idles"))
-    command = [sys.executable, "-m", "pytest", "-q", "-n2", "-p", "xdist", "-p", "pafot"]
+    command = [sys.executable, "-m", "pytest", "-n2", "-p", "xdist", "-p", "pafot"]
     with begun(
         [*command, "--pafot-json=x.json", "--pafot-report=x.html"], stdout=subprocess.PIPE, text=True
     ) as session:

@@ -1,10 +1,12 @@
 """The block on a failure: what it says, and what it leaves out if it would be longer than twelve lines."""
 
+from collections import Counter
 from dataclasses import replace
 from datetime import date
 
 import pytest
 
+from pytest_pafot.campaign.events import Search
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.findings.decisions import Moment
 from pytest_pafot.findings.finding import Bounded
@@ -41,14 +43,19 @@ def seen(*, expect=None, finding=None, **more):
     return sighting("a", finding=changed, **known | more)
 
 
+def of(runs):
+    """Return a search of so many runs; None for a replay."""
+    return Search(node_id="t", kinds=Counter(failed=runs)) if runs else None
+
+
 def block(again=AGAIN, runs=0, *, is_whole=False, **more):
     """Return the text of a block, whose lines are joined, and the number of its lines."""
-    lines = block_lines(seen(**more), again, runs=runs, is_whole=is_whole)
+    lines = block_lines(seen(**more), again, search=of(runs), is_whole=is_whole)
     return " ".join(" ".join(lines).split()), len(lines)
 
 
 def test_a_block_reads_so():
-    assert block_lines(seen(), AGAIN, runs=40) == [
+    assert block_lines(seen(), AGAIN, search=of(40)) == [
         "The ego hit NPC 0 from behind after 12.4 s, closing at 8.2 m/s.",
         FACT,
         DEED,
@@ -96,7 +103,7 @@ def test_a_whole_block_has_all_that_is_known():
     more = {"finding": finding, "runs": 40, "label": "accepted", "detail": "x" * 100, "is_whole": True}
     text, lines = block(**more, beyond="crash", expect={"against": "idm"})
     for part in (
-        FACT, DEED, VERDICT, "with NPC 0 hidden the same", "line 7", "line 9", "31 of 40", "x" * 100, "accepted",
+        FACT, DEED, VERDICT, "with NPC 0 hidden the same", "line 7", "line 9", "x" * 100, "accepted",
         "It was simplified from 2 NPCs", "It passes with the reference idm.", "received `crash`",
         "no generator",
     ):  # fmt: skip
@@ -156,12 +163,13 @@ ALSO = f"Also in this run: {HEADLINE}; ego at fault."
 
 @table(("expect", "headline", "sentences", "assertion", "lines"), [
     (CHECK, "braking 6.0 > 5 m/s^2", (ALSO,), {}, ["The check fails: braking 6.0 > 5 m/s^2.", *wrapped_to(ALSO, 80)]),
-    ({"assertion": "run.min_ttc > N"}, HEADLINE, (), {"message": "assert 0.0 > 1.0"},
+    ({"assertion": "run.min_ttc > N"}, HEADLINE, (), {"text": "assert 0.0 > 1.0"},
      ["t.py:52: assert 0.0 > 1.0 (run.min_ttc > N).", f"{HEADLINE}."]),
-    ({}, "left the road", (), {"message": "left"}, ["t.py:52: left the road."]),  # the headline has the message
+    ({"assertion": "not run.off_road"}, "left the road", (), {"text": "left"},  # which the headline has
+     ["t.py:52: left the road."]),
     (RAISED, "ZeroDivisionError: division by zero", (), {"place": ""},
      ["After 3.8 s: ZeroDivisionError: division by zero.", *ERROR.splitlines()[:2]]),
-    (CRASHED, "died", (), {"message": "It was ended by SIGABRT"}, ["It was ended by SIGABRT."]),
+    (CRASHED, "died", (), {"text": "It was ended by SIGABRT"}, ["It was ended by SIGABRT."]),
 ])  # fmt: skip
 def test_what_is_no_plain_collision_begins_with_what_failed_and_where(expect, headline, sentences, assertion, lines):
     failure = seen(expect=expect, headline=headline, sentences=sentences, moment=None)
@@ -171,15 +179,15 @@ def test_what_is_no_plain_collision_begins_with_what_failed_and_where(expect, he
 
 @pytest.mark.parametrize("width", [40, 60, 120])
 def test_a_block_fits_the_terminal_except_for_its_command(width):
-    *lines, command = block_lines(seen(), AGAIN, runs=40, width=width)
+    *lines, command = block_lines(seen(), AGAIN, search=of(40), width=width)
     assert max(map(len, lines)) <= width
     assert command == f"replay {AGAIN}"
-    assert " ".join(" ".join(lines).split()) == " ".join(" ".join(block_lines(seen(), "", runs=40)).split())
+    assert " ".join(" ".join(lines).split()) == " ".join(" ".join(block_lines(seen(), "", search=of(40))).split())
 
 
 @table(("expect", "what"), [
     ({}, "a collision"),
-    ({"outcome": Outcome.HANG, "npc": None}, "a decision that takes too long"),
+    ({"outcome": Outcome.HANG, "npc": None}, "a decision that hangs"),
     (RAISED, "an error of the policy"),
     ({"assertion": "run.min_ttc > N"}, "a failed assertion"),
     (CHECK, "a failed check"),

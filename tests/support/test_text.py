@@ -81,7 +81,7 @@ def test_no_line_of_the_terminal_is_obeyed(text, other, width):
     lines = [*terminal.session_lines(session, width=width), terminal.found_line(find)]
     for is_whole in (False, True):
         unsaved = replace(find, path="")
-        lines += terminal.block_lines(unsaved, text, place=other, message=text, width=width, is_whole=is_whole)
+        lines += terminal.block_lines(unsaved, text, place=other, text=text, width=width, is_whole=is_whole)
     assert obeyed("\n".join([*lines, terminal.progress_line(progress, width)])) == []
     assert all("\n" not in line and line.isascii() for line in lines)
 

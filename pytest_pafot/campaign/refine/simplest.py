@@ -52,9 +52,11 @@ def showing(
 
 
 def shows(sighting: Seen, run: Run, verdict: Verdict, state: State, bench: Bench) -> bool:
-    """Return whether a run shows the failure of a finding, and by the same fault, so its name still fits."""
+    """Return whether a run shows the failure of a finding, by the same fault, and the same side is responsible."""
     shown = bench.examiner.signature_of(run, verdict)
-    return shown is not None and is_same(shown, found_as(sighting, state))
+    if shown is None or not is_same(shown, found_as(sighting, state)):
+        return False
+    return shown.is_property or run.attribution.responsibility == sighting.responsible
 
 
 def found_as(sighting: Seen, state: State) -> Signature:

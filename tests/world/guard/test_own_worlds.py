@@ -1,4 +1,4 @@
-"""A user's own world, which calls the ADS itself: a decision that takes too long ends there, too."""
+"""A user's own world, which calls the ADS itself: a decision that hangs ends there, too."""
 
 import threading
 import time
