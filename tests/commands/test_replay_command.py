@@ -77,7 +77,8 @@ def test_a_saved_file_is_replayed_without_its_project(here, arguments, code, tol
     assert (done.code, told in done.out) == (code, True), done.out + done.err
     name = arguments[0].removesuffix(".pafot.yaml")
     assert re.match(rf"{name}\.pafot\.yaml: .*found with pytest-pafot 0\.1\.0; .* policies:\w+\n", done.out)
-    assert {path.name for path in {*here.rglob("*")} - before} <= {"__pycache__", "page.html"}
+    new = {path.relative_to(here).parts[0] for path in {*here.rglob("*")} - before}
+    assert new <= {"__pycache__", "page.html"}
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
