@@ -33,7 +33,7 @@ project = "pytest-pafot"
 author = "the pytest-pafot developers"
 release = version = pytest_pafot.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["tools", "_static", "_templates"]
+exclude_patterns = ["tools", "_static", "_templates", "**/.pytest_cache"]
 templates_path = ["_templates"]
 
 html_theme = "furo"

@@ -54,7 +54,8 @@ from tests.helpers.sessions import command_in_a_copy, copied_workers, in_process
 from tests.helpers.tables import table
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
+PAGES = [path for path in sorted(ROOT.glob("docs/**/*.md")) if ".pytest_cache" not in path.parts]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
 COMPARISONS = ROOT / "docs" / "comparisons"
 RUN = {"python", "console", "yaml", "toml"}
 NOT_RUN = {"sh", "text"}
@@ -450,7 +451,7 @@ def test_every_page_is_listed_in_one_index():
     for index in (ROOT / "docs").rglob("index.md"):
         links = re.findall(r"^- \[[^\]]*\]\(([\w/.-]+)\)", text_of(index), re.MULTILINE)
         listed += [place((index.parent / link).resolve()) for link in links]
-    pages = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.rst")]
+    pages = [*PAGES, *(ROOT / "docs").rglob("*.rst")]
     assert sorted([*listed, "docs/index"]) == sorted(map(place, pages))
 
 
