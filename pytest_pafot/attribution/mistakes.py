@@ -84,7 +84,7 @@ def mistake(trace: Trace, attribution: Attribution) -> Mistake | None:
     if attribution.fault == "did-not-give-way":
         return None if zone is None else NOT_GIVEN_WAY[zone.origin]
     frame, tick = frame_of(trace), attribution.tick
-    ahead, both = frame.ahead[npc, tick], frame.half_along[0, tick] + frame.half_along[npc + 1, tick]
+    ahead, both = frame.ahead[npc, tick], frame.half_lengths(npc)[tick]
     if ahead > both + NEXT_TO:
         return "kept-no-distance"
     return "moved-in-front" if ahead < -both else "moved-into-side"

@@ -103,7 +103,7 @@ def sentences_on(
     """
     other, hz, end = npc + 1 - vehicle, trace.physics_hz, trace.ticks
     (who, whom), at = (_name(vehicle), _name(other)), f"{tick / hz:.1f} s"
-    ahead, half = frame.ahead[npc], frame.half_along[0] + frame.half_along[npc + 1]
+    ahead, half = frame.ahead[npc], frame.half_lengths(npc)
 
     def place(of: float, whom: str, tick: int) -> str:
         gap = abs(of) - float(half[tick])
@@ -114,9 +114,8 @@ def sentences_on(
         case "moved":
             lane = int(trace.road.numbers(other)[tick])
             into = f"the lane of {whom}" if lane < 0 else f"lane {lane}"
-            told = [
-                f"{who} moved into {into} at {at}, {place(float(ahead[tick]) * (1 if vehicle else -1), whom, tick)}."
-            ]
+            spot = place(float(ahead[tick]) * (1 if vehicle else -1), whom, tick)
+            told = [f"{who} moved into {into} at {at}, {spot}."]
         case "sideways":
             told = [f"{who} moved sideways at {at} into {whom}, which was next to it."]
         case "braked":
@@ -135,12 +134,11 @@ def sentences_on(
     towards = " and coming towards it" if frame.speed[npc + 1, since] < -SAME and ahead[since] > 0 else ""
     # Its lane is told if it is not the ego's, and again if it left it.
     then, last = (int(each) for each in trace.road.numbers(npc + 1)[[since, end]])
-    in_lane = f" in lane {then}" if then not in (-1, int(trace.road.numbers(0)[since])) else ""
+    in_lane = f"in lane {then}, " if then not in (-1, int(trace.road.numbers(0)[since])) else ""
     has_left = happened != "moved" and -1 not in (then, last) and then != last
     left = f", and was in lane {last} at the impact" if has_left else ""
-    where = (
-        "" if is_told else f", {place(float(ahead[since]), 'the ego', since)}{in_lane}{towards} at {since / hz:.1f} s,"
-    )
+    spot = f"{in_lane}{place(float(ahead[since]), 'the ego', since)}{towards}"
+    where = "" if is_told else f", {spot} at {since / hz:.1f} s,"
     # One that was behind the ego could have braked for it.
     is_ahead = crosses or bool(ahead[since] > 0)
     deed = _deed(trace.states[:, npc + 1, SPEED], hz, since, is_ahead=is_ahead, is_told=not is_told)
@@ -220,10 +218,11 @@ def _kept(speed: float) -> str:
 def _turns(speeds: FloatArray) -> list[int]:
     """Return the first tick, and those at which a vehicle's speed begins to rise or fall, by 0.2 m/s at least."""
     turns, low, high, way = [0], 0, 0, 0
-    for tick, speed in enumerate(speeds.tolist()):
-        low, high = (tick if speed < speeds[low] else low), (tick if speed > speeds[high] else high)
-        if way >= 0 and speeds[high] - speed >= LOST:
+    # Single values are read from a list, since reading them from an array takes long.
+    for tick, speed in enumerate(values := speeds.tolist()):
+        low, high = (tick if speed < values[low] else low), (tick if speed > values[high] else high)
+        if way >= 0 and values[high] - speed >= LOST:
             turns, way, low = [*turns, high], -1, tick
-        elif way <= 0 and speed - speeds[low] >= LOST:
+        elif way <= 0 and speed - values[low] >= LOST:
             turns, way, high = [*turns, low], 1, tick
     return turns

@@ -595,6 +595,10 @@ class RoadFrame:
         self.half_along = boxes.half_length * cos + boxes.half_width * sin
         self.half_across = boxes.half_length * sin + boxes.half_width * cos
 
+    def half_lengths(self, npc: int) -> FloatArray:
+        """Return half the lengths of ego and NPC along the road together at each tick [m]."""
+        return np.asarray(self.half_along[0] + self.half_along[npc + 1])
+
     @property
     def gap_along(self) -> FloatArray:
         """The gap between the boxes of ego and NPC along the road [m]; lower is worse, 0 if they are side by side."""

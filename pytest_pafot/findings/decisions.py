@@ -139,6 +139,15 @@ def moved_over(run: Run) -> int | None:
     return _begun(trace, attribution.tick or 0, last)
 
 
+def beginning(run: Run) -> str:
+    """Return in a few words when the ego began the change of lanes, or drift, by which it is at fault, else nothing."""
+    if (number := moved_over(run)) is None:
+        return ""
+    began = f"{run.trace.decision_ticks[number] / run.trace.physics_hz:.1f} s"
+    is_drift = _drifted(run.trace, number, run.attribution.time or 0.0)
+    return f"the ego drifted from {began} on" if is_drift else f"the ego began to change lanes at {began}"
+
+
 def fact_on(run: Run) -> str:
     """Return in a few words what the ego did that decides, for a headline; empty if it is not at fault.
 
@@ -147,12 +156,8 @@ def fact_on(run: Run) -> str:
     """
     if run.collision is None or run.responsibility not in ("ego", "both") or not run.attribution.sentences:
         return ""
-    number, time = moved_over(run), run.attribution.time or 0.0
-    if number is not None:
-        began = run.trace.decision_ticks[number] / run.trace.physics_hz
-        if _drifted(run.trace, number, time):
-            return f"the ego drifted from {began:.1f} s on, over the line at {time:.1f} s"
-        return f"the ego began to change lanes at {began:.1f} s, over the line at {time:.1f} s"
+    if began := beginning(run):
+        return f"{began}, over the line at {run.attribution.time or 0.0:.1f} s"
     told = run.attribution.sentences[0 if run.attribution.fault in NEEDLESS else -1]
     return f"{told[:1].lower()}{told[1:]}".removesuffix(".")
 

@@ -232,6 +232,11 @@ class Seen:
         return self.finding.expect.outcome is Outcome.HANG
 
     @property
+    def is_as_saved(self) -> bool:
+        """True if its run failed as its file says: of a new finding, or of a replay that fails alike."""
+        return bool(self.observed.new) or self.observed.is_same
+
+    @property
     def is_firm(self) -> bool:
         """True if its scenario is expected to give the same run each time."""
         return not (self.is_flaky or self.is_timed or self.finding.expect.is_crash)
@@ -290,9 +295,8 @@ class Seen:
         if worst is None or least is None or None in (worst.value, least.value):
             return ""
         low = f"{least.figure} to " if least.figure != worst.figure else ""
-        return (
-            f", {'closing at' if worst.kind == 'collision' else 'broken by'} {low}{worst.figure} {worst.unit}".rstrip()
-        )
+        how = "closing at" if worst.kind == "collision" else "broken by"
+        return f", {how} {low}{worst.figure} {worst.unit}".rstrip()
 
     @property
     def remark(self) -> str:

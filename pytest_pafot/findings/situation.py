@@ -133,7 +133,7 @@ class Situation:
         return cls(
             npc=npc,
             time=round(tick / trace.physics_hz, 3),
-            gap=round(abs(ahead) - float(_lengths(frame, npc)[tick]), 1) + 0.0,  # no -0.0
+            gap=round(abs(ahead) - float(frame.half_lengths(npc)[tick]), 1) + 0.0,  # no -0.0
             place="ahead" if ahead > 0 else "behind",
             lanes_to_right=round(float(_lanes_between(trace, frame, npc)[tick])),
             ego_speed=round(float(ego_speed), 1) + 0.0,
@@ -147,7 +147,7 @@ class Situation:
         """
         frame, npc, start = frame_of(trace), self.npc, round(min(self.time, START) * trace.physics_hz)
         ahead, ego, speed = frame.ahead[npc], frame.speed[0], frame.speed[npc + 1]
-        slower, apart = self.ego_speed - self.npc_speed, self.gap + _lengths(frame, npc)  # between the centres
+        slower, apart = self.ego_speed - self.npc_speed, self.gap + frame.half_lengths(npc)  # between the centres
         if self.lanes_to_right == 0 and self.place == "ahead":
             ego = _highest(np.where(np.arange(len(ego)) < start, 0.0, ego), trace, ANSWER)
             along = np.where(ahead > 0, ahead / np.maximum(REACH, REACH_FACTOR * apart), np.inf)
@@ -288,11 +288,6 @@ def _can_be_compared(situation: Situation | ZoneSituation, trace: Trace) -> bool
     """Return whether a run has finite positions, and its NPC crosses if and only if the situation is at a zone."""
     crosses = bool(trace.zones) and trace.zones[situation.npc] is not None
     return bool(np.isfinite(trace.states).all()) and isinstance(situation, ZoneSituation) == crosses
-
-
-def _lengths(frame: RoadFrame, npc: int) -> FloatArray:
-    """Return at each tick half the lengths along the road of ego and NPC together [m]."""
-    return np.asarray(frame.half_along[0] + frame.half_along[npc + 1])
 
 
 def _lanes_between(trace: Trace, frame: RoadFrame, npc: int) -> FloatArray:

@@ -614,7 +614,7 @@ class Run:
 
     @property
     def impact(self) -> str:
-        """Who hit whom, when and how fast; empty without a collision."""
+        """The words on who hit whom, when and how fast; empty without a collision."""
         hit = self.collision
         if hit is None:
             return ""
@@ -833,5 +833,5 @@ def _gene(trace: Trace, npc: int, genes: range, reached: str, names_side: bool) 
     end, at = f"{reached}{tick / trace.physics_hz:.1f} s", f"{tick / trace.physics_hz:.1f} s"
     if abs(nearest - instruction.speed) > NEAR_SPEED:  # It was reached only in its place.
         how = f"{'slowest' if nearest > instruction.speed else 'fastest'} {nearest:.1f} m/s"
-        end = f"in place from {at}, {how}" if len(reached) == len("reached at ") else f"in place {at}"
+        end = f"in place from {at}, {how}" if reached.endswith("at ") else f"in place {at}"
     return instruction.row(lanes_apart(trace, npc, gene), end, names_side=names_side)

@@ -23,7 +23,7 @@ import pytest
 from pytest_pafot.campaign.harness import collision_in_short
 from pytest_pafot.corpus.layout import relative
 from pytest_pafot.corpus.reader import Saved
-from pytest_pafot.findings.decisions import fact_on, moved_over
+from pytest_pafot.findings.decisions import beginning
 from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.oracle.run import Check, Run
 from pytest_pafot.plugin.collection import base_id, is_driven, saved_of
@@ -66,9 +66,8 @@ def send_seen(
         sentences = seen.finding.expect.sentences_on(seen.run)
         if sentences and check is not None:  # What both did is about the collision, and not about the check.
             sentences = (f"This run has a collision, too. {collision_in_short(seen.run)}.",)
-        elif sentences and moved_over(seen.run) is not None:  # the decision to move, which no verdict knows
-            began = capitalised(fact_on(seen.run).partition(",")[0])
-            sentences = (f"{began}, and {sentences[0].removeprefix('The ego ')}", *sentences[1:])
+        elif sentences and (began := beginning(seen.run)):  # the decision to move, which no verdict knows
+            sentences = (f"{capitalised(began)}, and {sentences[0].removeprefix('The ego ')}", *sentences[1:])
     seen = replace(seen, observed=replace(seen.observed, sentences=sentences))
     if settings.report is not None and seen.headline:
         from pytest_pafot.report.views import finding_view  # noqa: PLC0415

@@ -276,7 +276,7 @@ class Reporter:
                 result = "passed" if not report.skipped else "xfailed" if hasattr(report, "wasxfail") else "skipped"
             record.results[node_id] = max(record.results.get(node_id, ""), result, key=RESULTS.index)
         if report.failed:
-            crash: Any = getattr(report.longrepr, "reprcrash", None)
+            crash = getattr(report.longrepr, "reprcrash", None)
             text = report.longreprtext if crash is None else str(crash.message).removeprefix("Failed: ")
             reason = next((line.strip() for line in text.splitlines() if line.strip()), "")
             saved = json.loads(getattr(report, AS_SAVED, "{}")) if SAVED_MARK in report.keywords else None
@@ -373,12 +373,12 @@ class Reporter:
 
     def _expand(self, search_id: str) -> None:
         """Report the findings of a search, the worst first, as the items that will replay them in the next session."""
-        pending = self._pending.pop(search_id, {})
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
-        for node_id in [each.node_id for each in terminal.ranked(map(self._record.seen.__getitem__, pending))]:
-            data, node = pending[node_id]
-            self._expanded.add(node_id)
+        pending = self._pending.pop(search_id, {})
+        for seen in terminal.ranked(self._record.seen[node_id] for node_id in pending):
+            data, node = pending[seen.node_id]
+            self._expanded.add(seen.node_id)
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
             if self._session is not None:
                 self._session.testscollected += 1

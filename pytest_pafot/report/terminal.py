@@ -96,9 +96,12 @@ def found_line(seen: Seen) -> str:
 def told(seen: Seen) -> list[str]:
     """Return what happened, as it is told everywhere: who hit whom, what both did, who is responsible, the decision."""
     expect, sentences = seen.finding.expect, seen.observed.sentences
-    headline = seen.headline.replace(f"; {AT_FAULT[expect.responsibility]}", "") if sentences else seen.headline
-    parts = [f"{'The check fails: ' if expect.check else ''}{headline}{'' if headline.endswith(('.', '?')) else '.'}"]
-    if expect.outcome in ("ads_error", "hang") and not expect.check and (seen.observed.new or seen.observed.is_same):
+    headline = seen.headline
+    for fault in AT_FAULT.values() if sentences else ():  # The sentences say it. A replay may differ from its file.
+        headline = headline.replace(f"; {fault}", "")
+    what = "The check fails: " if expect.check and seen.is_as_saved else ""
+    parts = [f"{what}{headline}{'' if headline.endswith(('.', '?')) else '.'}"]
+    if expect.outcome in ("ads_error", "hang") and not expect.check and seen.is_as_saved:
         # The last frame in the policy, without the marks below its line.
         lines = [line.rstrip() for line in expect.traceback.splitlines() if line.startswith("  ")]
         parts = [f"After {expect.time:.1f} s: {parts[0]}", *[line for line in lines if line.strip(" ~^")][-2:]]
@@ -135,15 +138,14 @@ def block_lines(
     # Each text with a number: 0 if it stays, otherwise the larger, the earlier it is left out.
     parts: list[tuple[int, str]] = []
     expect, message = finding.expect, next(iter(text.splitlines()), "").removeprefix("AssertionError: ")
-    if expect.is_crash and text and (now.new or now.is_same):  # A replay can fail in another way than its file.
+    if expect.is_crash and text and seen.is_as_saved:  # A replay can fail in another way than its file.
         first, place = f"{capitalised(' '.join(text.removeprefix('Failed: ').split())).removesuffix('.')}.", ""
     place = place if expect.check is None and (expect.signature.is_property or expect.is_crash) else ""
     if place and message not in first and not seen.is_flaky:
         parts = [(0, f"{place}: {message}{f' ({expect.assertion})' if expect.assertion else ''}.")]
     parts += [(0, f"{'' if parts or not place else f'{place}: '}{first}")]
-    parts += [
-        (0 if text in now.sentences[-1:] else 6 if moment and text == moment.brief else 5, text) for text in others
-    ]
+    verdict, brief = now.sentences[-1:], moment and moment.brief
+    parts += [(0 if text in verdict else 6 if text == brief else 5, text) for text in others]
     if moment is not None and is_whole:
         parts[-1] = 0, str(moment)
         parts += [(0, f"  {line}") for line in moment.condition_lines()]
@@ -160,11 +162,9 @@ def block_lines(
     elif seen.detail:
         parts.append((0, f"Its file: {seen.detail}." if seen.path else f"It is not saved: {seen.detail}."))
     if now.beyond:
-        parts.append((
-            0,
-            f"It is not accepted: the line `xfail:` of {seen.path} accepts `{finding.expect.brief}`, received "
-            f"`{now.beyond}`; correct the policy, or delete the file, search again and accept what is found then.",
-        ))  # fmt: skip
+        accepts = f"the line `xfail:` of {seen.path} accepts `{finding.expect.brief}`, received `{now.beyond}`"
+        way_out = "correct the policy, or delete the file, search again and accept what is found then"
+        parts.append((0, f"It is not accepted: {accepts}; {way_out}."))
     while not is_whole and sum(len(wrapped_to(ascii_text(text), WIDTH)) for _, text in parts) > ROOM - bool(again):
         spared = max(parts, key=lambda part: part[0])
         if not spared[0]:
@@ -189,8 +189,7 @@ def shrunk_lines(finding: Finding) -> list[str]:
     """Say in a line from what to what a finding shrank; nothing if it did not."""
     if finding.shrunk is None or not finding.shrunk.before:
         return []
-    now = described(finding.scenario, finding.longest_run)
-    sizes = [each.split(", ") for each in (finding.shrunk.before, now)]
+    sizes = [each.split(", ") for each in (finding.shrunk.before, described(finding.scenario, finding.longest_run))]
     changed = [pair for pair in zip(*sizes, strict=True) if pair[0] != pair[1]]
     how = f"from {', '.join(old for old, _ in changed)} to {', '.join(new for _, new in changed)}"
     how = how if changed else "to a simpler scenario of the same size"

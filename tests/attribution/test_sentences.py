@@ -16,7 +16,10 @@ from tests.helpers.tables import table
 
 TRACES = {each.name: each.trace for group in SITUATIONS.values() for each in group}
 NUMBER = r"(\d+\.\d)"
-PLACE = re.compile(rf"NPC 0, (?:{NUMBER} m (ahead of|behind)|(next to)) the ego at {NUMBER} s, ")
+PLACE = re.compile(
+    rf"NPC 0, (?:in lane (\d), )?(?:{NUMBER} m (ahead of|behind)|next to) the ego(?: and coming towards it)? "
+    rf"at {NUMBER} s, "
+)
 PHASE = re.compile(
     rf"(braked|slowed|sped up)(?: from {NUMBER})? to {NUMBER} m/s(?: at up to {NUMBER} m/s\^2)?(?: from {NUMBER} s on)?"
     rf"(?: \({NUMBER} m behind NPC 0\))?"
@@ -111,9 +114,13 @@ def test_an_ego_that_drives_backwards_does_not_stand_still(speed, brakes, told):
 def told_of(trace, sentence, vehicle, since):
     """Check each number of the sentence on what a vehicle did from a tick on against the trace."""
     speeds, deed = np.maximum(trace.states[since:, vehicle, SPEED], 0.0), sentence
-    if place := PLACE.match(sentence):
-        gap, where, _, time = place.groups()
+    if sentence.startswith("NPC 0, "):
+        place = PLACE.match(sentence)
+        assert place
+        lane, gap, where, time = place.groups()
         assert float(time) == pytest.approx(since / HZ, abs=0.051)
+        lanes = trace.road.numbers(1)[since], trace.road.numbers(0)[since]
+        assert lanes[0] in (-1, lanes[1]) if lane is None else lanes[0] == int(lane) != lanes[1]
         if trace.track is None and gap:
             ahead = trace.states[since, 1, X] - trace.states[since, 0, X]
             assert float(gap) == pytest.approx(abs(ahead) - 5.0, abs=0.5)

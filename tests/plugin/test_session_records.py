@@ -128,6 +128,7 @@ def test_findings_are_recorded_during_the_session_unless_writing_takes_long(proj
     assert (record.exit, record.searches[0].reason) == (pytest.ExitCode.INTERRUPTED, "interrupted")
     assert [find.file for find in record.findings] == project.files
     assert len(record.findings) == 2
+    assert record.orphans == []  # What the session has found, it has run.
 
 
 @pytest.mark.processes
