@@ -376,7 +376,7 @@ class Reporter:
         from pytest_pafot.report import terminal  # noqa: PLC0415
 
         pending = self._pending.pop(search_id, {})
-        for seen in terminal.ranked(self._record.seen[node_id] for node_id in pending):
+        for seen in terminal.ranked([self._record.seen[node_id] for node_id in pending]):
             data, node = pending[seen.node_id]
             self._expanded.add(seen.node_id)
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=data)
