@@ -23,3 +23,12 @@ def fiss() -> Callable[..., Any]:
     from example_ads import fiss as module  # noqa: PLC0415
 
     return module.make
+
+
+@pytest.fixture
+def expert() -> Callable[..., Any]:
+    """Return the factory of MetaDrive's PPO expert; needs the extra ``metadrive``."""
+    pytest.importorskip("metadrive", reason='needs Python 3.11 and pip install "pytest-pafot[metadrive]"')
+    from pytest_pafot.simulators import metadrive  # noqa: PLC0415
+
+    return metadrive.expert

@@ -35,3 +35,9 @@ def test_ppo_is_never_at_fault_in_a_collision(run: pafot.Run) -> None:
 def test_fiss_is_never_at_fault_in_a_collision(run: pafot.Run) -> None:
     """Search a published planner; it needs some milliseconds a decision, so its scenarios are half as long."""
     assert not run.collision, run.explain()
+
+
+@pafot.search(blame="ego", ads="expert", world=pafot.metadrive(observation="lidar"))
+def test_metadrives_expert_is_never_at_fault_in_a_collision(run: pafot.Run) -> None:
+    """Search a policy of a simulator, which reads the simulator's own lidar and sets its pedal and steering."""
+    assert not run.collision, run.explain()

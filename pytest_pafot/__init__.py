@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_pafot import policies, properties, strategies
+    from pytest_pafot import policies, properties, simulators, strategies
     from pytest_pafot.campaign.explore import explore
     from pytest_pafot.campaign.saved_scenario import load
     from pytest_pafot.model.crossings import CrossingVehicle, Zone
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from pytest_pafot.model.vehicle_type import VehicleType
     from pytest_pafot.oracle.run import CheckFailed, Run, check, reject
     from pytest_pafot.plugin.collection import search
+    from pytest_pafot.simulators.metadrive import metadrive
+    from pytest_pafot.simulators.sumo import sumo
     from pytest_pafot.world import (
         Drive,
         Highway,
@@ -38,7 +40,6 @@ if TYPE_CHECKING:
         VehicleState,
         World,
     )
-    from pytest_pafot.world.sumo import sumo
 
 __version__ = "0.1.0"
 
@@ -52,18 +53,20 @@ _NAMES = {
     "model.vehicle_type": "VehicleType",
     "oracle.run": "CheckFailed Run check reject",
     "plugin.collection": "search",
-    "world.sumo": "sumo",
+    "simulators.metadrive": "metadrive",
+    "simulators.sumo": "sumo",
     "world": "Drive Highway NpcLimits Observation Perception Simulator SimulatorWorld VehicleState World",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
-_MODULES = ("policies", "properties", "strategies")
+_MODULES = ("policies", "properties", "simulators", "strategies")
 
 __all__ = [
     "Cell", "CheckFailed", "CrossingInstruction", "CrossingVehicle", "Drive", "Highway", "LaneInstruction",
     "NpcLimits", "Observation", "Perception", "PositionInstruction", "Run", "Scenario", "ScenarioError",
     "Simulator", "SimulatorWorld", "Trace", "VehicleState", "VehicleType", "World", "Zone",
-    "check", "explore", "load", "policies", "properties", "reject", "search", "strategies", "sumo",
+    "check", "explore", "load", "metadrive", "policies", "properties", "reject", "search", "simulators", "strategies",
+    "sumo",
 ]  # fmt: skip
 
 

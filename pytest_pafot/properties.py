@@ -110,7 +110,7 @@ def _refuse_odd(name: str, **given: object) -> None:
         checked_number(value, name, f"{each}= as a finite number of at least 0", least=0.0)
 
 
-def _change(values: FloatArray, seconds: float, hz: int) -> FloatArray:
+def _change(values: FloatArray, seconds: float, hz: float) -> FloatArray:
     """Return the mean change of a signal per second, in the ``seconds`` before each tick.
 
     Before its first tick, the signal is assumed to be constant.

@@ -31,18 +31,17 @@ ignore_missing_imports = True
 """The skipped libraries take most of the time, and no public type is made of theirs."""
 
 HEAD = """
+from collections.abc import Sequence
 from typing import Any
 import pytest_pafot as pafot
 from pytest_pafot.testing import check_world
 class Planner:
     def __call__(self, observation: pafot.Observation) -> tuple[float, float]:
         return 0.0, observation.ego.y
-class World:
-    speed_limit = longest_run = 20.0
-    def rollout(self, scenario: pafot.Scenario, ads_factory: Any, /) -> pafot.Trace:
-        return pafot.load("file").finding.trace or pafot.Highway().rollout(scenario, ads_factory)
-    def to_dict(self) -> dict[str, Any]:
-        return {}
+class Toy(pafot.Simulator):
+    def start(self, vehicles: Sequence[Any], seed: int) -> None: ...
+    def step(self, controls: Sequence[Any]) -> None: ...
+    def states(self) -> Any: ...
 def make(env: Any) -> Planner:
     return Planner()
 def holds(run: pafot.Run) -> None: ...
@@ -79,7 +78,7 @@ pafot.Perception(Planner, noise={"sped": 1.0})
 pafot.strategies.scenarios(traffic="hostil")
 pafot.properties.comfort(run, jerkk=3.0)
 pafot.check(3.0, name="speed", atmost=4.0)
-check_world(World(), npc=3)
+check_world(pafot.SimulatorWorld(Toy), npc=3)
 seen.replace(otehrs=())
 print(seen.ego.sped, run.trace)
 print(run.colision)
@@ -94,14 +93,15 @@ pafot.search(test)
 pafot.search(ads=Planner, vehicles=("car", "van"), traffic="everyday", algorithm="random", fitness="npcs.ttc")
 pafot.search(ads=make, world=pafot.World("highway-v0", ends="duration", ego="truck"), vehicles="truck")
 pafot.search(ads=pafot.Perception(Planner, latency=0.3, noise={"speed": 0.1}), world=pafot.sumo("net.xml", ads_hz=5))
-pafot.search(ads=pafot.policies.sb3("model.zip"), against=pafot.policies.process(["./planner"]), world=World())
+pafot.search(ads=pafot.policies.sb3("model.zip"), against=pafot.policies.process(["./planner"]), blame="ego")
+pafot.search(ads=Planner, world=pafot.SimulatorWorld(Toy))
 pafot.search(ads="planner:Planner", against="ads", world="module:factory", fitness=lambda trace: trace.duration)
 pafot.search(ads=untyped, world=untyped, blame="ego", runs=3)
 pafot.explore(lambda: Planner(), holds=holds, workers="auto", corpus="saved", world=pafot.Highway(ego="truck"))
 pafot.Scenario(npcs=NPCS, vehicles=["truck"]).npcs[0][0].speed + pafot.Highway(ego="truck").ego.length
 pafot.check(abs(run.ego.jerk) + run.npcs[0].gap.min(), name="jerk", at_most=20)
 print(run.responsibility == "ego", run.outcome == "collision", seen.replace(others=()).others[0].speed)
-check_world(World(), ads=Planner, npcs=3)
+check_world(pafot.SimulatorWorld(Toy), ads=Planner, npcs=3)
 reveal_type(pafot.search(ads=Planner)(holds))
 reveal_type(run.ego.speed)
 """.strip().splitlines()

@@ -57,7 +57,6 @@ from pytest_pafot.world import (
     Vehicle,
     VehicleState,
     World,
-    WorldLike,
 )
 
 DOCS = Path(__file__).parents[1]
@@ -68,12 +67,12 @@ _ROLE = re.compile(r":(?:class|func|attr|meth|data|mod):`~?\.?([^`]+)`")
 OF_SEARCH = ("traffic", "blame", "runs", "seed", "against")
 """The options of ``search`` that are arguments of the mark."""
 _WORLD = re.compile(
-    r"drive in this world: the id of a highway-env environment .* a world of your own \((.*)", re.DOTALL
+    r"drive in this world: the id of a highway-env environment .* a pafot.SimulatorWorld \((.*)", re.DOTALL
 )
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.*)$")
 
 MARKER_TEXTS: Mapping[str, str] = {
-    "world": "`pafot.Highway(...)`, `pafot.World(...)`, one of your own, or [a text that names "
+    "world": "`pafot.Highway(...)`, `pafot.World(...)`, `pafot.SimulatorWorld(...)`, or [a text that names "
     "one](../guide/own-world.md#in-every-command), such as `module:factory`.",
     "ads": "Fixture that gives the ADS factory; or the factory, or its `module:factory[:argument]`.",
     "fitness": "[The fitness](fitness.md): a name, a measure, or a function of the trace.",
@@ -108,7 +107,8 @@ FILE_TEXTS: Mapping[str, str] = {
     "pafot": "Version of the format, `3`.",
     "test": "Node id of the test; the folder decides which test replays the file.",
     "world": "`kind` is `highway` or `gym`, with the fields of `Highway` or `World`; `ego` only if it is no car. The "
-    "kind `sumo` has `data`. Of a world that is code (`own`, or with `wrappers`) the replay uses the test's.",
+    "kinds `metadrive` and `sumo` have `data`. Of a world that is code (`own`, or with `wrappers`) the replay uses the "
+    "test's.",
     "scenario.seed": "Of all random choices in the run.",
     "scenario.ego": "`lane`, from 0 at the left, and `speed` [m/s], also of NPCs that do not cross, at the start.",
     "scenario.gene_seconds": "Duration of a gene [s]; by default `10.0`.",
@@ -197,7 +197,6 @@ def sections() -> dict[str, str]:
         "simulator": _fields_table(Simulator),
         "simulator-vehicle": _fields_table(Vehicle),
         "simulator-control": _fields_table(Control),
-        "world-like": _properties_table(WorldLike),
         "drive": _fields_table(Drive),
         "observation": _fields_table(Observation),
         "vehicle": _fields_table(VehicleState),

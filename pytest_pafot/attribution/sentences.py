@@ -168,7 +168,7 @@ def _entered(trace: Trace, npc: int, zone: Zone | None) -> list[str]:
 
 def _deed(
     speeds: FloatArray,
-    hz: int,
+    hz: float,
     since: int,
     gaps: FloatArray | None = None,
     leader: str = "",

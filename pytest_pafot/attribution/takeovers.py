@@ -35,8 +35,8 @@ class TakeOver(Protocol):
     def __call__(self, trace: Trace, tick: int, /) -> Trace:
         """Simulate a run again, with the careful driver in the ego's place from a tick on."""
 
-    def lasting(self, seconds: float, /) -> TakeOver | None:
-        """Return the same function for runs that last some seconds; None if the world cannot go on."""
+    def lasting(self, seconds: float, /) -> TakeOver:
+        """Return the same function for runs that last some seconds."""
 
 
 def latest(trace: Trace, take_over: TakeOver) -> float | None:
@@ -67,11 +67,10 @@ def latest(trace: Trace, take_over: TakeOver) -> float | None:
 def drive(trace: Trace, seconds: float, take_over: TakeOver) -> Trace | None:
     """Return the run in which the careful driver takes over some seconds before the impact; None if it is another run.
 
-    It lasts until 4 s after the time of the impact if the world can go on, and otherwise as usual.
+    It lasts until 4 s after the time of the impact, unless the road ends before.
     """
     tick = _tick(trace, seconds)
-    longer = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)
-    taken = (take_over if longer is None else longer)(trace, tick)
+    taken = take_over.lasting((_until(trace) + LEEWAY) / trace.physics_hz)(trace, tick)
     repeated, recorded = taken.states[: tick + 1], trace.states[: tick + 1]
     return taken if repeated.shape == recorded.shape and (np.abs(repeated - recorded) <= ROUNDING).all() else None
 

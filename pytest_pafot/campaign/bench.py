@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Any
 
 from pytest_pafot.campaign.harness import Harness, refusals
-from pytest_pafot.campaign.results import Driver, Examiner, Result, State, fingerprint
+from pytest_pafot.campaign.results import Driver, Examiner, Result, State
 from pytest_pafot.execution.crash_records import CrashRecord
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Here, LostRun
@@ -19,6 +19,7 @@ from pytest_pafot.findings.finding import disagreement, message_of
 from pytest_pafot.findings.sighting import NOT_REPEATED
 from pytest_pafot.findings.verdict import Signature, Verdict
 from pytest_pafot.model.scenario import Scenario
+from pytest_pafot.model.trace import Trace, first_difference
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import OutOfTime
@@ -149,13 +150,13 @@ class Bench:
         return Run(trace)
 
     def confirm(
-        self, scenario: Scenario, expected: str, found: Signature | None = None
+        self, scenario: Scenario, expected: Trace | None, found: Signature | None = None
     ) -> tuple[Run | None, Verdict | None, str | None]:
         """Drive the scenario of a failure again, also in highway-env's own environment; measure how long that takes.
 
         Args:
             scenario: the scenario as it was driven.
-            expected: the fingerprint of the run that failed, to the last bit; empty if wall-clock time decides.
+            expected: the run that failed, which repeats to the last bit; None if wall-clock time decides.
             found: the signature of the failure; None if the run need not be judged.
 
         Return the run, None if it does not show the failure; the verdict on it, None if it was not judged; and what
@@ -174,9 +175,9 @@ class Bench:
                 self.record.clear()
                 if verdict is None or self.examiner.signature_of(again, verdict) == found:
                     run = again
-                if expected and fingerprint(again.trace) != expected:
-                    differs = NOT_REPEATED
-                elif expected:
+                if expected is not None and (changed := first_difference(expected, again.trace)):
+                    differs = f"{NOT_REPEATED}: {changed}"
+                elif expected is not None:
                     differs = JUDGED_OTHERWISE if run is None else self._told(_difference_in_gym(again, self))
         except ProcessLostError as error:
             differs = f"the process that ran it again {error.end}"

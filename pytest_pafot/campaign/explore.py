@@ -41,7 +41,8 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support import monotonic
 from pytest_pafot.support.errors import RequestError, check_asserts
 from pytest_pafot.support.process import installed_versions
-from pytest_pafot.world import Highway, WorldLike
+from pytest_pafot.world import Highway
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
 
 PLACE = "pafot.explore"
@@ -84,7 +85,7 @@ def explore(
     ads: AdsFactory | str,
     *,
     holds: Callable[[Run], None],
-    world: WorldLike | str | None = None,
+    world: BaseWorld | str | None = None,
     runs: int | None = None,
     generations: int | None = None,
     seed: int = 0,

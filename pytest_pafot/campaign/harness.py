@@ -33,7 +33,6 @@ from pytest_pafot.world import AdsFactoryError, WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Perception, Policy, hint_at_object, sight_of
 from pytest_pafot.world.guard.hang_guard import UNFIT, exits, is_interruption, let_through
-from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.kernel.action import Drive, possible_acceleration, possible_steering
 from pytest_pafot.world.limits import TOP_SPEED
 
@@ -195,13 +194,13 @@ class SetupFaultError(Exception):
         failure = self.verdict.failure
         return "" if failure is None else f"{failure.kind}: {failure.message}"
 
-    def first_decision(self, world: Any, policy: Policy, *, of_si: str, of_env: str) -> str:
+    def first_decision(self, world: BaseWorld, policy: Policy, *, of_si: str, of_env: str) -> str:
         """Return a paragraph on the first decision that the world asks an ADS for; empty if no world can say it.
 
         It ends with ``of_si`` if the decision is in SI units, and with ``of_env`` if it is the environment's.
         """
-        asked = None if policy.drives_itself else base_world(world).first_decision(self.run.trace.scenario)
-        return "" if asked is None else f"\n\n{asked.text} {of_si if asked.is_si else of_env}"
+        asked = None if policy.drives_itself else world.first_decision(self.run.trace.scenario)
+        return "" if asked is None else f"\n\n{asked.text} {asked.advice or (of_si if asked.is_si else of_env)}"
 
     def shown(self, world: BaseWorld, policy: Policy) -> BaseException:
         """Return the exception for the user: what was raised and where, why it is no finding, and what to do."""

@@ -59,10 +59,9 @@ from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching.space import sample
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.proportions import none_text
-from pytest_pafot.support.text import one_line
 from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
-from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
+from pytest_pafot.world.guard.chance import GENERATORS
 
 Sought = Callable[[Run, Failure], bool]
 """Whether a failure of a run is the one that is looked for."""
@@ -152,9 +151,9 @@ class Replays:
         finding = _finding(saved)
         try:
             if codec.is_code(finding.world):
-                world: BaseWorld = codec.named(finding.world, self.harness.world)
+                world = codec.named(finding.world, self.harness.world)
             else:
-                world = base_world(codec.of_file(finding.world, finding.scenario, self.harness.world))
+                world = codec.of_file(finding.world, finding.scenario, self.harness.world)
             with _naming(saved.path):
                 world.check_fits(finding.scenario)
         except (WorldError, TypeError, ValueError) as error:
@@ -192,7 +191,7 @@ class Replays:
             record.write(scenario)
             if trace is None:
                 with refusals(), _naming(saved.path):
-                    trace = rollout_of(world)(scenario, job.policy.factory)
+                    trace = GENERATORS.run(world.rollout, scenario, job.policy.factory)
             run = harness.run_of(trace, world)
             return run, harness.judge(run)
 
@@ -237,11 +236,10 @@ class Replays:
         """
         __tracebackhide__ = True
         run, verdict = self._of_reference(saved, world, owner, is_checked=True)
-        if verdict is None:
+        if verdict is None or verdict.kind == "invalid":
             return now
-        longer = None if sought is None or run is None or not verdict.passes else self._longer(saved, world)[0]
-        if longer is not None and run is not None and sought is not None:
-            later, then = self._of_reference(saved, longer, owner)
+        if sought is not None and run is not None and verdict.passes:
+            later, then = self._of_reference(saved, _longer(saved, world), owner)
             now = replace(now, is_lost=now.is_lost or later is None)
             failure = None if then is None else then.failure
             if later is not None and then is not None and failure is not None and begins_alike(run, later):
@@ -291,42 +289,19 @@ class Replays:
             "the world= in which it drives"
         )
 
-    def _longer(self, saved: Saved, world: BaseWorld) -> tuple[BaseWorld | None, str]:
-        """Return the world with runs that go on after the end of a saved scenario; None if the world cannot go on.
-
-        The text says what is wrong with a user's method ``lasting``.
-        """
-        if not world.can_go_on:
-            return None, ""
-        seconds = min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON
-        try:
-            longer = world.lasting(seconds)
-            received = f"{longer!r:.100}" if longer.missing else ""
-        except Exception as error:  # noqa: BLE001  (of a user's world; the replay reports it)
-            longer, received = None, f"{type(error).__name__}: {one_line(str(error))}"
-        if not received:
-            return longer, ""
-        name = f"{type(world.given).__name__}.lasting({seconds:g})"
-        return None, f"not {PAST_END}: {name}: expected a world, received {received}; correct or remove lasting"
-
-    def _driven_on(self, saved: Saved, world: BaseWorld, owner: str, first: Run) -> Observed:
-        """Run a scenario that passes again, and drive on after its end if the world can; a note says why it cannot."""
+    def _driven_on(self, saved: Saved, world: BaseWorld, owner: str) -> Observed:
+        """Run a scenario that passes again, and drive on after its end; a note says why that cannot be."""
         __tracebackhide__ = True
-        harness, (longer, note) = self.harness, self._longer(saved, world)
+        harness = self.harness
         # A separate session replays a whole file, so it could not tell in which part a process died.
         has_processes = harness.request.settings.isolate or forks() or saved.needs_own_process
-        is_lost = longer is not None and not has_processes and bool(harness.left_behind(owner))
+        is_lost = not has_processes and bool(harness.left_behind(owner))
         if is_lost:
             note = f"not {PAST_END}, because a process died in it before, and this system cannot fork processes"
-        elif longer is not None:
+        else:
             try:
-                run, verdict = self.tried(saved, longer, owner)
-                if codec.is_built_in(world) or begins_alike(first, run):
-                    return Observed(run=run, verdict=verdict)
-                note = (
-                    f"not {PAST_END}: {type(world.given).__name__}.lasting: expected the same world, received one in "
-                    "which the run begins otherwise; correct or remove lasting"
-                )
+                run, verdict = self.tried(saved, _longer(saved, world), owner)
+                return Observed(run=run, verdict=verdict)
             except ProcessLostError as error:
                 if was_lost(_finding(saved), error):
                     error.add_note(PAST_END)
@@ -340,7 +315,7 @@ class Replays:
         """Run a scenario that passes again, and drive on; the run stays the first one unless the second one failed."""
         __tracebackhide__ = True
         finding, (first, _) = _finding(saved), now.ran
-        second = self._driven_on(saved, world, owner, first)
+        second = self._driven_on(saved, world, owner)
         (run, verdict), is_alike = second.ran, begins_alike(first, second.ran[0])
         is_hit = is_alike and _is_hit_soon(finding, first, run)
         hit = f"{PAST_END}: the same NPC still collides with the ego ({headline(run, verdict)})"
@@ -368,7 +343,7 @@ class Replays:
         """Return whether a run that was driven on is the same run, and fails, when it is made again."""
         __tracebackhide__ = True
         try:
-            again, verdict = self.tried(saved, self._longer(saved, world)[0] or world, owner)
+            again, verdict = self.tried(saved, _longer(saved, world), owner)
         except ProcessLostError:
             return False
         return verdict.failed and is_same_run(run, again)
@@ -554,6 +529,11 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except ScenarioError as error:
         raise RequestError(str(located(path, "scenario", error))) from None
+
+
+def _longer(saved: Saved, world: BaseWorld) -> BaseWorld:
+    """Return the world with runs that go on after the end of a saved scenario."""
+    return world.lasting(min(world.longest_run, _finding(saved).scenario.seconds) + DRIVEN_ON)
 
 
 def _finding(saved: Saved) -> Finding:

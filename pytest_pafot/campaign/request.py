@@ -13,7 +13,6 @@ from pytest_pafot.model.scenario import EGO_LANE, EGO_SPEED, rng_of
 from pytest_pafot.model.vehicle_type import (
     CAR,
     HOSTILE,
-    PAPERS,
     READY,
     STYLES,
     Style,
@@ -28,11 +27,11 @@ from pytest_pafot.searching.space import MOST_ON_GRID, Instructions, SearchSpace
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.references import described, factory_named, imported
 from pytest_pafot.support.text import shown
-from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError, WorldLike
-from pytest_pafot.world.base_world import REQUIRED, BaseWorld
+from pytest_pafot.world import Highway, Simulator, SimulatorWorld, World, WorldError
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.codec import checked_world
 from pytest_pafot.world.driving.policy import AdsFactory, hint_at_object
-from pytest_pafot.world.guard.own_worlds import base_world
-from pytest_pafot.world.limits import OTHER_KIND, PLANNER_HZ
+from pytest_pafot.world.limits import PLANNER_HZ
 
 NPCS = 4
 """The default number of NPCs in a scenario. Four NPCs fit around the ego in any lane of a Highway."""
@@ -89,7 +88,7 @@ class CommonArguments(SpaceArguments, total=False):
 class SearchArguments(CommonArguments, total=False):
     """The types of the arguments of :func:`pytest_pafot.search`, all of which are optional."""
 
-    world: WorldLike | str
+    world: BaseWorld | str
     ads: AdsFactory | str
     runs: int
     generations: int
@@ -152,10 +151,9 @@ def checked_request(arguments: Mapping[str, Any], settings: Settings, *, place: 
         place=place,
         **own,
     )
-    world, goal = request.world, request.fitness
-    if world is not None and (isinstance(world, type) or not callable(getattr(world, "rollout", None))):
-        problem = f"expected a world such as pafot.Highway(...), received {world!r}{hint_at_world(world)}"
-        raise request.error("world=...", problem)
+    goal = request.fitness
+    if request.world is not None:
+        _refuse_other_worlds(request.world, f"{place}(world=...): expected")
     problem_of_ads = _problem_of_ads(request.ads)
     if problem_of_ads:
         raise request.error("ads=...", problem_of_ads)
@@ -209,20 +207,20 @@ def build_world(request: Request, fixture_world: Any) -> BaseWorld:
     If the mark gives no world but the length of the chains, runs on the fixture's Highway last as long as the chains.
 
     Raises:
-        RequestError: if the chains do not fit the world, or if the world lacks something that a search needs.
+        RequestError: if the chains do not fit the world, or if the fixture gives no world.
     """
     if request.world is not None:
-        return _checked_world(request.world, "world= to be")
+        return request.world  # type: ignore[no-any-return]  # which has been checked
     if isinstance(fixture_world, Highway) and not {"genes", "gene_seconds"}.isdisjoint(request.space):
         try:
             space = SearchSpace(**request.space)
             fixture_world = replace(fixture_world, duration=space.genes * space.gene_seconds)
         except (TypeError, ValueError) as error:
             raise request.error(", ".join(request.space), error) from None
-    return _checked_world(fixture_world, "the fixture pafot_world to give")
+    return _refuse_other_worlds(fixture_world, "expected the fixture pafot_world to give")
 
 
-def build_space(request: Request, world: Any) -> SearchSpace:
+def build_space(request: Request, world: BaseWorld) -> SearchSpace:
     """Return the space of scenarios in which a search samples.
 
     Unless the mark gives the number of genes in a chain, the chains last as long as a run in the world.
@@ -230,9 +228,9 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     Raises:
         RequestError: if an argument is out of range, if no scenario can be made, or if the world cannot be built.
     """
-    world, given = base_world(world), ", ".join(request.space)
+    given = ", ".join(request.space)
     try:
-        # World and algorithm declare what they can do. An error of the space would not say which of the two cannot.
+        # The algorithm declares what it can do. An error of the space would not say that it cannot.
         kinds = request.algorithm.instructions
         if request.space.get("instructions", kinds[0]) not in kinds:
             raise request.error(
@@ -240,31 +238,20 @@ def build_space(request: Request, world: Any) -> SearchSpace:
                 f"expected {' or '.join(map(repr, kinds))} for the algorithm {request.algorithm.name}, received "
                 f"{request.space['instructions']!r:.100}",
             )
-        if request.space.get("instructions", "cells") != "cells" and not world.has_lane_instructions:
-            raise request.error(
-                "instructions=...",
-                f"expected a world whose NPCs can have Lane-Instructions, received {world!r:.100}, which declares "
-                "none; leave instructions out, or write has_lane_instructions = True in its class if its NPCs can",
-            )
-        if SearchSpace(**request.space).traffic != PAPERS and not world.has_traffic_styles:
-            raise request.error(
-                "traffic=...",
-                f"expected a world whose NPCs have styles, received {world!r:.100}, which declares none; leave traffic "
-                "out, or write has_traffic_styles = True in its class if its NPCs keep to scenario.traffic",
-            )
+        SearchSpace(**request.space)
         vehicles = named_vehicles(request.space.get("vehicles", (CAR,)))
         if odd := next((each for each in vehicles if not world.can_drive(each)), None):
             raise request.error(
                 "vehicles=...",
                 f"expected vehicles that NPCs can be in {world!r:.100}, received {odd.described}; a long one cannot "
-                "follow tight bends, and a world of your own has to declare has_vehicles = True in its class",
+                "follow tight bends",
             )
         # The paper's algorithms keep the paper's space; the others fill in what the mark leaves open.
         drawn = {} if request.algorithm.is_papers else drawn_space(world, {"instructions": kinds[-1], **request.space})
         if request.algorithm.draws_vehicles:
             drawn["vehicles"] = tuple(filter(world.can_drive, READY.values()))
         # What the user gives goes before what is drawn, and the world fills in the rest, such as the crossings.
-        space: SearchSpace = world.space({**drawn, **request.space})
+        space = world.space({**drawn, **request.space})
         given = ", ".join(f"{name}={value!r}" for name, value in request.space.items())
         sample(space, rng_of(0))  # so that a wrong argument is one clear error before the search begins
     except WorldError as error:
@@ -274,18 +261,15 @@ def build_space(request: Request, world: Any) -> SearchSpace:
     return space
 
 
-def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def drawn_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the default arguments of the search space, for algorithms that are not bound to the paper's space.
 
-    NPCs are attentive if the world has styles of traffic. If other ways meet the ego's way, most NPCs cross from there.
+    NPCs are hostile. If other ways meet the ego's way, most NPCs cross from there.
     The other defaults are only for a straight road. The start is random only on a Highway, and in a user's simulator,
     because an environment defines how its ego starts.
     """
-    world = base_world(world)
-    drawn: dict[str, Any] = {}
-    if world.has_traffic_styles:
-        drawn["traffic"] = given.get("traffic", HOSTILE)
-    in_lanes = world.has_lane_instructions and given.get("instructions") != "cells"
+    drawn: dict[str, Any] = {"traffic": given.get("traffic", HOSTILE)}
+    in_lanes = given.get("instructions") != "cells"
     if in_lanes:
         drawn["instructions"] = given.get("instructions", "both")
     draws_genes = "genes" not in given and "gene_seconds" not in given
@@ -300,7 +284,7 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     if "ego_lane" not in given and road.lane_count <= EGO_LANE:  # a road of one lane
         drawn["ego_lane"] = lane = 0
         npcs = given.get("npcs", len(road.cells(0)) - 1)
-    draws_lane = isinstance(world.given, (Highway, SimulatorWorld)) and "ego_lane" not in given
+    draws_lane = isinstance(world, (Highway, SimulatorWorld)) and "ego_lane" not in given
     lanes = tuple(each for each in range(road.lane_count) if len(road.cells(each)) > npcs)
     if lane in lanes:
         drawn["npcs"] = npcs
@@ -312,9 +296,9 @@ def drawn_space(world: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         drawn["gene_durations"] = SLICES if in_lanes else GENE_DURATIONS
     if draws_lane:
         drawn["ego_lanes"] = lanes
-    if isinstance(world.given, (Highway, SimulatorWorld)) and "ego_speed" not in given:
+    if isinstance(world, (Highway, SimulatorWorld)) and "ego_speed" not in given:
         limit = world.speed_limit
-        slowest = max(min(SLOWEST_START, limit / 2), STYLES[drawn.get("traffic", PAPERS)].least_speed(limit))
+        slowest = max(min(SLOWEST_START, limit / 2), STYLES[drawn["traffic"]].least_speed(limit))
         drawn |= {"ego_speed": min(EGO_SPEED, limit), "ego_speeds": (slowest, limit)}
     return drawn
 
@@ -328,22 +312,17 @@ def _crossing_space(world: BaseWorld, given: Mapping[str, Any]) -> dict[str, Any
     return drawn if "npcs" in given else drawn | {"most_npcs": (MOST_CROSSING,)}
 
 
-def _checked_world(given: Any, origin: str) -> BaseWorld:
-    own = f"your own world with {', '.join(REQUIRED)}"
-    return _whole_world(given, f"expected {origin} pafot.Highway(...) or pafot.World(...), or {own}, received ")
-
-
-def _whole_world(given: Any, message: str) -> BaseWorld:
-    """Return a world as a search sees it.
+def _refuse_other_worlds(given: Any, start: str) -> BaseWorld:
+    """Return a world of this package.
 
     Raises:
-        RequestError: with the message, if it lacks what every search needs.
+        RequestError: for anything else, in a sentence with this start.
     """
-    world = base_world(given)
-    if world.missing:
-        lacking = ", ".join(world.missing)
-        raise RequestError(f"{message}{shown(given)}, which has no {lacking}{hint_at_world(given)}")
-    return world
+    try:
+        return checked_world(given)
+    except WorldError as error:
+        hint = hint_at_world(given) or f"; {error.fix}"
+        raise RequestError(f"{start} {error.expected}, received {error.received}{hint}") from None
 
 
 def named_world(reference: str, place: str, *, config: dict[str, Any] | None = None, is_planner: bool = False) -> Any:
@@ -379,7 +358,7 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
         fix = "correct it" if begun else "its argument is a text in the reference: module:factory:argument"
         received = f"{reference!r}, which raises {described(error)}"
         raise RequestError(f"{place}: expected a factory of a world, received {received}; {fix}") from error
-    _whole_world(made, f"{place}: expected a factory of a world, received {reference!r}, which returns ")
+    _refuse_other_worlds(made, f"{place}: expected that the factory {reference!r} returns")
     if is_planner and getattr(made, "planner_hz", PLANNER_HZ) is None:
         fix = "let the factory return pafot.World(..., planner_hz=5)"
         raise RequestError(f"{place}: expected a world for a planner, received {reference!r}, which is none; {fix}")
@@ -387,11 +366,11 @@ def named_world(reference: str, place: str, *, config: dict[str, Any] | None = N
 
 
 def hint_at_world(given: Any) -> str:
-    """Return the way out for what is no world: ``pafot.World`` if it accepts the environment, else an own world."""
+    """Return the way out for what is no world; empty if it is nothing that is known to be part of one."""
     spec = getattr(given, "spec", None)  # set on an environment that gymnasium made
     env_id = given if isinstance(given, str) else getattr(spec, "id", None)
     config = ", config=..." if getattr(spec, "kwargs", {}).get("config") else ""
-    if isinstance(given, type) and hasattr(given, "rollout"):
+    if isinstance(given, type) and issubclass(given, BaseWorld):
         return f"; call it: {given.__name__}(...)"
     simulator = given if isinstance(given, type) else type(given)
     if issubclass(simulator, Simulator):
@@ -401,7 +380,7 @@ def hint_at_world(given: Any) -> str:
     try:
         World(env_id or "").environment.make()
     except WorldError:
-        return f"; write {OTHER_KIND}"
+        return ""
     return f'; did you mean pafot.World("{env_id}"{config})?'
 
 

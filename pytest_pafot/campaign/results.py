@@ -6,7 +6,6 @@ The process that drives a scenario judges the run as well, and keeps its trace, 
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Set
@@ -50,8 +49,7 @@ class Failed:
         finding: the content of its file, except for the number of the generation.
         headline: one line on it.
         text: what was raised, in the words of a failure without a traceback.
-        fingerprint: a digest of what happened in the run, which another run of the scenario repeats; empty if
-            wall-clock time decides what happens.
+        trace: the run, which another run of the scenario repeats; None if wall-clock time decides what happens.
         drew: whether the policy drew random numbers.
     """
 
@@ -59,7 +57,7 @@ class Failed:
     finding: Finding
     headline: str
     text: str
-    fingerprint: str
+    trace: Trace | None
     drew: bool
 
     def found_in(self, generation: int) -> Finding:
@@ -103,14 +101,15 @@ class Result:
     def beside(self, reference: Verdict) -> Self:
         """Return the result of a failure with the verdict on the reference in its scenario.
 
-        If the reference does not pass, the failure does not count.
+        If the reference does not pass, the failure does not count. If its run is invalid, nobody knows whether it does.
         """
         failure = reference.failure if reference.is_ads else None
         broken = "" if failure is None else f"{failure.kind}: {failure.message}"
         if reference.passes:
             return replace(self, broken=broken)
         evaluation = replace(self.evaluation, failing=False, kind=None)
-        return replace(self, evaluation=evaluation, kind="common", failed=None, broken=broken)
+        kind = "invalid" if reference.kind == "invalid" else "common"
+        return replace(self, evaluation=evaluation, kind=kind, failed=None, broken=broken)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +194,7 @@ class Examiner:
             finding=finding,
             headline=finding.with_sight(headline(run, verdict)),
             text=str(verdict.exception) if verdict.is_ads else f"{failure.kind}: {failure.message}",
-            fingerprint="" if verdict.is_timed else fingerprint(run.trace),
+            trace=None if verdict.is_timed else run.trace,
             drew=run.trace.drew,
         )
 
@@ -205,12 +204,6 @@ def found_by(harness: Harness, seed: int, generation: int = 0, algorithm: str = 
     algorithm = algorithm or harness.request.algorithm.name
     policy = policy_name(harness.policy.factory)
     return Found(seed=seed, generation=generation, algorithm=algorithm, policy=policy, versions=harness.versions)
-
-
-def fingerprint(trace: Trace) -> str:
-    """Return a digest of how a run went to its last bit, and how it ended."""
-    shape = f"{trace.outcome} {trace.states.shape} ".encode()
-    return hashlib.sha256(shape + trace.states.tobytes()).hexdigest()
 
 
 def lost(scenario: Scenario, death: LostRun | None, *, is_common: bool = False) -> Result:

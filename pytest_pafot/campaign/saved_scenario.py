@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pytest_pafot.corpus import reader
 from pytest_pafot.corpus.reader import named_file
@@ -15,9 +14,10 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import CorpusError, command
 from pytest_pafot.support.text import shown, visible
-from pytest_pafot.world import WorldError, WorldLike, codec
+from pytest_pafot.world import WorldError, codec
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import AdsFactory
-from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
+from pytest_pafot.world.guard.chance import GENERATORS
 
 
 def load(path: str | os.PathLike[str]) -> SavedScenario:
@@ -60,7 +60,7 @@ class SavedScenario:
         return self.finding.expect
 
     @property
-    def world(self) -> WorldLike:
+    def world(self) -> BaseWorld:
         """The world that the file describes.
 
         Raises:
@@ -79,21 +79,21 @@ class SavedScenario:
         except (WorldError, TypeError, ValueError) as error:
             raise reader.located(self.path, "world", error) from None
 
-    def check_fits(self, world: Any) -> None:
+    def check_fits(self, world: BaseWorld) -> None:
         """Refuse a world that the scenario does not fit.
 
         Raises:
             CorpusError: if it does not; the message names the line of the scenario.
         """
         try:
-            base_world(world).check_fits(self.scenario)
+            world.check_fits(self.scenario)
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from error
 
-    def replay(self, ads: AdsFactory, *, world: Any = None) -> Run:
+    def replay(self, ads: AdsFactory, *, world: BaseWorld | None = None) -> Run:
         """Run the scenario once, without judging it. Pass the run to the test function or to :meth:`matches` for that.
 
-        The run ends where the scenario ends. A world's method ``lasting``, if it has one, makes a world of longer runs.
+        The run ends where the scenario ends. A world's method ``lasting`` makes a world of longer runs.
 
         Args:
             ads: the factory, or a highway-env vehicle class.
@@ -103,19 +103,19 @@ class SavedScenario:
             CorpusError: if the file's world cannot be made, if the scenario does not fit the world, or if a process
                 died in this scenario, as this process would.
             AdsFactoryError: if ``ads`` does not return an ADS.
+            WorldError: if ``world`` is none.
         """
         if self.expect.is_crash:
             expected, received = "a scenario that does not end its process", "a scenario in which a process died"
             fix = f"run `{command('pytest', self.path)}`, which runs it in a separate process"
             raise CorpusError(self.path, expected, received, fix, field="expect.failure")
-        if world is None:
-            world = self.world
+        world = self.world if world is None else codec.checked_world(world)
         try:
-            base_world(world).check_fits(self.scenario)
-            trace = rollout_of(world)(self.scenario, ads)  # the user's own world may raise only now
+            world.check_fits(self.scenario)
+            trace = GENERATORS.run(world.rollout, self.scenario, ads)  # a simulator may raise only now
         except (ScenarioError, WorldError) as error:
             raise reader.located(self.path, "scenario", error) from None
-        return base_world(world).run_of(trace)
+        return world.run_of(trace)
 
     def matches(self, run: Run) -> bool:
         """Return whether a run ends as the file expects: by the same contact or in the same other way, within 0.2 s.

@@ -296,7 +296,7 @@ def _confirmed(
     if isinstance(sighting, str):
         return sighting
     yield from watch.before_rerun(sighting.id)
-    sighting = store.confirmed(sighting, *bench.confirm(failed.finding.scenario, failed.fingerprint, failed.signature))
+    sighting = store.confirmed(sighting, *bench.confirm(failed.finding.scenario, failed.trace, failed.signature))
     if not store.is_holding:
         yield from store.publish(sighting)
     return sighting.id

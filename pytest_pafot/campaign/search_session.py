@@ -55,7 +55,6 @@ from pytest_pafot.world import WorldError, codec
 from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import is_interruption, runs_end_in
-from pytest_pafot.world.guard.own_worlds import base_world
 
 FOR_SIMPLIFYING = 1 / 3
 """The largest share of a search's time limit that is reserved to shrink findings and to find their moments."""
@@ -479,8 +478,7 @@ class SearchSession:
         if leftover.world in (None, self.harness.job().world_data):
             return self.harness.world
         try:
-            made = None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
-            return None if made is None else base_world(made)
+            return None if codec.is_code(leftover.world) else codec.from_dict(leftover.world)
         except (WorldError, TypeError, ValueError):
             return None
 
@@ -632,7 +630,7 @@ class SearchSession:
             return ""
         verbs = {"crosses": "crosses", "joins": "joins", "oncoming": "comes towards"}
         none = " or ".join(f"{verb} it" for meeting, verb in verbs.items() if meeting in unused)
-        where = getattr(world.given, "env_id", type(world.given).__name__)
+        where = getattr(world, "env_id", type(world).__name__)
         which = f"at {where} all NPCs drive along the ego's way: none {none}"
         return f"{which}, so the search says nothing about such traffic"
 

@@ -78,8 +78,8 @@ def add_world_arguments(
     """
     parser.epilog = ABOUT_POLICIES
     of_world = "drive in this world: the id of a highway-env environment such as highway-v0, module:id if that module "
-    of_world += "registers it, or module:factory for what returns a pafot.World, a pafot.SimulatorWorld or a world of "
-    of_world += f"your own ({note})"
+    of_world += "registers it, or module:factory for what returns a pafot.World or a pafot.SimulatorWorld "
+    of_world += f"({note})"
     parser.add_argument("--world", metavar="WORLD", required=is_needed, help=of_world)
     of_config = "set options of the environment that --world names by its id, as for gymnasium.make"
     if has_config:

@@ -18,7 +18,7 @@ from pytest_pafot.comparison.run_measures import (
 )
 from pytest_pafot.support.process import installed_versions
 from pytest_pafot.support.text import markdown_table
-from pytest_pafot.world.codec import WorldData
+from pytest_pafot.world.codec import described
 
 HITS = {
     "any": "all collisions",
@@ -75,7 +75,7 @@ equal simulated time: of every run, only the scenarios count that end in its fir
 the shortest run is. Failures in the search are {HITS[plan.blame]}, and exceptions and hangs of the ADS.
 {packages}.
 
-World: `{json.dumps(dict(WorldData.of(plan.made_world()).data))}`.
+World: `{json.dumps(described(plan.made_world()))}`.
 {warning}
 Scenarios:
 

@@ -19,9 +19,9 @@ from pytest_pafot.searching.space import SearchSpace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import PLANNER
 from pytest_pafot.support.text import plural
-from pytest_pafot.world import Highway, World, WorldLike
+from pytest_pafot.world import Highway, World
+from pytest_pafot.world.base_world import BaseWorld
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
 
 DIFFERENT = (
     "the algorithms have different scenarios, so differences between these groups may be due to the scenarios; "
@@ -127,7 +127,7 @@ class Plan:
         """The names of the algorithms in files, tables and figures."""
         return tuple(Entrant.of(each).name for each in self.algorithms)
 
-    def made_world(self) -> WorldLike:
+    def made_world(self) -> BaseWorld:
         """Return the world in which all algorithms drive, unless one has a duration of its own.
 
         Raises:
@@ -149,21 +149,21 @@ class Plan:
             )
         return world  # type: ignore[no-any-return]
 
-    def setting(self, name: str) -> tuple[WorldLike, SearchSpace]:
+    def setting(self, name: str) -> tuple[BaseWorld, SearchSpace]:
         """Return the world and the space of scenarios of one of :attr:`names`.
 
         If the entrant's runs have a different duration, all genes are equally long, in whole ticks, and not longer
         than the genes of the plan. Sampled durations of genes stay sampled.
         """
         entrant, own = self._entrant(name), self.made_world()
-        space, seconds = base_world(own).space({}), entrant.seconds
+        space, seconds = own.space({}), entrant.seconds
         if not (entrant.is_papers or entrant.algorithm.is_papers):
             space = replace(space, **drawn_space(own, {}))
         if seconds is None:
             return own, space
         if not isinstance(own, Highway | World):
             raise RequestError(
-                f"--algorithms: expected no seconds after the @ in a world of your own, received {name}; let its "
+                f"--algorithms: expected no seconds after the @ in a simulator of your own, received {name}; let its "
                 "factory make a world with such runs, and compare there"
             )
         world = replace(own, duration=seconds)
@@ -248,7 +248,7 @@ def run_rows(plan: Plan, task: tuple[str, int]) -> list[Row]:
     try:
         return [{**row, "algorithm": algorithm, "run": run} for row in made.rows()]
     except SetupFaultError as fault:
-        shown = fault.shown(base_world(made.world), Policy(made.ads))
+        shown = fault.shown(made.world, Policy(made.ads))
         raise RequestError(
             f"--ads: expected a policy that drives, received one whose search ends: {shown} On the command line, "
             "world= is --world, config= is --config, and planner_hz= is @planner after the policy's name."

@@ -137,7 +137,7 @@ def _first_at(place: float, along: FloatArray) -> float:
     return float(ticks[0]) if ticks.size else math.inf
 
 
-def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: int) -> FloatArray:
+def _seconds_to(place: float, along: FloatArray, speed: FloatArray, hz: float) -> FloatArray:
     """Return, for each tick, the seconds until a vehicle reaches a place at its present speed.
 
     From the tick at which the vehicle reaches the place on, they are 0 or negative and count the time since then.

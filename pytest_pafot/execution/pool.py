@@ -63,7 +63,7 @@ OUT_OF_MEMORY = "ran out of the memory that it may use"
 """The words for the end of a process in which an allocation of memory failed."""
 
 WORLD_HANGS = "was ended, because its world neither asked the ADS nor ended the run for very long"
-"""The words for the end of a process in which a user's world hangs."""
+"""The words for the end of a process in which an environment hangs."""
 
 STUCK, EXHAUSTED, WORLD_STUCK = 1, 2, 3
 """The reasons for which a process ends itself: a decision that does not end, no more memory, or a world that hangs."""

@@ -36,10 +36,10 @@ from pytest_pafot.support import isolates, monotonic
 from pytest_pafot.support.errors import flag
 from pytest_pafot.support.text import plural
 from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.codec import checked_world
 from pytest_pafot.world.driving.policy import Policy, ending_after
 from pytest_pafot.world.engines.simulation import CLOSING, Simulators
 from pytest_pafot.world.guard.chance import GENERATORS
-from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 # The output of code in a different process: printed text, log records and warnings. The process of the test repeats it,
@@ -246,7 +246,7 @@ class Job:
 
     def driving(self, drive: str | Drive) -> Drive:
         """Return a method of the world that makes runs, by its name, or a function, with seeded global generators."""
-        return rollout_of(self.world, drive) if isinstance(drive, str) else partial(GENERATORS.run, drive)
+        return partial(GENERATORS.run, getattr(self.world, drive) if isinstance(drive, str) else drive)
 
     def crash_record(self, *, is_watched: bool = False) -> CrashRecord:
         """Return a crash record for the process that writes it; its file is created only for the first scenario."""
@@ -762,7 +762,7 @@ def judged_apart(job: Job, scenario: Scenario, judge: Callable[[Trace], object])
     __tracebackhide__ = True
 
     def drive(scenario: Scenario, ads: Callable[..., Any]) -> Trace:
-        trace: Trace = rollout_of(job.world)(scenario, ads)
+        trace: Trace = GENERATORS.run(job.world.rollout, scenario, ads)
         with capture_output(), suppress(BaseException):
             judge(trace)
         return trace
@@ -785,15 +785,15 @@ def drive_once(world: Any, scenario: Scenario, ads: Callable[..., Any]) -> Run:
         ProcessLostError: if the forked process died or hung.
     """
     __tracebackhide__ = True
-    base = base_world(world)
+    base = checked_world(world)
     if forks() and isolates():
         with tempfile.TemporaryDirectory(prefix="pafot-") as records:
             job = Job(world=base, policy=Policy(ads), records=Path(records, "records"), owner="test")
             with job.crash_record() as record, Apart(job, record) as runner:
                 try:
-                    runner.once(scenario, rollout_of(base))
+                    runner.once(scenario)
                 except ProcessLostError:
                     raise
                 except Exception:  # noqa: BLE001, S110  (this process raises it)
                     pass
-    return base.run_of(rollout_of(base)(scenario, ads))
+    return base.run_of(GENERATORS.run(base.rollout, scenario, ads))

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from pytest_pafot.support.errors import FieldError, install
 from pytest_pafot.support.files import write_whole, written_into
 from pytest_pafot.support.process import postponed
 from pytest_pafot.support.text import csv_text
-from pytest_pafot.world.codec import WorldData
+from pytest_pafot.world.codec import of_named
 
 # A trace in the coordinates of the formats: x ahead, y to the left, headings anticlockwise.
 
@@ -156,7 +156,7 @@ def run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
         received = "none; a file contains the NPCs' instructions, not where the vehicles drove"
         raise ExportError(field="--ads", expected=expected, received=received)
     made = chosen_world(arguments.world, None, [arguments.ads])
-    world: Any = saved.world if made is None else WorldData(saved.finding.world).named(made)
+    world = saved.world if made is None else of_named(saved.finding.world, made)
     driven = saved.replay(ads_factory(arguments.ads), world=world)
     error = driven.trace.error
     if error is not None and not driven.trace.actions and saved.expect.outcome not in (Outcome.ADS_ERROR, Outcome.HANG):

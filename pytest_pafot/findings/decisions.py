@@ -44,6 +44,7 @@ class Moment:
         time: time of the decision [s].
         npc: the vehicle that it is about, as an index in the scenario; None for none.
         seen: where the policy saw the vehicle; empty if that is unknown.
+        was: where the vehicle was, if it is unknown whether the policy saw it; else empty.
         action: what it answered.
         hidden: what it answers with the vehicle hidden in this one decision: empty for the same, None if unknown.
         otherwise: the smallest change of the vehicle, of those tried, with which it answers otherwise, and that answer;
@@ -58,6 +59,7 @@ class Moment:
     time: float
     npc: int | None
     seen: str = ""
+    was: str = ""
     action: str = ""
     hidden: str | None = None
     otherwise: str | None = None
@@ -80,8 +82,9 @@ class Moment:
             first = f"{at}, in the first decision that differs, the policy answered {self.action}"
             return f"{first}, the reference {self.reference}."
         saw = f"saw NPC {self.npc} {self.seen}, and " if self.seen else ""
+        was = f"NPC {self.npc} was {self.was}, and " if self.was else ""
         otherwise = f"; with NPC {self.npc} {self.otherwise}" if self.otherwise else ""
-        return f"{at} the policy {saw}answered {self.action}{otherwise}."
+        return f"{at} {was}the policy {saw}answered {self.action}{otherwise}."
 
     def condition_lines(self) -> list[str]:
         """Return the rows of the conditions, below whom they are about."""
@@ -168,7 +171,7 @@ def _drifted(trace: Trace, number: int, crossed: float) -> bool:
     ``crossed`` is when the ego was over the line [s]. An ego that has answered another lane changes lanes.
     """
     begin, end = trace.decision_ticks[number], round(crossed * trace.physics_hz)
-    lane = getattr(trace.actions[number], "lane", None) if number < len(trace.actions) else None
+    lane = _lane_of(trace.actions[number], None) if number < len(trace.actions) else None
     if lane not in (None, trace.ego[begin, LANE]) or end - begin < DRIFT_SECONDS * trace.physics_hz:
         return False
     return bool(abs(frame_of(trace).drift[0, begin + 1 : end + 1].mean()) < DRIFTING)
@@ -183,7 +186,7 @@ def _begun(trace: Trace, tick: int, number: int) -> int:
     ticks = trace.decision_ticks
     drifts = frame_of(trace).drift[0]
     side = 1.0 if drifts[tick] > 0 else -1.0
-    lanes = [getattr(action, "lane", math.nan) for action in trace.actions[: number + 1]]
+    lanes = [_lane_of(action, math.nan) for action in trace.actions[: number + 1]]
     is_across = [side * (lane - trace.ego[tick, LANE]) >= 1 for lane in lanes]
     if any(is_across):  # The ego is steered softly to an answered lane, so its motion shows the decision late.
         while not is_across[number]:
@@ -231,12 +234,50 @@ def differ(action: Any, other: Any) -> bool:
     """Return whether two actions differ by more than a vehicle far away changes in the output of a network."""
     if other is None or type(action) is not type(other):
         return action is not other
-    if is_si(action) or is_dataclass(action):
+    if is_planners(action):
         return bool(told_parts(action, other))
-    if isinstance(action, (float, np.ndarray, np.floating)) and np.asarray(action).dtype.kind == "f":
-        is_like = np.shape(action) == np.shape(other)
-        return not is_like or bool(np.max(np.abs(np.subtract(action, other)), initial=0) >= SHARE)
-    return not bool(np.array_equal(action, other)) if isinstance(action, np.ndarray) else repr(action) != repr(other)
+    here, there = _plain(action), _plain(other)
+    if isinstance(here, float):
+        return bool(abs(here - there) >= SHARE)
+    if isinstance(here, list):
+        return len(here) != len(there) or any(map(differ, here, there))
+    if isinstance(here, dict):
+        return here.keys() != there.keys() or any(differ(here[name], there[name]) for name in here)
+    return repr(here) != repr(there)
+
+
+def _plain(action: Any) -> Any:
+    """Return an action, or a part of one, as a float, a list, a dict of its parts, or as it is."""
+    if isinstance(action, (np.ndarray, np.generic)):
+        return action.tolist()
+    if isinstance(action, tuple):
+        return list(action)
+    is_bare = repr(action) == object.__repr__(action)  # which has the address of the object
+    return vars(action) if hasattr(action, "__dict__") and (is_bare or is_dataclass(action)) else action
+
+
+def text_of_any(action: Any) -> str:
+    """Return an action of any kind in words, with three digits of each number."""
+    plain = _plain(action)
+    if isinstance(plain, float):
+        return f"{plain:.3g}"
+    if isinstance(plain, list):
+        ends = "()" if isinstance(action, tuple) else "[]"
+        return f"{ends[0]}{', '.join(map(text_of_any, plain))}{ends[1]}"
+    if isinstance(plain, dict):
+        if plain is action:
+            return f"{{{', '.join(f'{part!r}: {text_of_any(value)}' for part, value in plain.items())}}}"
+        return f"{type(action).__name__}({', '.join(f'{part}={text_of_any(value)}' for part, value in plain.items())})"
+    return repr(plain)
+
+
+def is_planners(action: Any) -> bool:
+    """Return whether an action is a planner's: a pair in SI units, or a :class:`pytest_pafot.Drive`."""
+    return is_si(action) or type(action).__module__ == "pytest_pafot.world.kernel.action"
+
+
+def _lane_of(action: Any, otherwise: float | None) -> Any:
+    return action.lane if is_planners(action) and not is_si(action) else otherwise
 
 
 def is_si(action: Any) -> bool:

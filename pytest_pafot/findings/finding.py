@@ -14,8 +14,6 @@ from itertools import islice
 from types import MappingProxyType, TracebackType
 from typing import Any
 
-import numpy as np
-
 from pytest_pafot.attribution.mistakes import Manoeuvre, manoeuvre_before
 from pytest_pafot.attribution.responsibility import Fault, Mistake, Responsibility
 from pytest_pafot.attribution.sentences import impact, responsible_sentence
@@ -35,7 +33,7 @@ from pytest_pafot.findings.verdict import (
 from pytest_pafot.model.instructions import Cell
 from pytest_pafot.model.scenario import MAX_SEED, Scenario
 from pytest_pafot.model.sight import Sight
-from pytest_pafot.model.trace import Outcome, Side, Trace, Y
+from pytest_pafot.model.trace import Outcome, Side, Trace, first_difference
 from pytest_pafot.oracle.run import Check, CheckFailed, Run
 from pytest_pafot.support.errors import plain_number
 from pytest_pafot.support.text import capitalised, visible
@@ -681,9 +679,4 @@ def disagreement(first: Run, again: Run) -> str:
         return "" if is_same and abs(one.time - other.time) <= SAME_TIME + 1e-9 else f"{one!r}, then {other!r}"
     if abs(first.duration - again.duration) > SAME_TIME + 1e-9:
         return f"{first.outcome} after {first.duration:.1f} s, then after {again.duration:.1f} s"
-    ticks = min(len(first.trace.states), len(again.trace.states))
-    apart = np.abs(first.trace.states[:ticks, :, : Y + 1] - again.trace.states[:ticks, :, : Y + 1]).max(axis=(1, 2))
-    if apart.max() <= SAME_PLACE:
-        return ""
-    tick = int(np.argmax(apart > SAME_PLACE))
-    return f"positions differ by more than {SAME_PLACE:g} m from {tick / first.trace.physics_hz:.1f} s on"
+    return first_difference(first.trace, again.trace, SAME_PLACE)

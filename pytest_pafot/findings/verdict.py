@@ -373,7 +373,7 @@ class Verdict:
 
     # ``failed`` is a finding. ``rejected`` and ``skipped`` are no judgement. ``npc`` is a collision for which an NPC is
     # responsible, unless ``blame="any"``. ``common`` is a failure that the reference does not pass either. ``invalid``
-    # is a crash between NPCs.
+    # is a run that says nothing about the ego, such as a crash between NPCs, or of the reference in the scenario.
     kind: Literal["passed", "failed", "rejected", "skipped", "npc", "common", "invalid"]
     exception: BaseException | None = None  # the exception of the function, if it failed or skipped
     failure: Failure | None = None
@@ -419,6 +419,7 @@ class Verdict:
     def beside(self, reference: Verdict) -> Self:
         """Return the verdict together with the verdict on the reference in the same scenario.
 
-        The failure counts only if the reference passes.
+        The failure counts only if the reference passes. If the reference's run is invalid, that is not known.
         """
-        return replace(self, kind="failed" if reference.passes else "common", reference=reference)
+        without: Literal["invalid", "common"] = "invalid" if reference.kind == "invalid" else "common"
+        return replace(self, kind="failed" if reference.passes else without, reference=reference)

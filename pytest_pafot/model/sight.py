@@ -72,7 +72,7 @@ class Sight:
         }
         return listed([texts[name] for name in self.imperfections] or ["perfect sight"])
 
-    def delay(self, hz: int) -> int:
+    def delay(self, hz: float) -> int:
         """Return the latency in ticks, rounded up, for ``hz`` ticks per second."""
         return math.ceil(self.latency * hz - 1e-9)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -42,8 +43,8 @@ class Outcome(StrEnum):
     COLLISION = "collision"
     """The ego's box touched an NPC's or a fixed object."""
     INVALID = "invalid"
-    """Two NPCs touched, an NPC touched a fixed object, or the user's code failed that ends episodes;
-    the run says nothing about the ego."""
+    """Two NPCs touched, an NPC touched a fixed object, the user's code failed that ends episodes, or it moved a vehicle
+    as no vehicle moves; the run says nothing about the ego."""
     ADS_ERROR = "ads_error"
     """The ADS raised an exception or returned no valid action."""
     HANG = "hang"
@@ -401,8 +402,8 @@ class Trace:
         sizes: float64, read-only, shape [vehicles, 2]: length and width [m].
         lanes: lanes of the road, from the left. If the road is not straight, first the lanes along the ego's way, then
             all others.
-        physics_hz: ticks per second.
-        ads_hz: decisions of the ADS per second; divides ``physics_hz``.
+        physics_hz: ticks per second; an int if it is whole.
+        ads_hz: decisions of the ADS per second: ``physics_hz`` divided by a whole number.
         actions: the actions that the ADS returned, one per decision; none if the ADS is a vehicle class, which
             decides at every tick.
         decided: the ticks at which the ADS was asked, if it was not asked ``ads_hz`` times a second, for example
@@ -425,7 +426,8 @@ class Trace:
         drew: True if the run drew from a global random generator, so that another seed may give another run.
         ego_vehicle: what vehicle the world says that the ego is.
         ended: what of the environment's own ended the run before its time, such as ``GoalEnv._is_terminated``. With
-            the outcome ``invalid``, it also has the error that was raised there. Else empty.
+            the outcome ``invalid``, it also has the error that was raised there, or says which vehicle the user's
+            code moved as no vehicle moves. Else empty.
     """
 
     scenario: Scenario
@@ -434,8 +436,8 @@ class Trace:
     states: FloatArray
     sizes: FloatArray
     lanes: tuple[Lane, ...]
-    physics_hz: int
-    ads_hz: int
+    physics_hz: float
+    ads_hz: float
     collision: Collision | None = None
     error: AdsError | None = None
     actions: tuple[Any, ...] = ()
@@ -454,7 +456,7 @@ class Trace:
 
     @property
     def users_error_text(self) -> str:
-        """A line on the environment's own end that made the run invalid; empty if none did."""
+        """A line on the user's code that made the run invalid, with its method; empty if none did."""
         return self.ended if self.outcome is Outcome.INVALID else ""
 
     def __post_init__(self) -> None:
@@ -505,7 +507,7 @@ class Trace:
     @property
     def decision_ticks(self) -> Sequence[int]:
         """The ticks at which the ADS was asked for a decision, including one in which it failed."""
-        return self.decided or range(0, self.ticks + (self.error is not None), self.physics_hz // self.ads_hz)
+        return self.decided or range(0, self.ticks + (self.error is not None), round(self.physics_hz / self.ads_hz))
 
     @property
     def ego(self) -> FloatArray:
@@ -562,3 +564,42 @@ class Trace:
 
     def __repr__(self) -> str:
         return f"<Trace {self.outcome} after {self.duration:.1f} s of {self.scenario.id}>"
+
+
+QUANTITIES = (
+    *(("x", "m"), ("y", "m"), ("heading", "rad"), ("speed", "m/s"), ("acceleration", "m/s^2"), ("steering", "rad")),
+    ("lane", ""),
+)
+"""The names and the units of the columns of :attr:`Trace.states`."""
+SURVIVES = "probably state that survives `start` or `reset`, or a random generator that these do not seed"
+"""The cause of a difference between two runs in which the same was decided."""
+
+
+def first_difference(first: Trace, again: Trace, within: float | None = None) -> str:
+    """Return how two runs of one scenario first differ, with the time, the vehicle and the size; empty if they do not.
+
+    Args:
+        first, again: the runs.
+        within: the largest difference of x and y that does not count [m], if nothing else counts, as for two different
+            simulators. None if the runs have to be the same to the last bit; the text then says what caused it.
+    """
+    ticks = min(len(first.states), len(again.states))
+    one, other = (each.states[:ticks] if within is None else each.states[:ticks, :, : Y + 1] for each in (first, again))
+    with np.errstate(invalid="ignore"):  # inf - inf
+        apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
+    differs = ~(apart <= (within or 0.0))
+    if not differs.any():
+        ends = [f"{each.outcome} after {each.duration:.4g} s" for each in (first, again)]
+        is_same = (first.outcome, first.ticks) == (again.outcome, again.ticks)
+        return "" if within is not None or is_same else f"{ends[0]}, then {ends[1]}"
+    tick, vehicle, column = np.argwhere(differs)[0].tolist()
+    name, unit = QUANTITIES[column]
+    who = f"NPC {vehicle - 1}" if vehicle else "the ego"
+    what = f"{name} of {who} differs by {apart[tick, vehicle, column]:.2g} {unit}".rstrip()
+    what = f"{what} after {first.times[tick]:.3g} s"
+    if within is not None or not first.actions:
+        return what
+    made = sum(each < tick for each in first.decision_ticks)
+    with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # actions of any type, to the last bit
+        one_made, other_made = (repr(each.actions[:made]) for each in (first, again))
+    return f"{what}; {SURVIVES if one_made == other_made else 'the policy had decided otherwise'}"

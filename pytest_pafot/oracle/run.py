@@ -139,7 +139,7 @@ class Recording:
         checks: checks that the test function made in the run.
     """
 
-    hz: int
+    hz: float
     ticks: int
     npcs: int | None = None
     checks: list[Check] = field(default_factory=list)

@@ -40,7 +40,7 @@ from pytest_pafot.support.errors import RequestError
 if TYPE_CHECKING:
     from pytest_pafot.model.scenario import Scenario
     from pytest_pafot.oracle.run import Run
-    from pytest_pafot.world.base_world import WorldLike
+    from pytest_pafot.world.base_world import BaseWorld
     from pytest_pafot.world.driving.policy import AdsFactory
 
 
@@ -162,7 +162,7 @@ def _register(config: pytest.Config, features: Mapping[str, object]) -> None:
 class Simulate(Protocol):
     """The type of the function that the fixture ``pafot_simulate`` returns."""
 
-    def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
+    def __call__(self, scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None) -> Run:
         """Run a scenario in a world, by default in the world of the fixture ``pafot_world``."""
 
 
@@ -174,7 +174,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
 
 
 @pytest.fixture(scope="session")
-def pafot_world() -> WorldLike:
+def pafot_world() -> BaseWorld:
     """Return the default world of searches, a straight motorway. Override this fixture in a conftest.py."""
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
@@ -182,7 +182,7 @@ def pafot_world() -> WorldLike:
 
 
 @pytest.fixture(scope="session")
-def pafot_simulate(pafot_world: WorldLike) -> Simulate:
+def pafot_simulate(pafot_world: BaseWorld) -> Simulate:
     """Return a function (scenario, ads_factory, world=None) -> Run that simulates a scenario.
 
     The function fails the test if the ADS raises, hangs or returns no action, and warns of an invalid run. It is warmed
@@ -197,7 +197,7 @@ def pafot_simulate(pafot_world: WorldLike) -> Simulate:
     from pytest_pafot.model.trace import Outcome  # noqa: PLC0415
     from pytest_pafot.world import Highway  # noqa: PLC0415
 
-    def simulate(scenario: Scenario, ads_factory: AdsFactory, world: WorldLike | None = None) -> Run:
+    def simulate(scenario: Scenario, ads_factory: AdsFactory, world: BaseWorld | None = None) -> Run:
         world = pafot_world if world is None else world
         end = ""
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from datetime import date
 from typing import Any
 
@@ -29,8 +29,8 @@ from pytest_pafot.plugin.session import SHARED, is_worker
 from pytest_pafot.support.errors import RequestError, flag
 from pytest_pafot.support.text import ascii_text, fitted_lines, visible
 from pytest_pafot.world.driving.policy import wrapped
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.guard.hang_guard import Around
-from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
 
 SET_UP_FAULTS = pytest.StashKey[dict[tuple[str, Cause], str]]()
 """The node id of the item that has explained an error of the set-up, by test and cause."""
@@ -52,6 +52,8 @@ def run_replay(item: pytest.Function, request: Request, saved: Saved) -> None:
     now = replays.observed(saved, item.nodeid)
     for leftover in harness.left_behind(item.nodeid) if not now.is_lost else ():
         leftover.discard()  # The item reports its result now.
+    if now.run is not None and (why := now.run.trace.users_error_text):
+        pytest.fail(f"the replay says nothing about the ADS: {visible(why)}", pytrace=False)
     if now.run is not None:
         _check_set_up(item, replays, saved, *now.ran)
     raised = None if now.verdict is None else now.verdict.exception
@@ -210,10 +212,7 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
         raise RequestError(
             f"{name}: expected a policy that drives, received a finding whose process dies; see its output"
         )
-    world = replays.world_of(saved)
-    given = world.given
-    if is_dataclass(given) and "hang_limit" in {each.name for each in fields(given)}:
-        world = base_world(replace(given, hang_limit=ANY_TIME))  # type: ignore[type-var]
+    world = replace(replays.world_of(saved), hang_limit=ANY_TIME)  # type: ignore[type-var]
     run, _ = replays.tried(saved, world, item.nodeid)
     number = deciding(run, finding.expect)
     if number is None:
@@ -226,4 +225,4 @@ def stop_in_replay(item: pytest.Function, replays: Replays, saved: Saved) -> Non
     time = run.trace.decision_ticks[number] / run.trace.physics_hz
     header = f"pafot: decision {number} at {time:.1f} s{where}; type s to step into the policy"
     ads = wrapped(replays.harness.policy.factory, lambda ads: Stopping(ads, number, header))
-    rollout_of(world)(finding.scenario, ads)
+    GENERATORS.run(world.rollout, finding.scenario, ads)

@@ -125,9 +125,12 @@ class Sb3Policy:
         return BaselineAds(self.loaded)
 
     def check_world(self, world: Any) -> None:
-        """Compare the actions, and the shape and type of the stacked observations, with those of the model."""
+        """Compare the actions, and the shape and type of the stacked observations, with those of the model.
+
+        What a simulator of the user's observes shows only in a run, in which the model refuses what it cannot take.
+        """
         model = self.loaded
-        if not model.fits(world.observation_space, world.action_space):
+        if not getattr(world, "is_native", False) and not model.fits(world.observation_space, world.action_space):
             of_model = f"observations {model.observation_space} and actions {model.action_space}"
             stacked = f", {self.frame_stack} observations at once" if self.frame_stack > 1 else ""
             raise refused(

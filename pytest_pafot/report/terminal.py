@@ -19,7 +19,7 @@ from pytest_pafot.findings.finding import Finding
 from pytest_pafot.findings.shrink import described
 from pytest_pafot.findings.sighting import NOT_REPEATED, Seen
 from pytest_pafot.findings.verdict import worsening
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import SURVIVES, Outcome
 from pytest_pafot.report.session import WHY_UNNAMED, Session
 from pytest_pafot.searching.plain import from_plain
 from pytest_pafot.support.errors import OF_SEARCH, command, flag
@@ -180,8 +180,9 @@ def block_lines(
 def _remarks_on(seen: Seen) -> list[str]:
     """Return remarks on a finding, and what to do about a policy that drives the same scenario in different ways."""
     advice = "it does not repeat, so it is not simplified" if seen.is_flaky else ""
-    if seen.finding.flaky == NOT_REPEATED:
-        advice = DRAWS_IN_WRAPPERS if seen.finding.world.get("wrappers") else DRAWS
+    flaky, has_wrappers = seen.finding.flaky or "", bool(seen.finding.world.get("wrappers"))
+    if flaky.startswith(NOT_REPEATED) and (has_wrappers or SURVIVES not in flaky):
+        advice = DRAWS_IN_WRAPPERS if has_wrappers else DRAWS
     return [text for text in (seen.remark, advice) if text]
 
 

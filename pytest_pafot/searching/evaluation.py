@@ -385,7 +385,7 @@ class Health:
     evaluated: int = 0  # scenarios that the algorithm requested
     simulated: int = 0  # those of them that were run; the others were known
     invalid: int = 0  # runs in which two NPCs, or one and a fixed object, touched, or code of the user's failed
-    errors: Counter[str] = field(default_factory=Counter)  # invalid runs in which code of the user's failed
+    errors: Counter[str] = field(default_factory=Counter)  # those of them in which code of the user's failed
     discarded: int = 0  # runs that the user's function declined
     genes_started: int = 0  # over all NPCs, like the next; without runs that an ADS error cut short
     genes_reached: int = 0
@@ -439,8 +439,17 @@ class Health:
 
     @property
     def vacuous(self) -> bool:
-        """True if most runs cannot have shown anything: they were not valid, or ended within the first second."""
-        return 2 * (self.valid - self.at_once) < self.simulated or not self.simulated
+        """True if most runs cannot have shown anything: they were not valid, or ended within the first second.
+
+        Or if the user's code made more than a quarter of the runs invalid.
+        """
+        is_empty = 2 * (self.valid - self.at_once) < self.simulated or not self.simulated
+        return is_empty or self._is_at_fault
+
+    @property
+    def _is_at_fault(self) -> bool:
+        """True if code of the user's made so many runs invalid that the search fails."""
+        return self.errors.total() > MOST_INVALID * self.simulated
 
     @property
     def reached_share(self) -> float | None:
@@ -478,12 +487,14 @@ class Health:
             return ["no scenario was simulated, so nothing was tested; give the search generations and time"]
         found = []
         if self.errors:
-            (most, _), *_ = self.errors.most_common(1)
+            (most, count), *_ = self.errors.most_common(1)
+            which = "most often" if count > 1 or len(self.errors) == 1 else "such as by"
+            way_out = 'correct it, or write ends="duration" in the world' if " failed: " in most else "correct it"
             found.append(
-                f"{plural(self.errors.total(), 'simulated scenario')} tested nothing; most often {most:.300}; correct "
-                'it, or write ends="duration" in the world'
+                f"{self.errors.total()} of {plural(self.simulated, 'simulated scenario')} tested nothing; {which} "
+                f"{most:.300}; {way_out}"
             )
-        if self.vacuous:
+        if self.vacuous and not self._is_at_fault:
             found.append(
                 f"most of {plural(self.simulated, 'simulated scenario')} tested nothing: {self.invalid} were invalid, "
                 f"{self.discarded} were rejected or skipped, {self.at_once} ended within the "

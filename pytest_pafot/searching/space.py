@@ -210,6 +210,8 @@ class SearchSpace:
         instructions: the instructions of the NPCs that do not cross: ``"cells"`` (Position-Instructions), ``"lanes"``
             (Lane-Instructions), or ``"both"``, in which each NPC has one of the two kinds with equal probability.
         vehicles: what vehicles NPCs can be. If cars are among them, one NPC in six is another one of them.
+        tick: the duration of a tick [s], to whole numbers of which all durations of genes are rounded; 0 if they are
+            used as they are.
     """
 
     npcs: int = 2
@@ -229,6 +231,7 @@ class SearchSpace:
     most_on_grid: int = MOST_ON_GRID
     instructions: Instructions = "cells"
     vehicles: tuple[VehicleType, ...] = CARS
+    tick: float = 0.0
 
     def __post_init__(self) -> None:
         npcs = checked_whole(self.npcs, "npcs", "1 to 8 NPCs, one per cell at most", least=1, most=8)
@@ -238,7 +241,9 @@ class SearchSpace:
         expected = f"seconds, more than 0 and at most {LONGEST_GENE:g}"
         checked_number(self.gene_seconds, "gene_seconds", expected, least=POSITIVE, most=LONGEST_GENE)
         checked_number(self.speed_limit, "speed_limit", "a finite speed in m/s, at least 0", least=0.0)
-
+        if self.tick:
+            object.__setattr__(self, "gene_seconds", self._in_ticks(self.gene_seconds))
+            object.__setattr__(self, "gene_durations", tuple(map(self._in_ticks, self.gene_durations)))
         if not isinstance(self.traffic, str) or self.traffic not in STYLES:
             raise ValueError(f"traffic: expected one of {', '.join(STYLES)}, received {self.traffic!r:.100}")
         if self.vehicles != CARS:  # by identity, since each sampled start makes a space
@@ -250,6 +255,9 @@ class SearchSpace:
             raise ValueError(
                 f"ego_speeds: expected the lowest and the highest speed in m/s, received {self.ego_speeds!r}"
             )
+
+    def _in_ticks(self, seconds: float) -> float:
+        return round(max(round(seconds / self.tick), 1) * self.tick, 13)  # such as 2.01 instead of 2.0099999999999998
 
     def sliced(self, slices: int) -> SearchSpace:
         """Return the space with ``slices`` genes per NPC, which together last as long as the genes of this space."""
@@ -266,6 +274,7 @@ class SearchSpace:
             "instructions": "cells",
             "least_npcs": 1,
             "vehicles": [CAR.plain()],
+            "tick": 0.0,
         }
         return {name: value for name, value in data.items() if name not in usual or value != usual[name]}
 
@@ -381,7 +390,7 @@ class SearchSpace:
 
 
 def space_on(
-    speed_limit: float, longest_run: float, given: Mapping[str, Any], start: tuple[int, float, int] | None = None
+    speed_limit: float, longest_run: float, given: Mapping[str, Any], start: tuple[int, float, float] | None = None
 ) -> SearchSpace:
     """Return the space of scenarios in a world with a speed limit [m/s] and a longest run [s].
 

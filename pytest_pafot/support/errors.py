@@ -6,8 +6,7 @@ import math
 import operator
 import shlex
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -126,19 +125,6 @@ class WorldError(FieldError):
 
 class DriverError(WorldError):
     """A driver that a world could not let drive in the ego's place."""
-
-
-@contextmanager
-def driven_by(world: object, method: str, name: str = "") -> Iterator[None]:
-    """Turn any exception of a world's own code into a ``DriverError`` with the world's class, method and driver."""
-    try:
-        yield
-    except Exception as error:
-        from pytest_pafot.support.text import one_line  # noqa: PLC0415  (as above)
-
-        driver = f" with the driver {name!r}" if name else ""
-        text = f"the world {type(world).__name__} could not run {method}{driver}: "
-        raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
 
 
 class AdsFactoryError(TypeError):

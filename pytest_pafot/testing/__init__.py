@@ -1,505 +1,414 @@
-"""A check that a user's own world meets the requirements of a search, for use in the user's tests."""
+"""A check that a user's simulator does what a search expects of it, for use in the user's tests.
+
+In an experiment the simulator moves some vehicles with known controls, and their motion is compared with what the
+package's own model does with the same controls. If it does not fit, the same experiments are made with other statements
+of units and axes, and with other controls. If all fits with one of them, it is the cause.
+
+The tolerances are for other models of a vehicle: with a distance of its own between the axles, with drag, with noise
+that follows from the seed, or calculated in another way or with single precision. Controls may take effect late or in
+part, as in a drivetrain. A warning says so.
+"""
 
 from __future__ import annotations
 
-import time
+import math
 import warnings
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields, replace
-from functools import partial, wraps
-from itertools import count, cycle
-from typing import Any, Unpack
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from numbers import Real
+from types import SimpleNamespace
+from typing import Any, NamedTuple, Unpack, cast, get_args
 
 import numpy as np
 
-from pytest_pafot.campaign.request import SpaceArguments
-from pytest_pafot.model.instructions import Cell, LaneInstruction, PositionInstruction, ScenarioError
+from pytest_pafot.attribution.takeovers import CAREFUL
+from pytest_pafot.campaign.request import SpaceArguments, drawn_space
 from pytest_pafot.model.scenario import Scenario, rng_of
-from pytest_pafot.model.trace import SPEED, Outcome, Trace, X, Y
-from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
-from pytest_pafot.oracle.run import Run
+from pytest_pafot.model.trace import FloatArray, Trace, first_difference
+from pytest_pafot.model.vehicle_type import READY
 from pytest_pafot.searching.space import sample
-from pytest_pafot.support.errors import plain_number
-from pytest_pafot.testing import traces as rules
-from pytest_pafot.testing.simulators import experiments
-from pytest_pafot.testing.traces import ACROSS, ALONG, DEEP, ROUNDING, Promises
-from pytest_pafot.world import SimulatorWorld, WorldLike
-from pytest_pafot.world.codec import WorldData
-from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world, rollout_of
+from pytest_pafot.world import Control, Simulator, SimulatorWorld, Vehicle
+from pytest_pafot.world.base_world import BaseWorld
+from pytest_pafot.world.codec import checked_world
+from pytest_pafot.world.driving.policy import AdsFactory
+from pytest_pafot.world.engines.simulation import HEADINGS, STARTS, Frame, Reference
+from pytest_pafot.world.guard.chance import GENERATORS
+from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.plausible import named
 
-Ads = Callable[[], Callable[..., Any]]
-
-EGOS: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.0, 0.0), (-3.0, 0.0))
-"""The actions of further egos if the ADS of the check acts in SI units [m/s^2, rad]: steady, faster and slower."""
-OBSERVED = ("ego", "others", "lanes", "lane_width", "speed_limit")
-"""The fields by which an ADS's input counts as a :class:`pytest_pafot.Observation`, whatever its class."""
-TOP_SPEED = 70.0
-"""The highest speed limit that is plausible in m/s."""
-SETTLED = 5.0
-"""The time in which an NPC that obeys reaches its first cell, and in which it shows another instruction [s]."""
-LEAST_SPEED = 5.0
-"""The speed above which an NPC can change lanes soon [m/s]."""
-GOOD_DECISIONS = 2
-"""The number of decisions that a failing ADS of the check makes before it fails."""
-FEW = 2
-"""The number of runs of a simulator that are made again in each of the checks that repeat runs."""
-MORE = 4
-"""The number of further runs, as a multiple of ``runs``, after which no collision is looked for any more."""
-
-
-@dataclass(slots=True)
-class _Noted:
-    """The actions of an ADS, and x [m], y [m] and speed [m/s] of the ego if its input has them."""
-
-    actions: list[Any] = field(default_factory=list)
-    poses: list[tuple[float, float, float]] = field(default_factory=list)
-
-
-class _Calls:
-    """The ADSs of one factory, which stays the same object in all runs, as in a search.
-
-    Attributes:
-        ads: the factory that was given.
-        factory: a factory of ADSs that do the same, and whose calls are noted.
-        is_known: False if the calls cannot be observed.
-        noted: the calls of each ADS that was made.
-    """
-
-    def __init__(self, ads: Ads) -> None:
-        self.ads = self.factory = ads
-        self.is_known = Policy(ads).only_observes and not hasattr(ads, "sight")
-        self.noted: list[_Noted] = []
-        if self.is_known:
-            self.factory = wraps(ads, updated=())(partial(self._make))
-
-    def _make(self) -> Any:
-        one, noted = self.ads(), _Noted()
-        if not Policy(one).only_observes or hasattr(one, "sight"):
-            self.is_known = False
-            return one
-        self.noted.append(noted)
-
-        def decide(*seen: Any) -> Any:
-            if seen and all(hasattr(seen[0], name) for name in OBSERVED):
-                noted.poses.append((seen[0].ego.x, seen[0].ego.y, seen[0].ego.speed))
-            answer = one(*seen)
-            noted.actions.append(answer)
-            return answer
-
-        return decide
-
-
-@dataclass(frozen=True, slots=True)
-class _Done:
-    """A run of the check, and the calls of its ADS."""
-
-    scenario: Scenario
-    trace: Trace
-    calls: _Calls
-    noted: _Noted
+COAST, GAS, STAND, STOP, LONGEST, SETTLED, LATE = 1.5, 2.0, 6.0, 9.0, 20.0, 0.6, 0.1
+"""How long the experiments last, and when vehicles that stopped drive on in the last one [s]; how long a random
+scenario lasts at most in a simulator [s]; the share of an experiment after which a drivetrain with a lag does as it is
+asked; the delay from which controls take effect late [s]."""
+DRIVEN, OBEYED = (0.97, 1.03), {"acceleration": (0.2, 0.8, 1.3), "steering": (0.2, 0.4, 2.45)}
+"""What a vehicle does, as a multiple of what it is asked to do: at least, at least if not in part, and at most."""
+DRAG, STEADY, SLIP, CENTRE, JUMP, STANDS, AWAY = 0.8, 0.05, (0.3, 0.06), (0.12, 0.7), 0.5, 0.7, 0.5
+"""The largest change of speed without acceleration [m/s^2], of heading or direction without steering [rad], and angle
+between heading and motion in a turn: a share of the turn, and what wheels at the rear do [rad]. How far behind the
+centre of its box a vehicle turns, as a share of its length: at least and at most. The largest jump in a tick [m], speed
+of a vehicle that stands [m/s], and effect of others on the ego [m, m/s]."""
+UNITS = {"km/h": 1 / 3.6, "mph": 0.44704, "feet": 0.3048}
+"""Usual units of speed [m/s] and of length [m]."""
+AXES = {"degrees": (True, False), "y_is_left": (True, False), "headings": HEADINGS, "reference": get_args(Reference)}
+"""What a simulator may state of its axes."""
 
 
 def check_world(
-    world: WorldLike,
-    *,
-    seed: int = 0,
-    runs: int = 8,
-    ads: Ads = lambda: lambda observation: (0.0, 0.0),
-    **space: Unpack[SpaceArguments],
+    world: BaseWorld, *, seed: int = 0, runs: int = 8, ads: AdsFactory | None = None, **space: Unpack[SpaceArguments]
 ) -> None:
-    """Check with random scenarios that a world meets the requirements of a search.
+    """Check that a simulator does what a search expects, and that runs repeat to the last bit.
 
-    - It has all attributes that a search needs, and plain data that a file can store.
-    - Traces have the form that test functions and reports expect, also for crossing NPCs if the world has ways for
-      them.
-    - The states agree with each other: positions with lanes, headings and speeds with the motion, accelerations with
-      the speeds, and all of them with the start of the scenario. Each tick has a row. On a road that bends, the points
-      of the lanes agree with them, too.
-    - NPCs take on the speeds of their instructions and go to the sides of their cells, and the ego follows its ADS.
-    - A contact of the ego's box with an NPC's is a collision, and the collision agrees with the states. If two NPCs
-      touch, the outcome is ``invalid``.
-    - The same scenario gives the same trace to the last bit, whatever ran before.
-    - The scenario as executed, ``trace.executed``, gives the same trace.
-    - If the world has ``has_lane_instructions``, NPCs with Lane-Instructions are among those of all scenarios, and on a
-      straight road they change lanes to the side that their instructions name.
-    - NPCs stay within the world's ``limits``, if these are a :class:`pytest_pafot.NpcLimits`.
-    - An ADS that raises, returns no action or hangs ends its own run and does not affect other runs. An ADS that hangs
-      is tried only if the world's ``hang_limit`` is at most one second.
-    - ``from_dict`` gives the same world again, if the world's class has that method or if a file can describe the
-      world.
-
-    An NPC stops ahead of the ego in one more scenario, unless NPCs cross, and on straight roads ahead of another NPC in
-    a second one, if there are two NPCs or more. Further runs are made until a collision came up, at most four times as
-    many. If the ADS acts in SI units, their egos keep their speed, accelerate and brake.
+    Experiments with vehicles of each kind in all lanes find out whether they start where they are asked to, drive where
+    they head and as fast as they state, obey their controls and nothing else, stop, and drive on. Then random
+    scenarios of a search are driven twice each. In other worlds of this package, only this part is done.
 
     Args:
-        world: the world to check.
-        seed: the seed of the scenarios.
-        runs: the number of scenarios.
-        ads: the factory of an ADS that drives in this world without errors and does not depend on earlier runs. The
-            default returns an acceleration and a steering of 0 in SI units.
-        space: properties of all scenarios, such as ``npcs``, ``genes`` and ``ego_lane``, as in
-            :func:`pytest_pafot.search`.
+        world: the world, such as ``pafot.SimulatorWorld(MySimulator)``.
+        seed: the seed of the scenarios and of the simulator.
+        runs: the number of random scenarios.
+        ads: the factory of a policy that drives in the random scenarios. By default, a reference driver drives.
+        space: properties of the scenarios, such as ``npcs`` and ``ego_lane``, as in :func:`pytest_pafot.search`.
 
     Raises:
-        AssertionError: if a requirement is not met; the message names it.
+        AssertionError: if something is wrong. It says what was expected, what came, and the attribute to set.
+        WorldError: if the world is none of this package, or cannot be used.
 
     Warns:
-        RuntimeWarning: if no run had a collision, so that nothing about collisions was checked.
+        RuntimeWarning: for what is allowed, and may surprise: controls that take effect late or in part.
     """
-    lacking = base_world(world).missing
-    _promise(not lacking, "a world has all that a search needs", f"no {', '.join(lacking)}")
-    _check_members(world)
-    able: dict[str, Any] = {} if (found := base_world(world).crossings) is None else {"crossings": found}
-    if base_world(world).has_lane_instructions:
-        able["instructions"] = "both"
-    road = base_world(world).straight_road
-    if road is not None and road.lane_count == 1:
-        able["ego_lane"] = 0
-    able["vehicles"] = tuple(filter(base_world(world).can_drive, (CAR, VAN, TRUCK, MOTORCYCLE)))
-    random, within = rng_of(seed), base_world(world).space({**able, **space})
-    calls, scenarios = _Calls(ads), [sample(within, random) for _ in range(runs)]
-    if isinstance(simulated := base_world(world), SimulatorWorld):
-        with _no_error("a simulator can be driven step by step, with one vehicle or several"):
-            kept = (True, "", "")
-            broken = next((each for each in experiments(simulated, scenarios[0], seed) if not each[0]), kept)
-        _promise(*broken)
-    done = [_run(world, scenario, calls) for scenario in scenarios]
-    # What may go wrong with a simulator has shown in the experiments, and the rest is done by this package.
-    few = done[:FEW] if isinstance(simulated, SimulatorWorld) else done
-    for each in done:
-        _check_form(world, each.scenario, each.trace)
-    egos, staged, more = _further(world, done, (sample(within, random) for _ in range(MORE * runs)))
-    every = [*done, *egos, *staged, *more]
-    for each in every[runs:]:
-        _check_form(world, each.scenario, each.trace)
-    _keep(rules.of_runs(world, [each.trace for each in every]))
-    for each in every:
-        _keep(_decided(world, each))
-    longest = max(done, key=lambda each: each.trace.ticks)
-    _check_repetition(world, few)
-    _check_obedience(world, done, egos, len(few))
-    _check_speed(world, staged[:1])
-    _check_sides(world, done[0])
-    _check_faults(world, longest, ads)
-    _check_round_trip(world, done[0], ads)
-    if not any(each.trace.collision for each in every):
-        warnings.warn(
-            f"check_world: no collision in {len(every)} runs, so nothing about collisions was checked; give an ads= "
-            "that collides, or more runs=, npcs= or genes=",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+    checked_world(world)
+    if isinstance(world, SimulatorWorld):
+        for note in _Bench(world, seed).check():
+            warnings.warn(f"check_world: {note}", RuntimeWarning, stacklevel=2)
+        world = replace(world, duration=min(world.duration, LONGEST))
+    given: dict[str, Any] = {"vehicles": tuple(filter(world.can_drive, READY.values())), **space}
+    within, rng = world.space({**drawn_space(world, given), **given}), rng_of(seed)
+    done = [(each, _driven(world, each, ads)) for each in (sample(within, rng) for _ in range(runs))]
+    for scenario, trace in done[::-1]:  # in another order than before
+        difference = first_difference(trace, _driven(world, scenario, ads))
+        _promise(not difference, "the same scenario gives the same run, to the last bit", difference)
 
 
-FRESH = "rollout calls ads_factory once, for a fresh ADS"
+def _driven(world: BaseWorld, scenario: Scenario, ads: AdsFactory | None) -> Trace:
+    drive, given = (world.rollout_reference, CAREFUL) if ads is None else (world.rollout, ads)
+    with _without_error("a random scenario can be driven"):
+        trace: Trace = GENERATORS.run(drive, scenario, cast("Any", given))
+    wrong = trace.users_error_text or ("" if trace.error is None else f"{trace.error.text}; give a different ads=")
+    _promise(not wrong, "random runs are valid, and the policy of the check drives in this world", wrong)
+    return trace
 
 
-def _promise(is_kept: Any, promise: str, received: str) -> None:
+def _promise(is_kept: Any, promise: str, received: object) -> None:
     if not is_kept:
         raise AssertionError(f"expected that {promise}, received {received}")
 
 
-def _keep(promises: Promises) -> None:
-    for is_kept, promise, received in promises:
-        _promise(is_kept, promise, received)
-
-
 @contextmanager
-def _no_error(promise: str) -> Iterator[None]:
+def _without_error(promise: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        raise AssertionError(f"expected that {promise}, received {error!r}") from error
+        raise AssertionError(f"expected that {promise}, received {type(error).__name__}: {error}") from error
 
 
-def _rollout(rollout: Callable[..., Any], scenario: Scenario, ads: Ads, **given: Any) -> Trace:
-    with _no_error("a run ends in a trace, whatever the ADS does"):
-        trace = rollout(scenario, ads, **given)
-    _promise(isinstance(trace, Trace), "rollout returns a pafot.Trace", f"{trace!r:.200}")
-    return trace  # type: ignore[no-any-return]
+class _Run(NamedTuple):
+    """One experiment in SI units, with (x, y, heading, speed) of each vehicle.
 
-
-def _run(world: Any, scenario: Scenario, calls: _Calls) -> _Done:
-    before = len(calls.noted)
-    trace = _rollout(rollout_of(world), scenario, calls.factory)
-    made = len(calls.noted) - before
-    _promise(made == 1 or not calls.is_known, FRESH, f"{made} calls")
-    return _Done(scenario, trace, calls, calls.noted[-1] if calls.is_known else _Noted())
-
-
-def _check_form(world: Any, scenario: Scenario, trace: Trace) -> None:
-    _keep(rules.form(world, scenario, trace))
-    with _no_error("Run(trace).explain() describes the run"):
-        Run(trace).explain()
-
-
-def _further(world: Any, done: Sequence[_Done], scenarios: Iterator[Scenario]) -> tuple[list[_Done], ...]:
-    """Run further egos in the first scenario, staged scenarios, and further scenarios until a collision came up.
-
-    The egos have constant actions. If these are not in SI units, there are none, and the ADS of the check drives.
-    """
-    is_si = all(each.calls.is_known and base_world(world).looks_si(each.noted.actions) for each in done)
-    egos = [_run(world, done[0].scenario, _Calls(_constant(action))) for action in EGOS] if is_si else []
-    if any(each.trace.error for each in egos):
-        egos = []
-    drivers = [each.calls for each in egos or done[:1]]
-    staged = [_run(world, scenario, drivers[0]) for scenario in _stages(world, done[0])]
-    more: list[_Done] = []
-    for scenario, calls in zip(scenarios, cycle(drivers), strict=False):
-        if any(each.trace.collision for each in (*done, *egos, *more)):
-            break
-        more.append(_run(world, scenario, calls))
-    return egos, staged, more
-
-
-def _stages(world: Any, done: _Done) -> Iterator[Scenario]:
-    """Yield a scenario in which the vehicle ahead of the ego stops, and one in which an NPC meets one that stopped.
-
-    They have as many NPCs as other scenarios. If roads bend, only the first one is certain to have its cells.
-    """
-    scenario, npcs, speed_limit = done.scenario, len(done.scenario.npcs), _in_steps(world.speed_limit)
-    beside = (Cell.FRONT_LEFT, Cell.LEFT) if scenario.ego_lane else (Cell.FRONT_RIGHT, Cell.RIGHT)
-    for first in ((Cell.FRONT,), beside) if rules.is_straight(done.trace) else ((Cell.FRONT,),):
-        cells = [*first, *(cell for cell in Cell if cell not in first)]
-        if npcs >= len(first) and not scenario.crossings:
-            speeds = [0.0] + [min(_in_steps(scenario.ego_speed), speed_limit)] * (npcs - 1)
-            genes = map(PositionInstruction, cells, speeds)
-            staged = replace(scenario, npcs=tuple((gene,) * scenario.genes for gene in genes))
-            with suppress(ScenarioError):
-                base_world(world).check_fits(staged)
-                yield staged
-
-
-def _in_steps(speed: float) -> float:
-    """Return the highest speed that an instruction can have, in steps of 0.1 m/s, up to a speed [m/s]."""
-    return int(10.0 * speed + 1e-6) / 10.0
-
-
-def _check_members(world: Any) -> None:
-    """Check the attributes of a world, apart from its runs."""
-    for name in ("speed_limit", "longest_run", *(["hang_limit"] if hasattr(world, "hang_limit") else [])):
-        value = plain_number(getattr(world, name))
-        _promise(value is not None and value > 0, f"{name} is a number above 0", f"{getattr(world, name)!r:.100}")
-    is_slow = world.speed_limit <= TOP_SPEED
-    _promise(is_slow, f"speed_limit is in m/s, at most {TOP_SPEED:g}", f"{world.speed_limit:g}")
-    names = getattr(world, "takes_over", ())
-    are_several = isinstance(names, Collection) and not isinstance(names, str)
-    are_names = are_several and all(isinstance(each, str) for each in names)
-    _promise(are_names, "takes_over is a tuple of names", f"{names!r:.100}")
-
-
-def _check_same(first: Trace, second: Trace, promise: str) -> None:
-    """Check that two traces are the same to the last bit, apart from the requested scenario and the time it took."""
-    names = {each.name for each in fields(Trace) if each.init} - {"scenario", "max_decision_seconds"}
-    differ = [name for name in sorted(names) if not _is_same(getattr(first, name), getattr(second, name))]
-    _promise(not differ, promise, f"a different {', '.join(differ)} for {first.scenario}")
-
-
-def _is_same(first: Any, second: Any) -> bool:
-    """Return whether two values are the same to the last bit."""
-    if isinstance(first, np.ndarray):
-        return isinstance(second, np.ndarray) and (first.shape, first.tobytes()) == (second.shape, second.tobytes())
-    if isinstance(first, tuple) and isinstance(second, tuple):
-        return len(first) == len(second) and all(map(_is_same, first, second))
-    return bool(first == second)
-
-
-def _repeats(first: Trace, second: Trace, rows: int | None, vehicles: int | None = None) -> bool:
-    """Return whether two runs have the same states, apart from rounding, in the first rows or as long as both last."""
-    until = min(len(first.states), len(second.states)) if rows is None else rows
-    states = first.states[:until, :vehicles], second.states[:until, :vehicles]
-    return states[0].shape == states[1].shape and np.allclose(*states, rtol=0.0, atol=ROUNDING)
-
-
-def _constant(action: tuple[float, float]) -> Ads:
-    return lambda: lambda *seen: action
-
-
-def _decided(world: Any, done: _Done) -> Promises:
-    """Yield that an ADS decides when the trace says, and that a run records each of its decisions."""
-    trace, made, poses = done.trace, len(done.noted.actions), done.noted.poses
-    if not done.calls.is_known:
-        return
-    ticks = list(trace.decision_ticks)
-    received = f"{made} decisions in {trace.ticks} ticks, with physics_hz {trace.physics_hz} and ads_hz {trace.ads_hz}"
-    if trace.decided:
-        received += f", and decided {trace.decided!r:.100}"
-        promise = "decided has the ticks of all decisions, in order and from the start on"
-        yield made == len(ticks) and ticks == sorted({0, *ticks}) and ticks[-1] <= trace.ticks, promise, received
-    else:
-        promise = "the ADS decides ads_hz times a second, for the first time at the start"
-        yield len(ticks) <= made <= len(ticks) + 1, promise, received
-    if poses:
-        rows = trace.ego[ticks][:made, [X, Y, SPEED]]
-        away = np.median(np.abs(rows - (seen := np.array(poses)[: len(rows)])), axis=0)
-        if not trace.road.is_straight:  # an ADS may see a road that bends as if it were straight
-            along = np.column_stack([trace.track_of(0)[ticks][:made, [ALONG, ACROSS]], rows[:, 2]])
-            places = np.median(np.abs(along - along[0] - seen + seen[0]), axis=0)
-            away = min(away, places, key=np.max)
-        promise = "an ADS that receives a pafot.Observation, or an object with its fields, sees the ego as in states"
-        received = "a difference of {:.2f} m in x, {:.2f} m in y, {:.2f} m/s at half of the decisions".format(*away)
-        yield (away <= 2 * DEEP).all(), promise, received
-    if not trace.actions and not base_world(world).is_resumable:
-        return  # Only worlds with decisions= are asked to repeat actions.
-    yield len(trace.actions) == made, "actions has one action for each decision", f"{len(trace.actions)} for {made}"
-
-
-def _check_repetition(world: Any, done: Sequence[_Done]) -> None:
-    for each in done[::-1]:  # in a different order than before
-        for which in ("same scenario", "scenario as executed"):
-            made, scenario = len(each.calls.noted), each.scenario if which == "same scenario" else each.trace.executed
-            # Without the guard of a search, which gives a world another factory in each run.
-            trace = _rollout(world.rollout, scenario, each.calls.factory)
-            is_fresh = not each.calls.is_known or len(each.calls.noted) == made + 1
-            _promise(is_fresh, FRESH, "an ADS of an earlier run")
-            _check_same(each.trace, trace, f"the {which} gives the same trace")
-
-
-def _check_obedience(world: Any, done: Sequence[_Done], egos: Sequence[_Done], least: int) -> None:
-    """Check that NPCs follow the scenario and the ego its ADS, because other instructions give other runs.
-
-    At least a number of runs is made again, and further ones until one differs: in some, no NPC can follow.
-    """
-    is_told, is_ignored = False, True
-    for number, each in enumerate(done):
-        if number >= least and not is_ignored:
-            break
-        scenario, trace = each.scenario, each.trace
-        if scenario.crossings:
-            continue
-        other = _rollout(world.rollout, _otherwise(scenario, _in_steps(world.speed_limit)), each.calls.factory)
-        # A run may end before the other instructions could show.
-        is_told |= trace.duration >= SETTLED + (scenario.gene_seconds if scenario.genes > 1 else SETTLED)
-        is_ignored &= _is_same(trace.npcs, other.npcs)
-        is_same = scenario.genes == 1 or _repeats(trace, other, int(scenario.gene_seconds * trace.physics_hz))
-        promise = (
-            f"states depend only on the first instructions until scenario.gene_seconds, {scenario.gene_seconds:g} s"
-        )
-        _promise(is_same, promise, "other states with other instructions for later")
-    received = "the same states[:, 1:] for other instructions"
-    _promise(not (is_told and is_ignored), "NPCs follow their instructions", received)
-    if not egos:
-        return
-    tick = min(each.trace.ticks for each in egos)
-    steady, faster, slower = (float(each.trace.ego[tick, SPEED]) for each in egos)
-    is_obeyed = tick < egos[0].trace.physics_hz or slower < steady - ROUNDING or steady < faster - ROUNDING
-    received = f"{slower:.1f}, {steady:.1f} and {faster:.1f} m/s for an ADS that brakes, does nothing and accelerates"
-    _promise(is_obeyed, "the ego follows its ADS, states[:, 0, SPEED]", received)
-
-
-def _otherwise(scenario: Scenario, speed_limit: float) -> Scenario:
-    """Return a scenario in which NPCs stay in their first cells, at other speeds, after their first instruction.
-
-    An NPC may keep to its speed only in its cell, so both are different. An only instruction gets another speed.
+    It has all states [ticks + 1, vehicles, 4]; the start that was asked for and then what the package's own model makes
+    of each tick, in the same shape; the vehicles, and what was sent.
     """
 
-    def other(first: Any, gene: Any) -> Any:
-        return (first if first.on_grid else gene).with_speed(_in_steps(speed_limit - gene.speed))
+    states: FloatArray
+    model: FloatArray
+    dt: float
+    bodies: list[Any]
+    given: list[Vehicle]
+    sent: list[list[Control]]
 
-    since = 1 if scenario.genes > 1 else 0
-    npcs = [(*one[:since], *(other(one[0], gene) for gene in one[since:])) for one in scenario.npcs]
-    return replace(scenario, npcs=tuple(npcs))
+    def name(self, number: int) -> str:
+        """Return the name of a vehicle with its kind and its lane, which may be what matters."""
+        return f"{named(number)} ({self.given[number].kind}, lane {self.given[number].lane})"
 
-
-def _check_speed(world: Any, staged: Sequence[_Done]) -> None:
-    """Check that an NPC in the cell of its instruction takes on its speed: 0 in a staged run, and another one."""
-    for each in staged:
-        other = tuple(gene.with_speed(_in_steps(world.speed_limit)) for gene in each.scenario.npcs[0])
-        fast = _run(world, replace(each.scenario, npcs=(other, *each.scenario.npcs[1:])), each.calls).trace
-        rows = min(len(each.trace.states), len(fast.states))
-        slower, faster = (trace.npcs[:rows, 0, SPEED] for trace in (each.trace, fast))
-        apart, seconds = float((faster - slower).max()), (rows - 1) * fast.dt
-        promise = "an NPC in the cell of its instruction takes on its speed, states[:, 1, SPEED]"
-        received = f"at most {apart:.1f} m/s more in {seconds:g} s with {world.speed_limit:g} m/s instead of 0"
-        _promise(apart > 1.0 or seconds < SETTLED, promise, received)
+    def steps(self, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return for each tick how far a vehicle drove, how far its speeds say [m], and motion less heading [rad]."""
+        rows = self.states[:, number]
+        moved, heading = np.diff(rows[:, :2], axis=0), (rows[1:, 2] + rows[:-1, 2]) / 2
+        course = (np.arctan2(moved[:, 1], moved[:, 0]) - heading + np.pi) % (2 * np.pi) - np.pi
+        return np.hypot(*moved.T), np.abs(rows[1:, 3] + rows[:-1, 3]) / 2 * self.dt, course
 
 
-def _check_sides(world: Any, done: _Done) -> None:
-    """Check that NPCs go to the side that their instructions name, in runs that last long enough.
+class _Bench:
+    """The experiments with the simulator of a world. Statements in ``other`` replace those of the simulator.
 
-    NPC 0 has cells beside the one in which it starts, or all have Lane-Instructions. On a road that bends a lane may
-    end, so that they may go to one side only.
+    A promise is whether something is as expected, what was expected, and what came instead.
     """
-    scenario = done.scenario
-    speed = _in_steps(min(scenario.ego_speed, world.speed_limit))
-    if scenario.crossings or len(done.trace.lanes) < 2 or speed <= LEAST_SPEED:
-        return
-    cells = [Cell.FRONT, Cell.REAR, Cell.REAR_LEFT, Cell.REAR_RIGHT, Cell.LEFT, Cell.RIGHT]
-    chains = [(PositionInstruction(cell, speed),) * scenario.genes for cell in cells]
-    tried: dict[str, tuple[float, list[Any]]] = {}
-    if scenario.genes > 1 and len(scenario.npcs) <= len(cells):
-        sides = [(chains[0][0], *[PositionInstruction(cell, speed)] * (scenario.genes - 1))
-                 for cell in (Cell.FRONT_LEFT, Cell.FRONT_RIGHT)]  # fmt: skip
-        told: list[Any] = [(side, *chains[1 : len(scenario.npcs)]) for side in sides]
-        tried["NPCs go to the cells of their instructions"] = scenario.gene_seconds + SETTLED, told
-    if base_world(world).has_lane_instructions:
-        genes = [LaneInstruction(lane, speed) for lane in ("left", "right")]
-        told = [((gene,) * scenario.genes,) * len(scenario.npcs) for gene in genes]
-        tried["NPCs change lanes by Lane-Instructions, as has_lane_instructions declares"] = SETTLED, told
-    for promise, (seconds, told) in tried.items():
-        across: list[Any] = []
-        for npcs in told:
-            asked = replace(scenario, npcs=npcs)
-            with suppress(ScenarioError):
-                base_world(world).check_fits(asked)
-                trace = _run(world, asked, done.calls).trace
-                _check_form(world, asked, trace)
-                across += [trace.road.track[:, 1:, ACROSS]] if trace.duration >= seconds else []
-        if len(across) < len(told):
-            continue
-        until = min(map(len, across))
-        apart = (across[1][:until] - across[0][:until])[:, : None if "Lane" in promise else 1].mean(axis=1)
-        if rules.is_straight(done.trace):
-            received = f"at most {apart.max():.1f} m between NPCs that go left and those that go right"
-            _promise(apart.max() > DEEP, promise, received)
-        received = f"NPCs {-apart.min():.1f} m farther left if they should go right"
-        _promise(apart.min() > -DEEP or apart.max() > DEEP, promise, received)
+
+    def __init__(self, world: SimulatorWorld, seed: int) -> None:
+        self.world, self.seed, self.top, self.real = world, seed, world.speed_limit, world.simulators.take()
+        # What it states counts before the first run: a method may use a name such as `length` for something else.
+        self.said: Any = SimpleNamespace(**{name: getattr(self.real, name) for name in Simulator.__annotations__})
+        self.notes, self.facts, lanes = dict[str, str](), dict[str, float](), self.said.lanes
+        self.is_plain = isinstance(lanes, Real)
+        self.lanes: int = lanes if self.is_plain else len(lanes)
+        self.mid: int = self.lanes // 2 if self.is_plain else self.said.start_lane
+
+    def check(self) -> list[str]:
+        """Make all experiments, and return notes.
+
+        The first promise that is broken is an error, with its cause if another statement explains all.
+        """
+        try:
+            for is_kept, promise, received in self.promises():
+                _promise(is_kept, promise, received if is_kept or ";" in received else f"{received}{self.cause()}")
+            self.check_repetition()
+            return list(self.notes.values())
+        finally:
+            self.world.simulators.give(self.real, is_sound=False)
+
+    def spots(self, speed: float) -> list[Any]:
+        """Return the ego and six NPCs of all kinds in all lanes, far from each other, at a speed [m/s].
+
+        Each has its lane, its place along the lane from the ego's [m], its speed and its kind.
+        """
+        kinds = [each for each in READY.values() if self.world.can_drive(each)]
+        places = enumerate((40.0, -40.0, 80.0, -80.0, 120.0, -120.0))
+        npcs = [((self.mid + 1 + n) % self.lanes, ahead, speed, kinds[n % len(kinds)]) for n, ahead in places]
+        return [(self.mid, 0.0, speed, self.world.ego), *npcs]
+
+    def crowd(self) -> list[Any]:
+        """Return an ego close to a slower NPC and ahead of a faster one, and NPCs beside it that pass."""
+        steady, closing = min(16.0, 0.6 * self.top), min(9.0, 0.3 * self.top)
+        others, spots = [n for n in range(self.lanes) if n != self.mid] or [self.mid], []
+        for n, (*_, kind) in enumerate(self.spots(0.0)):
+            apart = (self.world.ego.length + kind.length) / 2 + 1.5 + COAST * closing
+            beside = (80.0 if others == [self.mid] else -8.0) + 45.0 * (n // len(others))
+            side = (0, 1, -1)[n] if n < 3 else 0
+            near = self.mid, side * apart, steady - side * closing, kind
+            spots.append(near if n < 3 else (others[n % len(others)], beside, 0.9 * self.top, kind))
+        return spots
+
+    def tell(self, method: str, given: Sequence[Any], *more: Any) -> FloatArray:
+        """Call a method with a value for each vehicle; return what the simulator then states, shape [vehicles, 4]."""
+        with _without_error(f"{method} and states accept vehicles of each kind"):
+            getattr(self.real, method)(copy := list(given), *more)
+            rows: FloatArray = np.array(self.real.states(), dtype=np.float64)
+        _promise(copy == list(given), f"{method} leaves the list that it is given as it is", copy)
+        promise = f"states() has finite numbers in shape ({len(given)}, 4), a row for each vehicle"
+        _promise(rows.shape == (len(given), 4) and np.isfinite(rows).all(), promise, f"{rows.tolist()!r:.200}")
+        return rows
+
+    def drive(self, spots: Sequence[Any], seconds: float, control: Callable[..., Any], **other: Any) -> _Run:
+        """Let the simulator move vehicles by controls: acceleration and steering by number, time and vehicle."""
+        stated = {name: getattr(self.said, name) for name in (*AXES, "metres", "metres_per_second")} | other
+        axle = (self.said.rear_axle_offset or 1.4) * (stated["reference"] == "rear axle")
+        frame = Frame(SimpleNamespace(**stated, rear_axle_offset=axle))
+        dt = other.get("dt", 1 / other.get("hz", self.said.hz))
+        gas, wheel = other.get("acceleration", 1.0) / frame.speed, other.get("steering", 1.0) * frame.turn / frame.angle
+        bodies, given = list[Any](), list[Vehicle]()
+        for lane, ahead, speed, kind in spots:
+            start, has_room = self.place(frame, lane, ahead)
+            if has_room or not bodies:  # a short road has room for the ego at least
+                bodies.append(body := Body(kind.length, kind.width))
+                body.place(*start, speed)
+                sizes = body.length / frame.metres, body.width / frame.metres
+                given.append(Vehicle(*frame.stated(body), *sizes, lane, kind.name))
+        rows, model, sent, read = [], [], [], self.tell("start", given, self.seed)
+        for tick in range(round(seconds / dt) + 1):
+            if tick:
+                for number, body in enumerate(bodies):
+                    body.acceleration, body.steering = control(number, tick * dt - dt, body)
+                    body.step(dt)
+                sent.append([Control(gas * b.acceleration, wheel * b.steering, *frame.stated(b)) for b in bodies])
+                read = self.tell("step", sent[-1])
+            model.append([(each.x, each.y, each.heading, each.speed) for each in bodies])
+            rows.append([frame.state(row, b.length, b.heading) for row, b in zip(read.tolist(), bodies, strict=True)])
+            for body, state in zip(bodies, rows[-1], strict=True):
+                body.place(*state)
+        return _Run(np.array(rows), np.array(model), dt, bodies, given, sent)
+
+    def place(self, frame: Frame, lane: int, ahead: float) -> tuple[tuple[float, float, float], bool]:
+        """Return x, y and heading of a place in a run, and whether the road has it."""
+        real, lanes = self.said, self.said.lanes
+        if self.is_plain:
+            width, end = (real.lane_width or 4.0 / frame.metres), (real.length or 1e6)
+            lanes = [[(0.0, frame.side * n * width), (end, frame.side * n * width)] for n in range(lanes)]
+        line = np.array([frame.point(x, y) for x, y in lanes[lane]])
+        ends = np.cumsum(np.hypot(*(steps := np.diff(line, axis=0)).T))
+        along = ahead + (real.start_at * frame.metres if real.start_at else min(150.0, ends[-1] / 3))
+        at = min(int(np.searchsorted(ends, along)), len(steps) - 1)
+        x, y = line[at + 1] + steps[at] * (along - ends[at]) / np.hypot(*steps[at])
+        return (float(x), float(y), math.atan2(steps[at, 1], steps[at, 0])), 10.0 < along < ends[-1] - 60.0
+
+    def promises(self, **other: Any) -> Iterator[tuple[Any, str, str]]:
+        """Yield what the experiments show, with other statements."""
+        self.notes, fast, slow = {}, max(self.top - 4.0, self.top / 2), min(10.0, self.top / 2)
+
+        def gas(number: int, *_: Any, side: int) -> tuple[float, float]:
+            return 2.0 - 0.1 * number if (-1) ** number == side else (0.06 * number - 1.0) * min(3.0, 0.4 * fast), 0.0
+
+        def turn(number: int, _: float, body: Any, side: int) -> tuple[float, float]:
+            slip = math.asin(min(0.75 * body.length / slow**2, 0.09))  # 1.5 m/s^2 across the road
+            return 0.0, side * (-1) ** number * (1 - 0.06 * number) * math.atan(2 * math.tan(slip))
+
+        def stop(_: int, time: float, body: Any) -> tuple[float, float]:
+            return max(min(6.0 * (time >= STAND) - body.speed, 2.0), -4.0), 0.0
+
+        crowd = self.crowd()
+        run, alone = (self.drive(each, COAST, lambda *_: (0.0, 0.0), **other) for each in (crowd, crowd[:1]))
+        yield from self.moves(run, is_steady=True)
+        far, ends = np.abs(run.states - alone.states)[-1, 0, [0, 1, 3]].max(), (alone.states[-1, 0], run.states[-1, 0])
+        received = " and ".join(f"x = {x:.1f} m, y = {y:.1f} m, {v:.1f} m/s" for x, y, _, v in ends)
+        yield far <= AWAY, "the ego moves by its own controls, alone and with others near", received
+        for name, control, speed, seconds in (("acceleration", gas, fast, GAS), ("steering", turn, slow, COAST)):
+            for side in (1, -1):
+                run = self.drive(self.spots(speed), seconds, partial(control, side=side), **other)
+                yield from self.moves(run)
+                yield from self.obeys(run, name)
+        yield from self.turns(run, other.get("reference", self.said.reference))
+        run = self.drive(self.spots(min(8.0, self.top)), STOP, stop, **other)
+        for number, speeds in enumerate(run.states[..., 3].T):
+            stood, last = speeds[round(STAND / run.dt)], speeds[-1]
+            received = f"{stood:.1f} m/s after {STAND:g} s and {last:.1f} m/s after {STOP:g} s by {run.name(number)}"
+            yield abs(stood) <= STANDS and last > 1.5, "a vehicle stops, stands and drives on by its control", received
+
+    def moves(self, run: _Run, *, is_steady: bool = False) -> Iterator[tuple[Any, str, str]]:
+        """Yield that vehicles start where they are asked to, and drive where they head, as fast as they state."""
+        off = np.abs(run.states[0] - run.model[0]) > [most for _, most in STARTS]
+        first = int(off.any(axis=1).argmax())
+        asked, got = (", ".join(f"{each:.2f}" for each in rows[0, first]) for rows in (run.model, run.states))
+        promise = f"after start, states() has x, y, heading and speed {asked} of {run.name(first)} [m, rad, m/s]"
+        yield not off.any(), promise, f"{got}{self.misplaced(run) if off.any() else ''}"
+        for number, rows in enumerate(run.states.transpose(1, 0, 2)):
+            who, (driven, by_speed, course) = run.name(number), run.steps(number)
+            ratio = float(driven.sum() / max(by_speed.sum(), 1e-3))
+            self.facts.setdefault("driven", ratio)
+            jump, is_late = np.abs(driven - by_speed * ratio), driven[0] < 0.2 * driven[-1]
+            jumped = f"{driven[jump.argmax()]:.1f} m at {rows[jump.argmax(), 3]:.1f} m/s by {who} in a tick"
+            received = f"those before it: the first step does not move {who}" if is_late else jumped
+            yield jump.max() <= JUMP and not is_late, "states() has the states after the step, without jumps", received
+            promise = "a vehicle drives as far as dt (or hz), metres_per_second and metres say of its speed"
+            yield DRIVEN[0] <= ratio <= DRIVEN[1], promise, f"{ratio:.3g} times the distance by {who}"
+            turned, away, gained = float(rows[-1, 2] - rows[0, 2]), float(course[-1]), float(rows[-1, 3] - rows[0, 3])
+            promise = "a vehicle moves where its heading points, by headings, y_is_left and degrees"
+            received = f"{math.degrees(away):.0f} degrees beside it by {who}, whose heading turned by {turned:.2f} rad"
+            yield abs(away) <= (STEADY if is_steady else SLIP[0] * abs(turned) + SLIP[1]), promise, received
+            is_kept = not is_steady or (abs(gained) <= DRAG * COAST and abs(turned) <= STEADY)
+            promise = "without acceleration and steering, a vehicle keeps its speed and its heading, whoever is near"
+            yield is_kept, promise, f"{gained:+.1f} m/s and {turned:+.2f} rad by {who} in {COAST:g} s"
+
+    def obeys(self, run: _Run, name: str) -> Iterator[tuple[Any, str, str]]:
+        """Yield that vehicles do what their controls say; note if it is late or in part."""
+        column, (least, whole, most) = 2 + (name == "acceleration"), OBEYED[name]
+        done, asked = np.diff(run.states[..., column], axis=0), (run.model[1:] - run.states[:-1])[..., column]
+        since, limit = int(SETTLED * len(asked)), min(LATE, 0.8 * run.dt)
+        parts = done[since:].sum(axis=0)[:, None] / asked[since:].sum(axis=0)  # [vehicle, whose control]
+        for number, part in enumerate(np.diag(parts).tolist()):
+            who, body, fits = run.name(number), run.bodies[number], least <= part <= most
+            others = [f"; that of {named(n)} moves it" for n, each in enumerate(parts[number]) if abs(each - 1) < 0.03]
+            is_swapped = column == 2 and abs(part * body.width / body.length - 1) < 0.05
+            hint = "" if fits else "; is its width taken for its length?" if is_swapped else "".join(others[:1])
+            units = [f", as in {unit} per second" for unit, share in UNITS.items() if abs(part / share - 1) < 0.03]
+            self.facts.setdefault(name, part)
+            promise = f"control.{name} of a vehicle changes its {STARTS[column][0]} as in a bicycle model"
+            received = f"{part:.2f} times that by {who}{''.join(units[: column - 2])}{hint}"
+            yield fits and not (units and column == 3), promise, received
+            late = run.dt * (len(done) - float(done[:, number].sum() / (part * asked[:, number].mean())))
+            found = [f"in part, {part:.2f} times"] * (part < whole) + [f"{late:.2f} s late"] * (late > limit)
+            if found:
+                told = f"a lagging drivetrain: control.{name} of {named(number)} takes effect {' and '.join(found)}"
+                advice = "" if self.said.moves_ego_only else "; for NPCs that obey at once, set moves_ego_only = True"
+                self.notes.setdefault(name, f"{told}, which is allowed{advice}")
+
+    def turns(self, run: _Run, reference: str) -> Iterator[tuple[Any, str, str]]:
+        """Yield that vehicles turn about a place near their rear axles, and the longer the less."""
+        turned = run.states[-1, :, 2] - run.states[0, :, 2]
+        parts = turned / (run.model[1:] - run.states[:-1])[..., 2].sum(axis=0)
+        shares = dict(zip((body.length for body in run.bodies), parts.tolist(), strict=True))
+        short, long = min(shares), max(shares)
+        is_felt = long < 1.8 * short or shares[long] / shares[short] < 0.85 * long / short
+        yield is_felt, "the length of a vehicle decides how it turns", f"the same turn with {short:g} and {long:g} m"
+        for number, length in enumerate(body.length for body in run.bodies):
+            driven, _, course = run.steps(number)
+            spare = run.states[-1, number, 3] * run.dt / 2 / length  # a step may use the heading before or after it
+            behind = float((driven * np.sin(course)).sum() / turned[number] / length)
+            is_ahead = behind + spare < CENTRE[0]
+            promise = "a vehicle turns about its rear axle, so that reference names the point whose place is stated"
+            received = f"{behind * length:.1f} m behind the centre of {run.name(number)}, with {reference!r}"
+            yield behind - spare <= CENTRE[1] and not (is_ahead and reference == "front"), promise, received
+            if is_ahead and reference == "centre":
+                self.notes.setdefault("reference", 'vehicles turn about their places: set reference = "rear axle"?')
+
+    def misplaced(self, run: _Run) -> str:
+        """Return in words how the start differs from what was asked for; empty if it is nothing usual."""
+        asked, got, most = run.model[0], run.states[0], run.model[0, :, 1].max()
+        far = np.hypot(*(asked[:, None, :2] - got[None, :, :2]).T)  # [states, asked]
+        order, nearest = far.argmin(axis=1).tolist(), far.min(axis=1).max()
+        if len({*order}) == len(order) and nearest < 0.3 < far.diagonal().max():
+            return "; states() has them in another order than start received them, the ego first"
+        ahead = ((got - asked)[:, :2] * np.stack([np.cos(asked[:, 2]), np.sin(asked[:, 2])], axis=1)).sum(axis=1)
+        is_half = np.abs(np.abs(ahead) - np.array([body.length for body in run.bodies]) / 2).max() < 0.1
+        if is_half or (np.ptp(ahead) < 0.1 and 0.2 < abs(ahead[0]) < 6.0):
+            side = f"{abs(ahead[0]):.2f} m {'ahead of' if ahead[0] > 0 else 'behind'} where start put them"
+            return f"; states() has vehicles {side}. Both have the point that reference names, {self.said.reference!r}"
+        if np.abs(got[:, 1] - (most - asked[:, 1])).max() < 0.1:
+            return "; its lanes are counted from the right, but lane 0 is the leftmost"
+        share = float(got[asked[:, 1].argmax(), 1] / (most or 1.0))
+        wide = self.is_plain and round(share, 2) != 1 and np.abs(got[:, 1] - share * asked[:, 1]).max() < 0.1 < most
+        return f"; its lanes are {share:.4g} times as wide as lane_width says" if wide else ""
+
+    def cause(self) -> str:
+        """Return in words which other statement explains all, the simplest first; empty if none does."""
+        real, facts, driven = self.said, dict(self.facts), self.facts.get("driven", 1.0)
+        axes = [dict(zip(AXES, each, strict=True)) for each in product(*AXES.values())]
+        others = ({name: value for name, value in each.items() if value != getattr(real, name)} for each in axes)
+        causes: list[dict[str, Any]] = sorted(filter(None, others), key=len)
+        if not DRIVEN[0] <= driven <= DRIVEN[1] and driven > 1e-3:
+            units = [("metres_per_second", real.metres_per_second * driven), ("metres", real.metres / driven)]
+            units.sort(key=lambda unit: round(min(abs(unit[1] / usual - 1) for usual in (1.0, *UNITS.values())), 2))
+            tick = {"hz": real.hz / driven} if real.dt is None else {"dt": driven / real.hz}
+            causes += [tick, *({name: value} for name, value in units)]
+        causes += [{"steering": -1.0}, *({name: 1 / facts[name]} for name in OBEYED if abs(facts.get(name, 0)) > 1e-3)]
+        for each in causes:
+            with suppress(AssertionError):
+                if all(is_kept for is_kept, *_ in self.promises(**each)):
+                    all_ = (f"{k} = {round(v, 6) if isinstance(v, float) else repr(v)}" for k, v in each.items())
+                    return f"; all fits with {', '.join(all_)}{' times that in control' if {*each} & {*OBEYED} else ''}"
+        return ""
+
+    def check_repetition(self) -> None:
+        """Check that equal starts give equal runs, whatever a simulator did before, and in a new one."""
+        promise = "the same start with the same seed gives the same run, to the last bit"
+        run = self.drive(self.spots(0.8 * self.top), GAS, lambda n, t, _: ((-1) ** n * (1 - t), 0.02 * math.sin(t + n)))
+        first, _, again = (self.again(run, *each) for each in ((), (2, self.seed + 1), ()))
+        cause = "reset all in start, and take random numbers from a generator that start makes from seed"
+        _check_same(first, again, run.dt, promise, f"in a simulator that was used before; {cause}")
+        if not self.said.one_at_a_time:
+            beside = self.world.simulators.take()
+            again = self.again(run, beside=beside)
+            self.world.simulators.give(beside)
+            share = "two simulators in a process share nothing, unless it states one_at_a_time = True"
+            _check_same(first, again, run.dt, share, "while another one is driven")
+        with warnings.catch_warnings(record=True, action="always") as told:
+            self.world.simulators.give(self.real, is_sound=False)  # closes it
+        self.real = self.world.simulators.take()
+        _promise(not told, "close() returns in time and without an exception", told and told[0].message)
+        _check_same(first, self.again(run), run.dt, promise, f"in another simulator; {cause}")
+
+    def again(self, run: _Run, vehicles: int | None = None, seed: int | None = None, beside: Any = None) -> FloatArray:
+        """Return the states with the vehicles and controls of a run, in the simulator's own units."""
+        rows = [self.tell("start", run.given[:vehicles], self.seed if seed is None else seed)]
+        if beside is not None:
+            beside.start(run.given[::-1], self.seed + 1)
+            beside.step(run.sent[0][::-1])
+        return np.array([*rows, *(self.tell("step", each[:vehicles]) for each in run.sent)])
 
 
-def _check_faults(world: Any, done: _Done, ads: Ads) -> None:
-    """Check that an ADS that fails after its first decisions ends its own run at that decision."""
-    limit, trace = base_world(world).hang_limit, done.trace
-    faults: list[tuple[str, Callable[[], Any], Outcome]] = [
-        ("raises", lambda: 1 / 0, Outcome.ADS_ERROR),
-        ("returns None", lambda: None, Outcome.ADS_ERROR),
-        ("hangs", lambda: time.sleep(6 * limit), Outcome.HANG),
-    ]
-    good = min(GOOD_DECISIONS, len(trace.decision_ticks) - 1)  # a run may be shorter
-    tick = trace.decision_ticks[good]
-    for name, fault, outcome in faults if limit <= 1.0 else faults[:-1]:
-
-        def failing(fault: Callable[[], Any] = fault) -> Callable[..., Any]:
-            healthy, made = ads(), count(1)
-            return lambda *seen: healthy(*seen) if next(made) <= good else fault()
-
-        failed = _rollout(rollout_of(world), done.scenario, failing)
-        received = f"{failed.outcome}, {failed.error}"
-        is_told = failed.outcome is outcome and failed.error is not None
-        _promise(is_told, f"an ADS that {name} ends its run as {outcome}", received)
-        is_tick = failed.error is not None and failed.error.tick == failed.ticks == tick
-        promise = f"error.tick is the tick of the decision of an ADS that {name}, at which its run ends"
-        received += f", in a run of {failed.ticks} ticks for decision {good}, at tick {tick}"
-        _promise(is_tick, promise, received)
-        is_named = name != "raises" or (failed.error is not None and "ZeroDivisionError" in failed.error.text)
-        _promise(is_named, "error.kind and error.message are those of the exception of an ADS", f"{failed.error}")
-        is_same = _repeats(trace, failed, tick + 1)
-        promise = f"states has the run up to the decision of an ADS that {name}"
-        _promise(is_same, promise, "other states than those of the run without the error")
-        again = _rollout(rollout_of(world), done.scenario, ads)
-        _check_same(trace, again, f"an ADS that {name} does not affect the next run")
-
-
-def _check_round_trip(world: Any, done: _Done, ads: Ads) -> None:
-    data = WorldData.of(world)
-    _promise(data.is_plain, "to_dict returns plain data that a file can store", f"{world.to_dict()!r:.200}")
-    if not data.can_be_made:
-        return
-    with _no_error("from_dict accepts the data of to_dict"):
-        again = data.made()
-    other = WorldData.of(again)
-    _promise(other == data, "from_dict(to_dict()) has the same data", f"{other.data} for {data.data}")
-    trace = _rollout(rollout_of(again), done.scenario, ads)
-    _check_same(done.trace, trace, "from_dict(to_dict()) gives the same traces")
+def _check_same(first: FloatArray, again: FloatArray, dt: float, promise: str, where: str) -> None:
+    """Check that two runs are the same to the last bit; the error says how they first differ."""
+    if first.tobytes() != again.tobytes():
+        tick, number, column = np.argwhere(first != again)[0].tolist()
+        received = f"{STARTS[column][0]} of {named(number)} differs by {abs(first - again)[tick, number, column]:.3g}"
+        _promise(False, promise, f"{received} after {tick * dt:.3g} s {where}")

@@ -17,7 +17,7 @@ In a :class:`pytest_pafot.SimulatorWorld`, a simulator of the user's moves all v
 
 from pytest_pafot.model.crossings import CrossingVehicle
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.base_world import Highway, WorldLike
+from pytest_pafot.world.base_world import Highway
 from pytest_pafot.world.codec import from_dict
 from pytest_pafot.world.driving.policy import Perception
 from pytest_pafot.world.engines.simulation import Control, Simulator, Vehicle
@@ -29,6 +29,6 @@ from pytest_pafot.world.simulator_world import SimulatorWorld
 
 __all__ = [
     "AdsFactoryError", "Control", "CrossingVehicle", "Drive", "Highway", "NpcLimits", "Observation", "Perception",
-    "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError", "WorldLike",
+    "Simulator", "SimulatorWorld", "Vehicle", "VehicleState", "World", "WorldError",
     "from_dict",
 ]  # fmt: skip

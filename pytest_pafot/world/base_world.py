@@ -1,8 +1,4 @@
-"""A world as a search sees it: what every world has and can do in addition, and the default, a straight motorway.
-
-A user's world only needs to satisfy :class:`WorldLike`. ``guard/own_worlds.py:base_world`` makes it a
-:class:`BaseWorld` once, before the search begins, so that no code of the search asks what a world's class is.
-"""
+"""What every world has, and the default, a straight motorway."""
 
 from __future__ import annotations
 
@@ -24,7 +20,8 @@ from pytest_pafot.model.scenario import PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR, VehicleName, VehicleType
 from pytest_pafot.oracle.run import Run
-from pytest_pafot.support.errors import AdsFactoryError, FieldError, WorldError, driven_by, plain_number
+from pytest_pafot.support.errors import AdsFactoryError, DriverError, FieldError, WorldError, plain_number
+from pytest_pafot.support.text import one_line
 from pytest_pafot.world.driving.policy import AdsFactory, Policy, idm_model
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, planner_run, vehicle_run
 from pytest_pafot.world.guard.chance import GENERATORS
@@ -61,6 +58,8 @@ class FirstDecision:
     """True if the ADS receives a :class:`pafot.Observation`, and not an environment's own observation."""
     text: str
     """A sentence that states what the ADS receives and what it must return."""
+    advice: str = ""
+    """What to do if the ADS is made for something else; empty if only the caller can say."""
 
 
 def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: Scenario) -> FirstDecision | None:
@@ -82,28 +81,6 @@ def decision_asked(rollout: Callable[[Scenario, AdsFactory], Trace], scenario: S
     return FirstDecision(is_si, f"The ADS was given {given}, and must return {expected}.")
 
 
-REQUIRED = ("rollout", "to_dict", "speed_limit", "longest_run")
-"""The names of all members of :class:`WorldLike`."""
-
-
-class WorldLike(Protocol):
-    """The members that a search needs in any world."""
-
-    @property
-    def speed_limit(self) -> float:
-        """The highest target speed of NPCs [m/s]."""
-
-    @property
-    def longest_run(self) -> float:
-        """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
-
-    def rollout(self, scenario: Scenario, ads_factory: AdsFactory, /) -> Trace:
-        """Simulate a scenario with a fresh ADS from ``ads_factory()``; equal scenarios give equal traces."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the world as plain data: numbers, text, lists, mappings."""
-
-
 class RoadStart(NamedTuple):
     """The lane and the speed with which the ego must start on a road.
 
@@ -115,61 +92,59 @@ class RoadStart(NamedTuple):
 
     lane: int
     speed: float
-    physics_hz: int
+    physics_hz: float
+
+
+BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
+"""The fields that all worlds have, with their smallest and largest accepted values."""
+
+
+LASTS = (0.01, 86400.0)
+"""The smallest and the largest accepted duration of runs that last longer [s]."""
+
+
+class EgoVehicle(Protocol):
+    """The ego's vehicle: a field that takes a vehicle or the name of a ready one, and gives a vehicle."""
+
+    def __get__(self, world: Any, of: Any = None, /) -> VehicleType: ...
+    def __set__(self, world: Any, given: VehicleType | VehicleName, /) -> None: ...
 
 
 class BaseWorld(ABC):
-    """A world as a search sees it. What a world lacks is as here."""
+    """The base class of all worlds, which are this package's own. Reference drivers can take the ego's place in them.
+
+    A user's simulator moves the vehicles of a :class:`pytest_pafot.SimulatorWorld`.
+    """
+
+    clearance: float
+    headway: float
+    limits: NpcLimits
+    hang_limit: float
+    lasts: float | None
+    ego: VehicleType
+
+    is_resumable: bool = False
+    """True if ``rollout`` accepts the first decisions of a run, as ``decisions=``."""
+
+    replays_in_gym: bool = True
+    """True if :meth:`rollout_in_gym` repeats a run with ``env.step`` of a plain gymnasium environment."""
 
     @property
     @abstractmethod
     def speed_limit(self) -> float:
         """The highest target speed of NPCs [m/s]."""
 
-    @property
-    @abstractmethod
-    def longest_run(self) -> float:
-        """The longest duration of a run [s]; a run of a shorter scenario ends earlier."""
-
     @abstractmethod
     def rollout(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario with a fresh ADS. A decision that exceeds :attr:`hang_limit` ends the run."""
+        """Simulate a scenario with a fresh ADS. A decision that exceeds ``hang_limit`` ends the run."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """Return the world as plain data: numbers, text, lists, mappings."""
 
-    @property
-    def given(self) -> Any:
-        """The world as the user gave it."""
-        return self
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """The names in :data:`REQUIRED` that the world lacks; without them it is no world."""
-        return ()
-
-    @property
-    def hang_limit(self) -> float:
-        """The wall-clock time after which a decision of the ADS is interrupted [s]."""
-        return HANG_LIMIT
-
-    # The road, and how the ego starts and acts on it.
-
-    @property
-    def road_start(self) -> RoadStart | None:
-        """The ego's start that the road prescribes; None if the ego may start in any lane and at any speed."""
-        return None
-
-    @property
-    def straight_road(self) -> StraightRoad | None:
-        """The road if it is straight, else None."""
-        return None
-
-    @property
-    def crossings(self) -> Crossings | None:
-        """The ways on which other traffic meets the ego's way; None if the world states none."""
-        return None
+    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
+        """Simulate a scenario in gymnasium, to confirm a finding."""
+        raise NotImplementedError
 
     @property
     def unused_roads(self) -> frozenset[Meeting]:
@@ -180,6 +155,16 @@ class BaseWorld(ABC):
     def action_space(self) -> Any:
         """The gymnasium space of actions; None if the ADS acts in SI units."""
         return None
+
+    @property
+    def hides(self) -> bool:
+        """True if observations can be made without one of the vehicles."""
+        return True
+
+    @property
+    def tick(self) -> float:
+        """The duration of a tick [s], if a second has no whole number of ticks; else 0."""
+        return 0.0
 
     @property
     def left_out(self) -> Mapping[str, tuple[str, ...]]:
@@ -195,59 +180,10 @@ class BaseWorld(ABC):
         """
         return {}
 
-    # What NPCs can do.
-
-    has_traffic_styles: bool = False
-    """True if NPCs keep to the style ``scenario.traffic``."""
-
-    has_lane_instructions: bool = False
-    """True if NPCs can have Lane-Instructions."""
-
-    def can_drive(self, vehicle: VehicleType) -> bool:
-        """Return whether an NPC that does not cross can be a given vehicle; without more knowledge, only a car."""
-        return vehicle == CAR
-
     @property
     def packages(self) -> tuple[str, ...]:
         """The names of the installed packages whose versions change runs, in addition to those of every world."""
         return ()
-
-    # How runs can be made, in addition to ``rollout``.
-
-    @property
-    def is_resumable(self) -> bool:
-        """True if ``rollout`` accepts the first decisions of a run, as ``decisions=``."""
-        return False
-
-    @property
-    def can_go_on(self) -> bool:
-        """True if runs can go on after the end of their scenario, by :meth:`lasting`."""
-        return False
-
-    def lasting(self, seconds: float) -> BaseWorld:
-        """Return a world in which a run lasts some seconds, and begins as in this world, to the last bit.
-
-        An event such as a collision still ends a run earlier, and so may the road.
-        """
-        raise NotImplementedError
-
-    @property
-    def replays_in_gym(self) -> bool:
-        """True if :meth:`rollout_in_gym` repeats a run with ``env.step`` of a plain gymnasium environment."""
-        return False
-
-    def rollout_in_gym(self, scenario: Scenario, ads_factory: AdsFactory) -> Trace:
-        """Simulate a scenario in gymnasium, to confirm a finding."""
-        raise NotImplementedError
-
-    @property
-    def takes_over(self) -> tuple[str, ...]:
-        """The names of the drivers that can take over in a run, by :meth:`take_over`."""
-        return ()
-
-    def take_over(self, trace: Trace, tick: int, name: str) -> Trace:
-        """Simulate a run again, with a driver in the ego's place from a tick on."""
-        raise NotImplementedError
 
     def runs_in_kernel(self, ads: Any) -> bool:
         """Return whether ``ads``, an ADS or its factory, is driven without Python code in each tick.
@@ -256,112 +192,6 @@ class BaseWorld(ABC):
         returns a vehicle class.
         """
         return False
-
-    def check_fits(self, scenario: Scenario) -> None:  # noqa: B027  (some worlds have no such check)
-        """Refuse a scenario that does not fit the world; the error names the field."""
-
-    def first_decision(self, scenario: Scenario) -> FirstDecision | None:
-        """Describe the first decision of an ADS; return None if the world cannot, or the run fails before it."""
-        return None
-
-    # What follows from these.
-
-    def space(self, given: Mapping[str, Any]) -> SearchSpace:
-        """Return the space of scenarios with the given fields that fits the world, see ``space_on``."""
-        from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
-
-        return space_on(float(self.speed_limit), float(self.longest_run), given, self.road_start)
-
-    @property
-    def most_on_grid(self) -> int:
-        """The largest number of NPCs with cells around the ego's prescribed start; 8 without a prescribed start."""
-        start = self.road_start
-        return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
-
-    def _has_cells(self, start: RoadStart, npcs: int) -> bool:
-        chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
-        try:
-            if npcs:
-                self.check_fits(Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=1.0))
-        except ScenarioError:
-            return False
-        return True
-
-    def run_of(self, trace: Trace) -> Run:
-        """Return a trace that was made in this world as a test function sees it."""
-        return Run(trace, take_over=TakingOver(self) if CAREFUL in self.takes_over else None)
-
-    @staticmethod
-    def looks_si(actions: Sequence[Any]) -> bool:
-        """Return whether all actions are a ``Drive`` or a pair of numbers; False if there are no actions."""
-        return bool(actions) and all(
-            isinstance(action, Drive)
-            or (
-                isinstance(action, (tuple, list, np.ndarray))
-                and np.shape(action) == (2,)
-                and all(plain_number(value) is not None for value in action)
-            )
-            for action in actions
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class TakingOver:
-    """The ability of a world to repeat a run in which the careful driver takes over from the ego."""
-
-    world: BaseWorld
-
-    def __call__(self, trace: Trace, tick: int) -> Trace:
-        """Simulate a run again, with the careful driver in the ego's place from a tick on.
-
-        Raises:
-            DriverError: if the world raises, or does not return a trace.
-        """
-        with driven_by(self.world.given, "take_over", CAREFUL):
-            taken: object = self.world.take_over(trace, tick, CAREFUL)
-            if not isinstance(taken, Trace):
-                raise TypeError(f"expected a pafot.Trace, received {taken!r:.100}")
-        return taken
-
-    def lasting(self, seconds: float) -> TakingOver | None:
-        """Return the ability to repeat runs that last some seconds; None if the world cannot go on.
-
-        Raises:
-            DriverError: if the world's ``lasting`` raises, or does not return a world.
-        """
-        if not self.world.can_go_on:
-            return None
-        with driven_by(self.world.given, "lasting"):
-            longer = self.world.lasting(seconds)
-            if longer.missing:
-                raise TypeError(f"expected a world, received {longer!r:.100}")
-        return TakingOver(longer)
-
-
-BOUNDS = (("clearance", 0.0, 50.0), ("headway", 0.0, 10.0), ("hang_limit", 0.01, 86400.0))
-"""The fields that both built-in worlds have, with their smallest and largest accepted values."""
-
-
-LASTS = (0.01, 86400.0)
-"""The smallest and the largest accepted duration of runs that last longer [s]."""
-
-
-class EgoVehicle(Protocol):
-    """The ego's vehicle: a field that takes a vehicle or the name of a ready one, and gives a vehicle."""
-
-    def __get__(self, world: Any, of: Any = None, /) -> VehicleType: ...
-    def __set__(self, world: Any, given: VehicleType | VehicleName, /) -> None: ...
-
-
-class BuiltInWorld(BaseWorld):
-    """The base class of this package's worlds, in which reference drivers can take the ego's place."""
-
-    clearance: float
-    headway: float
-    limits: NpcLimits
-    hang_limit: float
-    lasts: float | None
-    ego: VehicleType
 
     @property
     def observation_space(self) -> Any:
@@ -408,7 +238,7 @@ class BuiltInWorld(BaseWorld):
 
     @property
     def road_start(self) -> RoadStart | None:
-        """The lane and speed of :attr:`start`, with the ticks per second; None on a straight road."""
+        """The lane and speed of :attr:`start`, with the ticks per second; None if the ego may start in any lane."""
         return None if self.start is None else RoadStart(*self.start, physics_hz=self.rules.physics_hz)
 
     @property
@@ -416,21 +246,9 @@ class BuiltInWorld(BaseWorld):
         """The road if it is straight, else None."""
         return self.road if isinstance(self.road, StraightRoad) else None
 
-    has_traffic_styles = True
-    """True, because NPCs keep to the style of a scenario's traffic."""
-
-    has_lane_instructions = True
-    """True, because NPCs can have Lane-Instructions."""
-
     def can_drive(self, vehicle: VehicleType) -> bool:
         """Return whether an NPC that does not cross can be a given vehicle: it follows all bends of the road."""
         return self.rules.road.can_drive(vehicle)
-
-    can_go_on = True
-    """True, because :meth:`lasting` gives this world with longer runs."""
-
-    replays_in_gym = True
-    """True, because ``rollout_in_gym`` repeats a run with ``env.step``."""
 
     @property
     def longest_run(self) -> float:
@@ -577,8 +395,8 @@ class BuiltInWorld(BaseWorld):
         self,
         road: Road,
         *,
-        physics_hz: int,
-        ads_hz: int,
+        physics_hz: float,
+        ads_hz: float,
         duration: float,
         obstacles: tuple[tuple[float, float, float, float, float], ...] = (),
     ) -> Rules:
@@ -598,11 +416,74 @@ class BuiltInWorld(BaseWorld):
             obstacles=obstacles,
         )
 
+    def space(self, given: Mapping[str, Any]) -> SearchSpace:
+        """Return the space of scenarios with the given fields that fits the world, see ``space_on``."""
+        from pytest_pafot.searching.space import space_on  # noqa: PLC0415  (slow to import, and many worlds need none)
+
+        given = {**given, "tick": self.tick} if self.tick else given
+        return space_on(float(self.speed_limit), float(self.longest_run), given, self.road_start)
+
+    @property
+    def most_on_grid(self) -> int:
+        """The largest number of NPCs with cells around the ego's prescribed start; 8 without a prescribed start."""
+        start = self.road_start
+        return len(Cell) if start is None else next(n for n in range(len(Cell), -1, -1) if self._has_cells(start, n))
+
+    def _has_cells(self, start: RoadStart, npcs: int) -> bool:
+        chains = tuple((PositionInstruction(cell, 0.0),) for cell in list(Cell)[:npcs])
+        try:
+            if npcs:
+                time = self.tick or 1.0
+                self.check_fits(Scenario(npcs=chains, ego_lane=start.lane, ego_speed=start.speed, gene_seconds=time))
+        except ScenarioError:
+            return False
+        return True
+
+    def run_of(self, trace: Trace) -> Run:
+        """Return a trace that was made in this world as a test function sees it."""
+        return Run(trace, take_over=TakingOver(self))
+
+    @staticmethod
+    def looks_si(actions: Sequence[Any]) -> bool:
+        """Return whether all actions are a ``Drive`` or a pair of numbers; False if there are no actions."""
+        return bool(actions) and all(
+            isinstance(action, Drive)
+            or (
+                isinstance(action, (tuple, list, np.ndarray))
+                and np.shape(action) == (2,)
+                and all(plain_number(value) is not None for value in action)
+            )
+            for action in actions
+        )
+
 
 def _reference_driver(name: str) -> ReferenceDriver:
     if name not in REFERENCES:
         raise WorldError(f"reference driver: expected one of {', '.join(REFERENCES)}, received {name!r}")
     return REFERENCES[name]()
+
+
+@dataclass(frozen=True, slots=True)
+class TakingOver:
+    """The ability of a world to repeat a run in which the careful driver takes over from the ego."""
+
+    world: BaseWorld
+
+    def __call__(self, trace: Trace, tick: int) -> Trace:
+        """Simulate a run again, with the careful driver in the ego's place from a tick on.
+
+        Raises:
+            DriverError: if the world raises.
+        """
+        try:
+            return self.world.take_over(trace, tick, CAREFUL)
+        except Exception as error:  # of a user's simulator
+            text = f"the world {type(self.world).__name__} could not run take_over with the driver {CAREFUL!r}: "
+            raise DriverError(f"{text}{type(error).__name__}: {one_line(str(error))}") from error
+
+    def lasting(self, seconds: float) -> TakingOver:
+        """Return the ability to repeat runs that last some seconds."""
+        return TakingOver(self.world.lasting(seconds))
 
 
 LANE_WIDTH = 4.0
@@ -612,7 +493,7 @@ LANE_COUNTS = (3, 6)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Highway(BuiltInWorld):
+class Highway(BaseWorld):
     """A straight motorway of three to six lanes.
 
     The ADS is a callable from :class:`pytest_pafot.Observation` to ``(acceleration [m/s^2], steering [rad])`` or a

@@ -1,35 +1,34 @@
 """Worlds in files: conversion to plain data and back, and worlds that the test must name because they are code.
 
-A ``pafot.Highway``, ``pafot.World`` or ``pafot.sumo`` is data, and a replay makes it from the file. A user-defined
-world or simulator is code, and so are wrappers around an environment. Files may come from strangers, so no file may
-decide which code runs. For a world that is code, a replay uses the world that the test names, if the name of its class
-or environment is the name in the file.
+A ``pafot.Highway``, ``pafot.World``, ``pafot.metadrive`` or ``pafot.sumo`` is data, and a replay makes it from the
+file. A user's simulator is code, and so are wrappers around an environment. Files may come from strangers, so no file
+may decide which code runs. For a world that is code, a replay uses the world that the test names, if the name of its
+simulator or environment is the name in the file.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
-from pytest_pafot.findings.finding import check_plain
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.support.text import differences, shown
-from pytest_pafot.world.base_world import Highway, WorldLike
-from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world.base_world import BaseWorld, Highway
 from pytest_pafot.world.gym_world import LONGEST_RUN, World
-from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits, plain_data
+from pytest_pafot.world.limits import PHYSICS_HZ, NpcLimits
 from pytest_pafot.world.simulator_world import SimulatorWorld
-from pytest_pafot.world.sumo import Sumo
 
-SUMO = "sumo"
-"""The ``kind`` in files of a world of ``pafot.sumo``."""
+SIMULATORS: Mapping[str, str] = MappingProxyType({"metadrive": "MetaDrive", "sumo": "Sumo"})
+"""The classes of this package's simulators by the ``kind`` of their worlds in files, which also names their module."""
 
 OWN = "own"
-"""The ``kind`` in files of a world that is code."""
+"""The ``kind`` in files of a user's simulator. Before, it was also that of worlds with a ``rollout`` of their own."""
 
 BUILT_IN: Mapping[str, type[Highway | World]] = MappingProxyType({"highway": Highway, "gym": World})
 """The worlds of this package by their ``kind`` in files."""
@@ -45,7 +44,25 @@ LONGEST_DECISION = 600.0
 """The largest ``hang_limit`` that a file can set if no test names a world [s]."""
 
 
-def from_dict(data: Mapping[str, Any]) -> WorldLike:
+def checked_world(given: Any) -> BaseWorld:
+    """Return a world if it is one of this package.
+
+    Raises:
+        WorldError: for anything else, also for a derived class, whose runs its files could not repeat.
+    """
+    if type(given) in (*BUILT_IN.values(), SimulatorWorld):
+        world: BaseWorld = given
+        return world
+    if isinstance(given, BaseWorld):
+        name = next(each.__name__ for each in type(given).__mro__ if each in (*BUILT_IN.values(), SimulatorWorld))
+        fix = f"use pafot.{name} itself: a derived class may do anything, and a file could not say what"
+    else:
+        fix = "a simulator of your own is a class derived from pafot.Simulator, in a pafot.SimulatorWorld"
+    expected = "pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...)"
+    raise WorldError(field="world", expected=expected, received=shown(given), fix=fix)
+
+
+def from_dict(data: Mapping[str, Any]) -> BaseWorld:
     """Make a world from the plain data that :func:`described` or a built-in world's ``to_dict`` has returned.
 
     Raises:
@@ -57,10 +74,10 @@ def from_dict(data: Mapping[str, Any]) -> WorldLike:
     kind, values = data.get("kind"), {key: value for key, value in data.items() if key != "kind"}
     if isinstance(kind, str) and kind in BUILT_IN:
         return _built_in(kind, values)
-    if kind == SUMO:
-        return _of_sumo(values)
-    hint = "a file cannot hold the code of your own world; use the world object itself, or --world module:factory"
-    known = ", ".join(sorted([*BUILT_IN, SUMO]))
+    if isinstance(kind, str) and kind in SIMULATORS:
+        return _of_simulator(kind, values)
+    hint = "a file cannot hold the code of your simulator; use the world object itself, or --world module:factory"
+    known = ", ".join(sorted([*BUILT_IN, *SIMULATORS]))
     raise WorldError(
         field="world.kind", expected=f"one of {known}", received=repr(kind), fix=hint if kind == OWN else ""
     )
@@ -82,10 +99,22 @@ def _built_in(kind: str, values: dict[str, Any]) -> Highway | World:
             raise WorldError('world.env_id: expected the id of a registered environment, such as "highway-v0"')
         config = values.get("config")
         path = config.get("other_vehicles_type", OTHER_VEHICLES) if isinstance(config, dict) else OTHER_VEHICLES
-        if not isinstance(path, str) or not path.startswith("highway_env.vehicle."):  # highway-env imports that class
-            place, fix = "world.config.other_vehicles_type", "a corpus file may not name other code"
-            raise WorldError(field=place, expected="a class of highway_env.vehicle", received=repr(path), fix=fix)
+        if not _may_name(path):
+            fix = "a corpus file may not name other code; import the module of a vehicle class of your own first"
+            expected, place = "a class of highway_env.vehicle", "world.config.other_vehicles_type"
+            raise WorldError(field=place, expected=expected, received=repr(path), fix=fix)
     return BUILT_IN[kind](**values)
+
+
+def _may_name(path: Any) -> bool:
+    """Return whether a file may name a class, which highway-env imports: one of its own, or the user's vehicle class.
+
+    The latter must have been imported already, such as by the test.
+    """
+    module, _, name = str(path).rpartition(".")
+    found = vars(sys.modules.get(module, object)).get(name)
+    is_own = isinstance(found, type) and "highway_env.vehicle.kinematics" in [each.__module__ for each in found.__mro__]
+    return isinstance(path, str) and (path.startswith("highway_env.vehicle.") or is_own)
 
 
 def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
@@ -96,58 +125,49 @@ def _check_names(place: str, values: dict[str, Any], cls: type[Any]) -> None:
         raise WorldError(field=place, expected=expected, received=", ".join(unknown))
 
 
-def _of_sumo(values: dict[str, Any]) -> SimulatorWorld:
+def _of_simulator(kind: str, values: dict[str, Any]) -> SimulatorWorld:
     if set(values) != {"data"}:
         received = ", ".join(values) or "none"
-        raise WorldError(field=f"world (kind {SUMO})", expected="the field data", received=received)
+        raise WorldError(field=f"world (kind {kind})", expected="the field data", received=received)
+    # The room of simulators imports this one.
+    simulator = getattr(import_module(f"pytest_pafot.simulators.{kind}"), SIMULATORS[kind])
     try:
-        return SimulatorWorld.of(Sumo, values["data"])
+        return SimulatorWorld.of(simulator, values["data"])
     except WorldError:
         raise
     except Exception as error:
-        expected, fix = "data of a world of pafot.sumo", f"it raised {type(error).__name__}: {error!s:.200}"
+        expected, fix = f"data of a world of pafot.{kind}", f"it raised {type(error).__name__}: {error!s:.200}"
         raise WorldError(field="world.data", expected=expected, received=shown(values["data"]), fix=fix) from error
 
 
-def described(world: Any) -> dict[str, Any]:
+def described(world: BaseWorld) -> dict[str, Any]:
     """Describe a world as plain data for a file.
 
     Raises:
-        WorldError: if its environment cannot be used.
+        WorldError: if its environment or its simulator cannot be used.
     """
-    world = base_world(world).given
-    if type(world) in BUILT_IN.values():
-        data: dict[str, Any] = world.to_dict()
+    data = world.to_dict()
+    if not isinstance(world, SimulatorWorld):
         return data
-    maker = world.maker if isinstance(world, SimulatorWorld) else type(world)
-    own = {"kind": SUMO} if maker is Sumo else {"kind": OWN, "class": maker.__name__}
-    try:
-        given = plain_data("world", world.to_dict())
-        check_plain("world", given)
-    except ValueError:  # Such data cannot be compared later, but the scenario is worth saving.
-        return own
-    return {**own, "data": given}
+    maker = world.maker
+    kind = maker.__module__.rpartition("pytest_pafot.simulators.")[2]
+    own = {"kind": kind} if SIMULATORS.get(kind) == maker.__name__ else {"kind": OWN, "class": maker.__name__}
+    return {**own, "data": data}
 
 
-def is_built_in(world: Any) -> bool:
-    """Return whether a world is one of this package. A derived class is not, because it may do anything."""
-    return type(world) in (*BUILT_IN.values(), SimulatorWorld)
-
-
-def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> WorldLike:
+def of_file(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> BaseWorld:
     """Make the world that a file describes, with runs and decisions no longer than in ``own``, the test's world.
 
     Raises:
-        WorldError: as :func:`from_dict`; and for a world of SUMO whose runs or decisions may last longer, because
-            :func:`within` cannot shorten them.
+        WorldError: as :func:`from_dict`; and for a world of a simulator whose runs or decisions may last longer,
+            because :func:`within` cannot shorten them.
     """
     world = from_dict(within(data, scenario, own))
     if own is None or data.get("kind") in BUILT_IN:
         return world
-    made, own = base_world(world), base_world(own)
     for what, asked, most in (
-        ("decisions", made.hang_limit, own.hang_limit),
-        ("runs", min(made.longest_run, scenario.seconds), own.longest_run),
+        ("decisions", world.hang_limit, own.hang_limit),
+        ("runs", min(world.longest_run, scenario.seconds), own.longest_run),
     ):
         if asked > most + 1e-9:
             expected, received = f"{what} of at most {most:g} s, as in the world that the test names", f"{asked:g} s"
@@ -157,7 +177,7 @@ def of_file(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Wor
     return world
 
 
-def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapping[str, Any]:
+def within(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld | None = None) -> Mapping[str, Any]:
     """Return a file's world data, changed so that no run and no decision lasts longer than in the test's own world.
 
     A file may come from anyone and must not decide how long a session lasts. A decision may take as long as in the
@@ -170,7 +190,7 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
         own: the world that the test names; None without a test.
     """
     limits: dict[str, float] = {}
-    hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else base_world(own).hang_limit
+    hang_limit, most_seconds = data.get("hang_limit"), LONGEST_DECISION if own is None else own.hang_limit
     if isinstance(hang_limit, (int, float)) and hang_limit > most_seconds:
         limits["hang_limit"] = most_seconds
     if own is not None and data.get("kind") in BUILT_IN:
@@ -182,19 +202,19 @@ def within(data: Mapping[str, Any], scenario: Scenario, own: Any = None) -> Mapp
     return {**data, **limits}
 
 
-def cuts(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
+def cuts(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
     """Describe how :func:`within` shortens the run of a file; return an empty list if it does not."""
     longest = within(data, scenario, own).get("duration")
     return [] if longest == data.get("duration") else differences("world", data, {**data, "duration": longest})
 
 
-def _longest(data: Mapping[str, Any], own: Any) -> float:
+def _longest(data: Mapping[str, Any], own: BaseWorld) -> float:
     """Return the duration that has as many ticks in the file's world as that of the test's world in its own [s]."""
-    own, config = base_world(own).given, data.get("config")
+    config = data.get("config")
     rate = config.get("simulation_frequency") if isinstance(config, Mapping) else data.get("physics_hz")
     try:
         # A road may end before the duration that the test asks for, which its files then hold.
-        seconds = float(own.to_dict()["duration"] if type(own) in BUILT_IN.values() else own.longest_run)
+        seconds = float(own.longest_run if isinstance(own, SimulatorWorld) else own.to_dict()["duration"])
         own_rate = getattr(own, "physics_hz", None)
     except WorldError:  # every search of this test reports this error
         return math.inf
@@ -203,66 +223,24 @@ def _longest(data: Mapping[str, Any], own: Any) -> float:
     return float(seconds * own_rate / rate)
 
 
-@dataclass(frozen=True, slots=True)
-class WorldData:
-    """A world as plain data, as a file stores it; equal worlds have equal data.
-
-    Attributes:
-        data: the data of the world.
-        world: the world that it describes; None for data of a file.
-    """
-
-    data: Mapping[str, Any]
-    world: Any = field(default=None, compare=False)
-
-    @classmethod
-    def of(cls, world: Any) -> WorldData:
-        """Return the data of a world."""
-        return cls(described(world), world)
-
-    @property
-    def is_plain(self) -> bool:
-        """True unless the ``to_dict`` of a user's own world returns what a file cannot store."""
-        return self.data["kind"] != OWN or "data" in self.data
-
-    @property
-    def can_be_made(self) -> bool:
-        """True if the world can be made from its data: it is no code, or its class has ``from_dict``."""
-        return not is_code(self.data) or (self.data["kind"] == OWN and hasattr(type(self.world), "from_dict"))
-
-    def named(self, world: Any) -> WorldLike:
-        """Return the world of a file, for which the user names a world: that one if the file's world is code.
-
-        Raises:
-            WorldError: if the user names the world of another class or environment.
-        """
-        same: WorldLike = named(self.data, world)
-        return same if is_code(self.data) else self.made()
-
-    def made(self) -> WorldLike:
-        """Return the world that is made from the data.
-
-        Raises:
-            WorldError: for data that is not that of a world, see :func:`from_dict`.
-        """
-        if self.world is not None and self.data["kind"] == OWN:
-            again: WorldLike = type(self.world).from_dict(self.world.to_dict())
-            return again
-        return from_dict(self.data)
-
-
 def is_code(data: Mapping[str, Any]) -> bool:
     """Return whether the world of a file is code, so that the test must name it."""
     return data.get("kind") == OWN or "wrappers" in data
 
 
-def named(data: Mapping[str, Any], world: Any) -> Any:
+def named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
     """Return ``world``, which the test names, if it is the world of the file ``data``.
 
     Raises:
-        WorldError: if it differs from the file in a field of :data:`NAMED_BY`.
+        WorldError: if it differs from the file in a field of :data:`NAMED_BY`, or if the file was saved in a world with
+            a ``rollout`` of its own, which earlier versions had.
     """
     now = described(world)
+    if data.get("kind") == OWN and "simulator" not in data.get("data", ()):
+        expected = "a file of a pafot.SimulatorWorld, a pafot.Highway or a pafot.World"
+        received = f"{_title(data)} with a rollout of its own, which no version has any more"
+        fix = "search again in a pafot.SimulatorWorld with a pafot.Simulator of your own, and delete this file"
+        raise WorldError(field="world", expected=expected, received=received, fix=fix)
     if all(data[key] == now.get(key) for key in NAMED_BY if key in data):
         return world
     expected = f"that the test names the world in which the scenario was saved, {_title(data)}"
@@ -271,14 +249,24 @@ def named(data: Mapping[str, Any], world: Any) -> Any:
     raise WorldError(expected=f"{expected}, because a file holds no code", received=_title(now), fix=fix)
 
 
-def changes(data: Mapping[str, Any], world: Any) -> list[str]:
+def of_named(data: Mapping[str, Any], world: BaseWorld) -> BaseWorld:
+    """Return the world of a file, for which the user names a world: that one if the file's world is code.
+
+    Raises:
+        WorldError: if the user names the world of another class or environment.
+    """
+    same = named(data, world)
+    return same if is_code(data) else from_dict(data)
+
+
+def changes(data: Mapping[str, Any], world: BaseWorld) -> list[str]:
     """Describe how the test's world differs from a file whose world is code; return an empty list for other files."""
     if not is_code(data):
         return []
     return differences("world", data, described(world))
 
 
-def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str]:
+def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: BaseWorld) -> list[str]:
     """Describe how the test's world differs from the world that :func:`of_file` makes, in which a file is replayed.
 
     The list is empty for a file whose world is code, because it is replayed in the test's world.
@@ -291,7 +279,7 @@ def elsewhere(data: Mapping[str, Any], scenario: Scenario, own: Any) -> list[str
 def _title(data: Mapping[str, Any]) -> str:
     kind = data.get("kind")
     if kind == OWN:
-        return f"a world of the class {data['class']}" if "class" in data else "a world of the user's own"
+        return f"a simulator of the class {data['class']}" if "class" in data else "a simulator of the user's own"
     if kind == "gym":
         wrappers = f" with {', '.join(data['wrappers']) or 'its registered wrappers'}" if "wrappers" in data else ""
         return f"pafot.World({data['env_id']!r}){wrappers}"

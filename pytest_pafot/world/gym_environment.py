@@ -28,7 +28,14 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from pytest_pafot.support.errors import WorldError
-from pytest_pafot.world.driving.vehicles import EgosRegulatedRoad, SearchedLanes, compiled_network, straight_road
+from pytest_pafot.world.driving.vehicles import (
+    EgosRegulatedRoad,
+    SearchedLanes,
+    TrafficClass,
+    compiled_network,
+    straight_road,
+    traffic_class,
+)
 from pytest_pafot.world.guard.hang_guard import UNFIT, AdsHang, HangGuard, WorldHang, let_through, patience_with_world
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.limits import ADS_HZ, CONNECTED, OTHER_KIND, PHYSICS_HZ, plain_data, whole_within
@@ -135,7 +142,7 @@ These wrappers check calls or end episodes; they change neither observations nor
 
 
 class EnvironmentGuard(HangGuard):
-    """A guard of the code of an environment and its wrappers, which may take as long as that of a user's world.
+    """A guard of the code of an environment and its wrappers, which may take as long as a simulator's methods.
 
     Args:
         hang_limit: the limit of a decision in the world [s]. Decisions within a step have guards of their own.
@@ -235,8 +242,10 @@ class GymEnvironment:
         _check_sizes(given, creator)
         try:
             # What an environment sets in classes, such as in its __init__, holds in an episode of its own traffic.
-            with nullcontext() if has_traffic else vehicle_classes_kept(), self.in_time():
+            kept: Any = nullcontext({}) if has_traffic else vehicle_classes_kept()
+            with kept as changed, self.in_time():
                 env = _made(self.env_id, creator, self._given_config, has_traffic=has_traffic)
+            self._changed.update(changed)
         except WorldError:
             raise
         except Exception as error:
@@ -265,6 +274,11 @@ class GymEnvironment:
             )
         with self.in_time():
             return _wrapped(env, self.wrappers or ())
+
+    @cached_property
+    def _changed(self) -> dict[Any, dict[str, Any]]:
+        """The constants of highway-env's vehicle classes that the environment sets, by class."""
+        return {}
 
     @cached_property
     def outer(self) -> Any:
@@ -349,6 +363,32 @@ class GymEnvironment:
     def network(self) -> Any:
         """The road as a road network of highway-env."""
         return SearchedLanes(self.unwrapped.road.network)
+
+    @cached_property
+    def traffic(self) -> TrafficClass:
+        """The class of its own traffic, of which its code sees the NPCs.
+
+        Raises:
+            WorldError: if the NPCs cannot be of that class.
+        """
+        given = self.unwrapped.config.get("other_vehicles_type", "highway_env.vehicle.behavior.IDMVehicle")
+        road = self.road(np.random.default_rng(0))
+        road.vehicles = [self.unwrapped.vehicle]
+        try:
+            with vehicle_classes_kept(), self.in_time():
+                return traffic_class(given, road, self._changed)
+        except WorldError:
+            raise
+        except UNFIT as error:
+            let_through(error)
+            raise WorldError(
+                field="config.other_vehicles_type",
+                expected="a class of highway-env's vehicles that can be called with (road, position, heading, speed) "
+                "and leaves its vehicles where they are put, because the NPCs are of this class",
+                received=f"{given!r:.200} ({type(error).__name__}: {error!s:.200})",
+                fix="correct the class, or let the option name another, such as "
+                "'highway_env.vehicle.behavior.IDMVehicle'",
+            ) from error
 
     def road(self, np_random: Any = None) -> Any:
         """Return the road as a road of highway-env without vehicles and objects, for one run."""
@@ -544,11 +584,12 @@ class GymEnvironment:
             ends: whether the environment's own ends end runs.
         """
         given, is_straight = self.config or {}, self.straight_road is not None
+        is_read = ends and not type(self.unwrapped).__module__.startswith("highway_env.")
         found: dict[str, list[str]] = {}
         for name in given:
             told = ""
-            if name == "other_vehicles_type" and simulates:
-                continue
+            if name == "other_vehicles_type" and (is_read or not (is_planner or drives_itself)):
+                continue  # of this class, the environment's own code sees the NPCs
             if name in TRAFFIC_OPTIONS or (name == CONNECTED and not (drives_itself or simulates)):
                 told = "NPCs replace the environment's own traffic"
             elif name in POLICY_OPTIONS and (is_planner or drives_itself):
@@ -666,8 +707,10 @@ def wrappers_of(env: Any) -> list[Any]:
 
 
 @contextmanager
-def vehicle_classes_kept() -> Iterator[None]:
+def vehicle_classes_kept() -> Iterator[dict[Any, dict[str, Any]]]:
     """Undo all changes that are made to constants of highway-env's vehicle classes in a ``with`` block.
+
+    After the block, what it yields has the new constants by class.
 
     intersection-v0 sets the IDM's distances on the class itself, and so for every other environment of the process.
     Without this function, making that environment once would change how every later IDM ego drives.
@@ -677,11 +720,15 @@ def vehicle_classes_kept() -> Iterator[None]:
         classes.add(queue[-1])
         queue.extend(queue.pop().__subclasses__())
     before = {cls: {name: value for name, value in vars(cls).items() if name.isupper()} for cls in classes}
+    changed = dict[Any, dict[str, Any]]()
     try:
-        yield
+        yield changed
     finally:
         for cls, constants in before.items():
-            for name in [name for name in vars(cls) if name.isupper() and name not in constants]:
+            now = {name: value for name, value in vars(cls).items() if name.isupper()}
+            if own := {name: value for name, value in now.items() if value is not constants.get(name)}:
+                changed[cls] = own
+            for name in now.keys() - constants:
                 delattr(cls, name)
             for name, value in constants.items():
                 if vars(cls)[name] is not value:

@@ -12,7 +12,7 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.base_world import BuiltInWorld, EgoVehicle
+from pytest_pafot.world.base_world import BaseWorld, EgoVehicle
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
@@ -47,7 +47,7 @@ straight, where runs last longer only with ``duration=``."""
 
 
 @dataclass(frozen=True)
-class World(BuiltInWorld):
+class World(BaseWorld):
     """A world on the road of a registered gymnasium environment that derives from highway-env's ``AbstractEnv``.
 
     The ADS is a callable from the environment's own observation to the environment's own action. Its factory may have a
@@ -175,12 +175,12 @@ class World(BuiltInWorld):
         return None if self.planner_hz is not None else self.environment.outer.action_space
 
     @property
-    def physics_hz(self) -> int:
+    def physics_hz(self) -> float:
         """The physics ticks per second, the environment's ``simulation_frequency``."""
         return self.rules.physics_hz
 
     @property
-    def ads_hz(self) -> int:
+    def ads_hz(self) -> float:
         """The decisions per second: ``planner_hz`` if given, else the environment's ``policy_frequency``."""
         return self.rules.ads_hz
 
@@ -212,6 +212,8 @@ class World(BuiltInWorld):
         drives_itself = self.planner_hz is not None or policy.drives_itself
         if not drives_itself:
             self.environment.check_keeps_no_ego()
+        if not drives_itself or self.rules.ends:
+            self.environment.traffic  # noqa: B018  (it raises an error if the NPCs cannot be of its class)
         has_wrappers = self.wrappers is not None and not drives_itself
         if has_wrappers or self.environment.episodes_itself(drives_itself=drives_itself):
             return self.rollout_in_gym(scenario, policy.factory)

@@ -91,7 +91,7 @@ class NpcLimits:
         return speed
 
 
-OTHER_KIND = 'a world of your own around a simulator of another kind (page "A simulator of your own")'
+OTHER_KIND = 'a pafot.Simulator around it, for pafot.SimulatorWorld (page "A simulator of your own")'
 """The way out for a user whose simulator is none of highway-env."""
 
 PHYSICS_HZ, ADS_HZ = (5, 1000), (1, 1000)
@@ -105,6 +105,11 @@ def number_within(name: str, value: object, low: float, high: float, why: str = 
     """Return ``value`` as a float if it is from ``low`` to ``high``; else raise an error with both and ``why``."""
     expected = f"a number from {low:g} to {high:g}{why}"
     return checked_number(value, name, expected, least=low, most=high, error=WorldError)
+
+
+def plainly(rate: float) -> float:
+    """Return a rate as an int if it is whole but for rounding, as in all traces of such rates, else as it is."""
+    return round(rate) if abs(rate - round(rate)) < 1e-9 * rate else rate
 
 
 def whole_within(name: str, value: object, low: int, high: int) -> int:
@@ -130,10 +135,10 @@ def plain_data(name: str, value: Any) -> Any:
     raise WorldError(field=name, expected=expected, received=repr(value))
 
 
-def check_ticks(duration: float, physics_hz: int) -> None:
+def check_ticks(duration: float, physics_hz: float) -> None:
     """Refuse a duration [s] with more than :data:`MOST_TICKS` ticks, whose record would take too much memory."""
     if duration * physics_hz > MOST_TICKS:
-        expected = f"at most {MOST_TICKS // physics_hz} s at {physics_hz} ticks a second"
+        expected = f"at most {int(MOST_TICKS / physics_hz)} s at {physics_hz:.6g} ticks a second"
         raise WorldError(field="duration", expected=expected, received=f"{duration:g}")
 
 

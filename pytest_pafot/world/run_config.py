@@ -45,8 +45,8 @@ class Rules:
     """
 
     road: Road
-    physics_hz: int
-    ads_hz: int
+    physics_hz: float
+    ads_hz: float
     duration: float
     clearance: float
     headway: float
@@ -55,7 +55,7 @@ class Rules:
     ego: VehicleType = CAR
     lasts: float | None = None
     obstacles: tuple[tuple[float, float, float, float, float], ...] = ()
-    policy_hz: int | None = None
+    policy_hz: float | None = None
     ends: tuple[str, ...] | None = None
     ends_in_steps: bool = False
     step_limit: int | None = None
@@ -63,7 +63,12 @@ class Rules:
     @property
     def step_ticks(self) -> int:
         """The number of ticks of a step of the environment, which is as long as a decision of the policy under test."""
-        return self.physics_hz // (self.policy_hz or self.ads_hz)
+        return round(self.physics_hz / (self.policy_hz or self.ads_hz))
+
+    @property
+    def every(self) -> int:
+        """The number of ticks between decisions."""
+        return round(self.physics_hz / self.ads_hz)
 
     @property
     def crossings(self) -> Crossings | None:
@@ -128,8 +133,9 @@ class Rules:
         self._check_vehicles(scenario)
         ticks = scenario.gene_seconds * self.physics_hz
         if abs(ticks - round(ticks)) > 1e-6 or round(ticks) < 1:
-            expected = f"a whole number of ticks of 1/{self.physics_hz} s"
-            fix, received = f"the nearest is {max(round(ticks), 1) / self.physics_hz!r}", f"{scenario.gene_seconds:g}"
+            expected = f"a whole number of ticks of 1/{self.physics_hz:.6g} s"
+            fix = f"the nearest is {round(max(round(ticks), 1) / self.physics_hz, 13)!r}"
+            received = f"{scenario.gene_seconds:g}"
             raise ScenarioError(field="gene_seconds", expected=expected, received=received, fix=fix)
 
     def _check_vehicles(self, scenario: Scenario) -> None:

@@ -12,19 +12,28 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from numbers import Real
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, get_args
 
 import numpy as np
 
-from pytest_pafot.findings.finding import DRIVEN_ON
+from pytest_pafot.findings.finding import DRIVEN_ON, check_plain
 from pytest_pafot.model.scenario import EGO_SPEED, PAPER_SPEED_LIMIT, Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.model.vehicle_type import CAR
 from pytest_pafot.support.errors import AdsFactoryError, WorldError
-from pytest_pafot.world.base_world import BuiltInWorld, EgoVehicle
+from pytest_pafot.world.base_world import BaseWorld, EgoVehicle, FirstDecision
 from pytest_pafot.world.driving.policy import AdsFactory, Policy
 from pytest_pafot.world.engines.run import planner_driver, planner_run
-from pytest_pafot.world.engines.simulation import HEADINGS, Frame, RepeatedBody, Simulation, Simulator, Simulators
+from pytest_pafot.world.engines.simulation import (
+    Frame,
+    Headings,
+    NativeDriver,
+    Reference,
+    RepeatedBody,
+    Simulation,
+    Simulator,
+    Simulators,
+)
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.limits import (
@@ -33,16 +42,25 @@ from pytest_pafot.world.limits import (
     HANG_LIMIT,
     HEADWAY,
     PHYSICS_HZ,
+    PLANNER_HZ,
     TOP_SPEED,
     NpcLimits,
-    check_divides,
     check_ticks,
     number_within,
     plain_data,
+    plainly,
     whole_within,
 )
 from pytest_pafot.world.roads.road import Road, StraightRoad, ego_start
 from pytest_pafot.world.run_config import Rules
+
+if TYPE_CHECKING:
+    from pytest_pafot.model.vehicle_type import VehicleName, VehicleType
+
+    WorldArguments = TypedDict("WorldArguments", {  # noqa: UP013  (a class is longer)
+        "ads_hz": float | None, "duration": float, "clearance": float, "headway": float, "limits": NpcLimits,
+        "ego": VehicleType | VehicleName, "hang_limit": float,
+    }, total=False)  # fmt: skip
 
 LANE_WIDTH = 4.0
 """The width of lanes if a simulator states none [m]."""
@@ -57,9 +75,12 @@ ROOM_BEHIND = 150.0
 
 
 OTHER_NAMES = {
+    "at_front": 'reference = "front"',
     "from_north": 'headings = "y to x"',
     "physics_hz": "hz",
     "frequency": "hz",
+    "time_step": "dt",
+    "timestep": "dt",
     "simulation_frequency": "hz",
     "lane_count": "lanes",
     "max_speed": "speed_limit",
@@ -68,16 +89,17 @@ OTHER_NAMES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulatorWorld(BuiltInWorld):
+class SimulatorWorld(BaseWorld):
     """A world in which a simulator of the user's moves all vehicles; see :class:`pytest_pafot.Simulator`.
 
     The ADS is a planner, as in :class:`pytest_pafot.Highway`: a callable from :class:`pytest_pafot.Observation` to
-    ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`.
+    ``(acceleration [m/s^2], steering [rad])`` or a :class:`pytest_pafot.Drive`. If the simulator is ``native``, it is a
+    callable from what the simulator observes to an action of the simulator.
 
     Attributes:
         simulator: the class of the simulator, or a function without parameters that makes one.
-        ads_hz: decisions of the ADS per second; a divisor of the simulator's ``hz``. None for 5, or for the next larger
-            divisor.
+        ads_hz: decisions of the ADS per second; the simulator's ticks per second divided by a whole number. None for 5,
+            or for the next larger one.
         duration: the longest duration of a run [s].
         clearance, headway, limits, hang_limit, lasts, ego: as in :class:`pytest_pafot.Highway`. A method
             of the simulator may take ten times ``hang_limit``, and a minute in any case.
@@ -87,7 +109,7 @@ class SimulatorWorld(BuiltInWorld):
     """
 
     simulator: Callable[[], Simulator] = field(kw_only=False)
-    ads_hz: int | None = None
+    ads_hz: float | None = None
     duration: float = 60.0
     clearance: float = CLEARANCE
     headway: float = HEADWAY
@@ -103,18 +125,19 @@ class SimulatorWorld(BuiltInWorld):
             fix = f"write pafot.SimulatorWorld({name}), or functools.partial({name}, ...) with its arguments"
             raise WorldError(field="simulator", expected=expected, received=f"{self.simulator!r:.200}", fix=fix)
         if self.ads_hz is not None:
-            object.__setattr__(self, "ads_hz", whole_within("ads_hz", self.ads_hz, *ADS_HZ))
+            object.__setattr__(self, "ads_hz", plainly(number_within("ads_hz", self.ads_hz, *ADS_HZ)))
         object.__setattr__(self, "duration", number_within("duration", self.duration, 0.1, 3600.0))
         self._check_fields()
 
     @cached_property
-    def _simulators(self) -> Simulators:
+    def simulators(self) -> Simulators:
+        """The simulators of this world in this process: runs take one, and give it back."""
         return Simulators(self.simulator)
 
     @cached_property
     def _stated(self) -> _Stated:
         """The checked statements of the simulator, in SI units and the axes of a run."""
-        simulators = self._simulators
+        simulators = self.simulators
         made = simulators.take()
         try:
             stated = _stated(made)
@@ -123,9 +146,24 @@ class SimulatorWorld(BuiltInWorld):
         return stated
 
     @property
-    def physics_hz(self) -> int:
-        """The simulator's ticks per second."""
+    def physics_hz(self) -> float:
+        """The simulator's ticks per second; an int if it is whole."""
         return self._stated.hz
+
+    @property
+    def tick(self) -> float:
+        """The duration of a tick [s], if a second has no whole number of ticks; else 0."""
+        return 0.0 if isinstance(self.physics_hz, int) else 1 / self.physics_hz
+
+    @property
+    def is_native(self) -> bool:
+        """True if the policy gets what the simulator observes."""
+        return self._stated.native
+
+    @property
+    def hides(self) -> bool:
+        """True if a vehicle can be hidden from the policy."""
+        return not self.is_native or "hidden" in inspect.signature(self.maker.observe).parameters
 
     @property
     def maker(self) -> type[Simulator]:
@@ -206,8 +244,16 @@ class SimulatorWorld(BuiltInWorld):
     @cached_property
     def _rules(self) -> Rules:
         road, duration, hz = self.road, self.duration, self.physics_hz
-        ads_hz = self.ads_hz or next(each for each in range(5, hz + 1) if hz % each == 0)
-        check_divides((f"{self._stated.name}.hz", hz), ("ads_hz", ads_hz))
+        slowest = int(hz / PLANNER_HZ + 1e-9)
+        every = next(each for each in range(slowest, 0, -1) if not isinstance(hz, int) or hz % each == 0)
+        if self.ads_hz is not None:
+            every = max(round(hz / self.ads_hz), 1)
+            if abs(hz / self.ads_hz - every) > 1e-3 * every:
+                expected = f"{self._stated.name}'s {hz:.6g} ticks per second divided by a whole number"
+                near = {max(int(hz / self.ads_hz), 1) + more for more in (0, self.ads_hz < hz)}
+                fix = f"the nearest: {' and '.join(f'{hz / each:.6g}' for each in sorted(near))}"
+                raise WorldError(field="ads_hz", expected=expected, received=f"{self.ads_hz:g}", fix=fix)
+        ads_hz = plainly(hz / every)
         check_ticks(duration, hz)
         duration = min(duration, self._on_road.longest)
         return self._rules_on(road, physics_hz=hz, ads_hz=ads_hz, duration=duration, obstacles=self._obstacles)
@@ -215,7 +261,8 @@ class SimulatorWorld(BuiltInWorld):
     @cached_property
     def _obstacles(self) -> tuple[tuple[float, float, float, float, float], ...]:
         """The fixed objects: x [m], y [m], heading [rad], length and width [m]."""
-        frame, found = self._on_road.frame, []
+        # The places of objects are those of their centres, whatever those of vehicles are.
+        frame, found = Frame(replace(self._stated, rear_axle_offset=None), self._on_road.frame.origin), []
         for x, y, heading, length, width in self._stated.obstacles:
             placed = frame.state((x, y, heading, 0.0), 0.0, 0.0)
             found.append((*placed[:3], length * frame.metres, width * frame.metres))
@@ -228,6 +275,14 @@ class SimulatorWorld(BuiltInWorld):
             WorldError: if it cannot be used; the message names the field.
         """
         _ = self.rules
+
+    def first_decision(self, scenario: Scenario) -> FirstDecision | None:
+        """Describe the first decision of an ADS in a scenario; return None if the run fails before that decision."""
+        asked, name = super().first_decision(scenario), self.maker.__name__
+        if asked is None or not self.is_native:
+            return asked
+        advice = f"This is what {name}.observe returns, because native is True; without it, {name} is for planners."
+        return replace(asked, advice=advice)
 
     replays_in_gym = False
     """False, because a simulator is no environment."""
@@ -261,11 +316,15 @@ class SimulatorWorld(BuiltInWorld):
         if ads.drives_itself:
             raise self._no_planner(ads.given)
         with closing(ads.given, self.hang_limit):
-            return self._planned(self.rules, scenario, ads.given, decisions)
+            given = ads.policy if self.is_native else ads.given
+            return self._planned(self.rules, scenario, given, decisions, is_native=self.is_native)
 
     def _no_planner(self, given: Any) -> AdsFactoryError:
+        takes = f"what {self.maker.__name__}.observe returns to an action"
+        if not self.is_native:
+            takes = "a pafot.Observation to (acceleration, steering)"
         return AdsFactoryError(
-            f"ads: expected a planner, a callable from a pafot.Observation to (acceleration, steering), in a simulator "
+            f"ads: expected a planner, a callable from {takes}, in a simulator "
             f"of your own, received {given!r:.200}; a vehicle class of highway-env drives in pafot.Highway, and a "
             "planner that simulates in pafot.World"
         )
@@ -277,16 +336,23 @@ class SimulatorWorld(BuiltInWorld):
         ads: Callable[[Any], Any],
         decisions: Sequence[Any] = (),
         body: Body | None = None,
+        *,
+        is_native: bool = False,
     ) -> Trace:
         guard = HangGuard(rules.hang_limit)
         stock_road = lambda: self.stock_road  # noqa: E731  (to make it imports highway-env)
         vehicles, driver = planner_run(rules, scenario, stock_road, ads, guard, decisions=decisions, body=body)
+        if is_native:
+            driver = NativeDriver(vehicles, ads, guard, decisions, self.rules.every)
         if isinstance(body, RepeatedBody):
-            own = replace(rules, ads_hz=self.rules.ads_hz)
-            body.repeats = planner_driver(vehicles, None, guard, None, rules=own)
+            if self.is_native:
+                body.repeats = NativeDriver(vehicles, ads, guard, body.actions, self.rules.every)
+            else:
+                own = replace(rules, ads_hz=self.rules.ads_hz)
+                body.repeats = planner_driver(vehicles, ads, guard, None, body.actions, rules=own)
         try:
             with guard:
-                simulation = Simulation(self._simulators, self._on_road.frame, vehicles, scenario.seed, guard)
+                simulation = Simulation(self.simulators, self._on_road.frame, vehicles, scenario.seed, guard)
                 vehicles.loop.simulation = simulation
         except BaseException:
             vehicles.close()
@@ -345,8 +411,9 @@ class _Stated:
     y_is_left: bool
     degrees: bool
     headings: str
-    at_front: bool
-    hz: int
+    reference: Reference
+    rear_axle_offset: float | None
+    hz: float
     lane_width: float
     speed_limit: float
     length: float | None
@@ -354,6 +421,7 @@ class _Stated:
     start_speed: float | None
     start_at: float | None
     moves_ego_only: bool
+    native: bool
     obstacles: list[tuple[float, float, float, float, float]]
     data: dict[str, Any]
     count: int = 0
@@ -398,9 +466,19 @@ def _stated(simulator: Any) -> _Stated:
             return list(value)
         raise WorldError(field=f"{name}.{field}", expected=f"a list or tuple of {of}", received=f"{value!r:.100}")
 
-    if not isinstance(simulator.headings, str) or simulator.headings not in HEADINGS:
-        expected, received = f"one of {', '.join(map(repr, HEADINGS))}", f"{simulator.headings!r:.100}"
-        raise WorldError(field=f"{name}.headings", expected=expected, received=received)
+    for stated, known in (("headings", get_args(Headings)), ("reference", get_args(Reference))):
+        if getattr(simulator, stated) not in known:
+            expected, received = f"one of {', '.join(map(repr, known))}", f"{getattr(simulator, stated)!r:.100}"
+            raise WorldError(field=f"{name}.{stated}", expected=expected, received=received)
+    offset, reference = simulator.rear_axle_offset, simulator.reference
+    if (offset is None) is (reference == "rear axle"):
+        expected = "the distance of the rear axle behind the centre of a vehicle's box [m]"
+        fix = 'with reference = "rear axle", write such as rear_axle_offset = 1.4'
+        if offset is not None:
+            expected, fix = f"none with reference = {reference!r}", 'write reference = "rear axle", or leave it out'
+        raise WorldError(field=f"{name}.rear_axle_offset", expected=expected, received=f"{offset!r:.100}", fix=fix)
+    if offset is not None:
+        offset = number_within(f"{name}.rear_axle_offset", offset, 0.1, 20.0, " [m]")
     for each in several("packages", "names of packages"):
         if not isinstance(each, str):
             raise WorldError(field=f"{name}.packages", expected="names of packages", received=f"{each!r:.100}")
@@ -408,6 +486,13 @@ def _stated(simulator: Any) -> _Stated:
     if not isinstance(data, dict):
         expected = "the arguments of the class by name"
         raise WorldError(field=f"{name}.to_dict()", expected=expected, received=f"{data!r:.100}")
+    try:
+        check_plain(f"{name}.to_dict()", data)
+    except ValueError as error:
+        raise WorldError(str(error)) from None
+    if is_on("native") and type(simulator).observe is Simulator.observe:
+        fix = "let it return what the policy gets"
+        raise WorldError(field=f"{name}.observe", expected="one, because native is True", received="none", fix=fix)
     found = _Stated(
         maker=type(simulator),
         metres=metres,
@@ -415,8 +500,9 @@ def _stated(simulator: Any) -> _Stated:
         y_is_left=is_on("y_is_left"),
         degrees=is_on("degrees"),
         headings=simulator.headings,
-        at_front=is_on("at_front"),
-        hz=whole_within(f"{name}.hz", simulator.hz, *PHYSICS_HZ),
+        reference=reference,
+        rear_axle_offset=offset,
+        hz=_hz(simulator, name),
         lane_width=in_si("lane_width", 2.0, 10.0, "metres") or LANE_WIDTH,
         speed_limit=in_si("speed_limit", 5.0, TOP_SPEED, "metres_per_second") or PAPER_SPEED_LIMIT,
         length=in_si("length", LEAST_LENGTH, 1e6, "metres"),
@@ -424,6 +510,7 @@ def _stated(simulator: Any) -> _Stated:
         start_speed=in_si("start_speed", 0.0, TOP_SPEED, "metres_per_second"),
         start_at=in_si("start_at", 0.0, 1e6, "metres"),
         moves_ego_only=is_on("moves_ego_only"),
+        native=is_on("native"),
         obstacles=[_obstacle(f"{name}.obstacles[{n}]", each) for n, each in enumerate(several("obstacles", "objects"))],
         data=data,
     )
@@ -438,6 +525,19 @@ def _stated(simulator: Any) -> _Stated:
         found.count = whole_within(f"len({name}.lanes)", len(found.lines), 1, MOST_LANES)
     whole_within(f"{name}.start_lane", found.start_lane, 0, found.count - 1)
     return found
+
+
+def _hz(simulator: Simulator, name: str) -> float:
+    """Return the ticks per second, as an int if they are whole."""
+    low, high = PHYSICS_HZ
+    dt = simulator.dt
+    if dt is not None:
+        dt = number_within(f"{name}.dt", dt, 1 / high, 1 / low, ", in seconds")
+    hz = number_within(f"{name}.hz", simulator.hz, low, high)
+    if dt is not None and abs(hz * dt - 1.0) > 1e-5:
+        fix = "state one of both, or the same with both; if dt is your own, call it _dt"
+        raise WorldError(field=f"{name}.dt", expected=f"1 / hz = {1 / hz:.6g} s", received=f"{dt:g} s", fix=fix)
+    return plainly(hz)
 
 
 def _check_names(cls: type[Simulator]) -> None:

@@ -133,10 +133,10 @@ def test_reference_failing_on_repeat_makes_finding_flaky(monkeypatch):
 
 
 @table("kind", ["passed", "npc", "failed", "rejected", "skipped", "invalid"])
-def test_failure_is_common_unless_the_reference_would_pass_the_test(kind):
+def test_failure_is_common_if_the_reference_does_not_pass_and_invalid_if_its_run_says_nothing(kind):
     verdict = Verdict(kind="failed", failure=Failure(kind="E")).beside(Verdict(kind=kind))
-    expected = ("failed", True) if kind in ("passed", "npc") else ("common", False)
-    assert (verdict.kind, verdict.failed) == expected
+    expected = {"passed": "failed", "npc": "failed", "invalid": "invalid"}.get(kind, "common")
+    assert (verdict.kind, verdict.failed) == (expected, expected == "failed")
 
 
 @table(("against", "message"), [

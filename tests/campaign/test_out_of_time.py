@@ -21,7 +21,7 @@ from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.report import terminal
 from pytest_pafot.searching.evaluation import Evaluated
 from pytest_pafot.support.errors import OutOfTime, RequestError
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.chance import GENERATORS
 
 NODE_ID = "test_it.py::test_it"
 SHORT = {"genes": 2, "gene_seconds": 2, "npcs": 2, "node_id": NODE_ID, "shrink_rollouts": 15}
@@ -117,14 +117,14 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
         def fetch(self, scenario):
             clock.now = max(clock.now, self.ends.pop(scenario))
-            return rollout_of(self.job.world)(scenario, self.job.policy.factory), CapturedOutput(), 10.0
+            return GENERATORS.run(self.job.world.rollout, scenario, self.job.policy.factory), CapturedOutput(), 10.0
 
         def close(self, *, at_once=False):
             pass
 
-    def here(world, method="rollout"):
+    def here(self, drive):
         clock.now += 10 if ended else 15  # the first run loads libraries
-        return rollout_of(world, method)
+        return partial(GENERATORS.run, getattr(self.world, drive))
 
     def confirming(self, *given):
         clock.now += 30
@@ -137,7 +137,7 @@ def test_time_left_is_true_within_a_factor_of_two_or_not_told(clock, monkeypatch
 
     ended = []
     monkeypatch.setattr(runner, "pool_for", Pool)
-    monkeypatch.setattr(runner, "rollout_of", here)
+    monkeypatch.setattr(runner.Job, "driving", here)
     monkeypatch.setattr(bench.Bench, "confirm", confirming)
     monkeypatch.setattr(search_session, "runner_for", partial(runner.runner_for, clock=lambda: clock.now))
     given = {"runs": 120, "workers": workers, "fitness": lambda trace: 0.0, "shrink_rollouts": 0}

@@ -14,7 +14,7 @@ from pytest_pafot.findings.verdict import Failure, Verdict
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import RequestError
-from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world import Highway
 from tests.findings.builders import plain_finding
 from tests.helpers.traces import collision_at, trace_of, vehicle
 
@@ -30,33 +30,20 @@ LATER = Run(trace_of(*ON, outcome=Outcome.COLLISION, collision=collision_at(35))
 OTHER_LATER = Run(trace_of(*ON, outcome=Outcome.OFF_ROAD))
 
 
-class Brief:
-    rollout = to_dict = speed_limit = None
-    longest_run = 60.0
-
-
-class Lasting(Brief):
-    def lasting(self, seconds):
-        return Longer()
-
-
-class Longer(Brief):
-    pass
-
-
 class Told(Replays):
     """Replays with given results by id: a run with its verdict, and whether the reference passes.
 
-    The world can last longer if there are results of the runs that are driven on, with the id and a plus.
+    Runs that are driven on have the results with the id and a plus; without any, they end as those that are not.
     """
 
     def world_of(self, saved):
-        return base_world(Lasting() if f"{saved.id}+" in self.harness.ends else Brief())
+        return Highway()
 
     def tried(self, saved, world, owner):
         if saved.finding is None:
             raise RequestError(saved.error)
-        return self.harness.ends[f"{saved.id}+" if isinstance(world.given, Longer) else saved.id][:2]
+        longer = f"{saved.id}+"
+        return self.harness.ends[longer if world.lasts and longer in self.harness.ends else saved.id][:2]
 
     def _compared(self, saved, world, owner, now, sought=None):
         assert (sought is None) == self.harness.ends[saved.id][1].failed, "the reference is driven on if the ADS was"

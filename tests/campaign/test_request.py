@@ -163,11 +163,11 @@ def a_simulator():
 
 @pytest.mark.parametrize("name", ["Still", "a_simulator"])
 def test_a_simulator_is_no_world_yet(name):
-    with pytest.raises(RequestError, match=r"which has no rollout, .*; write pafot\.SimulatorWorld\(Still\)$"):
+    with pytest.raises(RequestError, match=r"returns pafot.*, received .*; write pafot\.SimulatorWorld\(Still\)$"):
         named_world(f"{__name__}:{name}", "--world")
 
 
 def test_factory_of_a_world_that_returns_its_class_is_refused():
-    message = r"returns <class '.*Highway'>, which has no rollout, .*; call it: Highway\(\.\.\.\)"
+    message = r"returns pafot\.Highway\(\.\.\.\), .*, received <class '.*Highway'>; call it: Highway\(\.\.\.\)"
     with pytest.raises(RequestError, match=message):
         named_world(f"{__name__}:a_class", "--world")

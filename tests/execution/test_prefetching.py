@@ -6,7 +6,6 @@ from pytest_pafot.execution import runner as execution_runner
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import CapturedOutput, ExecutionError, Job, runner_for
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import scenario, trace_of
 
 SCENARIOS = [scenario(number) for number in range(8)]
@@ -58,7 +57,7 @@ def runner_of(tmp_path, monkeypatch):
 
     def make(world, pool=None, workers=2, ads=object, **options):
         monkeypatch.setattr(execution_runner, "pool_for", lambda job, size: pool or pytest.fail("started processes"))
-        job = Job(world=base_world(world), policy=Policy(ads), records=tmp_path, owner="test_it.py::test_it")
+        job = Job(world=world, policy=Policy(ads), records=tmp_path, owner="test_it.py::test_it")
         records.append(job.crash_record())
         return runner_for(job, records[-1], workers=workers, clock=world.clock, **options)
 

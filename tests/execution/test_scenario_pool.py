@@ -15,7 +15,6 @@ from pytest_pafot.execution.crash_records import leftovers
 from pytest_pafot.execution.runner import Job, expectation, made_from, pool_for
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, idle, scenario
 
 SCENARIOS = [scenario(number) for number in range(6)]
@@ -24,9 +23,7 @@ SCENARIOS = [scenario(number) for number in range(6)]
 @pytest.fixture
 def job_of(tmp_path):
     """Return a function that makes jobs in a world without physics."""
-    return lambda ads: Job(
-        world=base_world(Toy()), policy=Policy(ads), records=tmp_path / "records", owner="test_it.py::test_it"
-    )
+    return lambda ads: Job(world=Toy(), policy=Policy(ads), records=tmp_path / "records", owner="test_it.py::test_it")
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from pytest_pafot.execution import runner
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.execution.runner import Apart, ExecutionError, Job, judged_apart
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.toy_world import Toy, scenario
 
 needs_fork = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -23,7 +22,7 @@ HERE = os.getpid()
 def job_of(tmp_path):
     """Return a function that makes jobs whose ADS is a function of the scenario's number."""
     return lambda drive: Job(
-        world=base_world(Toy()), policy=Policy(lambda: drive), records=tmp_path / "records", owner="test_it.py::test_it"
+        world=Toy(), policy=Policy(lambda: drive), records=tmp_path / "records", owner="test_it.py::test_it"
     )
 
 

@@ -1,7 +1,7 @@
 """What decisions rest on, and the last decision that could have avoided a failure."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -13,8 +13,10 @@ from pytest_pafot.campaign.refine.moment import _moment_of, _nudged, text_of
 from pytest_pafot.findings.decisions import Moment, deciding, differ, fact_on, placed, seen_of, vehicle_of
 from pytest_pafot.findings.finding import Bounded, Expect
 from pytest_pafot.world.driving.policy import Aside, Question, beside, changed, without
+from pytest_pafot.world.engines.simulation import OwnUnits
 from pytest_pafot.world.kernel.action import checked_si_action
 from tests.helpers.situations import lane_change
+from tests.helpers.tables import table
 
 KEEPS, BRAKES = (0.0, 0.0), (-4.0, 0.0)
 SI = partial(checked_si_action, lanes=9)
@@ -55,6 +57,35 @@ def asked(factory, trace, npc=None, question=None, world=WORLD, check=SI):
 ])  # fmt: skip
 def test_decisions_that_hardly_differ_are_the_same(action, other, expected):
     assert differ(action, other) is differ(other, action) is expected
+
+
+@dataclass
+class Pedals:
+    steering: float
+    throttle: float
+
+
+class Wish:
+    """An object without a text of its own, as actions of simulators may be."""
+
+    def __init__(self, lane, pedals):
+        self.lane, self.pedals = lane, pedals
+
+
+@table(("action", "text", "alike", "other"), {
+    "a tuple": (OwnUnits((0.25, -1.0)), "(0.25, -1)", OwnUnits((0.26, -1.0)), OwnUnits((0.35, -1.0))),
+    "a list": ([0.1, "left", None], "[0.1, 'left', None]", [0.11, "left", None], [0.1, "right", None]),
+    "floats of 32 bits": (np.array([0.1, 0.7], np.float32), "[0.1, 0.7]", np.array([0.1, 0.71], np.float32),
+                          np.array([0.1], np.float32)),
+    "a mapping": ({"gas": 0.123456}, "{'gas': 0.123}", {"gas": 0.12}, {"brake": 0.123456}),
+    "a dataclass": (Pedals(0.3, 0.5), "Pedals(steering=0.3, throttle=0.5)", Pedals(0.3, 0.52), Pedals(0.3, 0.9)),
+    "an object": (Wish("left", [0.5]), "Wish(lane='left', pedals=[0.5])", Wish("left", [0.51]), Wish("right", [0.5])),
+    "a text": ("brake", "'brake'", "brake", "go"),
+}.values())  # fmt: skip
+def test_actions_of_a_simulator_are_told_and_compared_by_their_parts(action, text, alike, other):
+    assert text_of(action) == text
+    assert not differ(action, alike)
+    assert differ(action, other)
 
 
 @pytest.mark.parametrize(("action", "other", "text"), [

@@ -12,8 +12,6 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, HEADING, SPEED, STEERING, X, Y
 from pytest_pafot.model.vehicle_type import STYLES
-from pytest_pafot.world.driving.vehicles import Car
-from pytest_pafot.world.kernel.bodies import Body
 
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 2.0, 4.0
 STANDING = 1e-6
@@ -56,13 +54,6 @@ EGOS = (constant_speed, weaving, stopping, changing_lanes, IDMVehicle)
 
 TRAFFICS = (*STYLES,)
 """One traffic of each style, and one with changed parameters."""
-
-
-def car(road, position, heading, speed):
-    """Return an NPC as highway-env's code sees it."""
-    body = Body(LENGTH, WIDTH)
-    body.place(*position, heading, speed)
-    return Car(road, body)
 
 
 def chains(rng: random.Random, npcs: int, genes: int, speed_limit: float) -> list[list[PositionInstruction]]:

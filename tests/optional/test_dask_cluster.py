@@ -22,7 +22,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.world import Highway
 from pytest_pafot.world.driving.policy import Policy
-from pytest_pafot.world.guard.own_worlds import base_world
 from pytest_pafot.world.simulator_world import SimulatorWorld
 from tests.helpers.toy_world import Toy, idle, scenario, trace_of
 from tests.world.test_simulator import Marking
@@ -81,9 +80,7 @@ def pool_of(tmp_path, monkeypatch):
 
 
 def job_of(folder, ads=idle, world=None):
-    return Job(
-        world=base_world(world or Toy()), policy=Policy(ads), records=folder, owner="test_it.py::test_it", root=folder
-    )
+    return Job(world=world or Toy(), policy=Policy(ads), records=folder, owner="test_it.py::test_it", root=folder)
 
 
 def fetched(pool, scenarios=SCENARIOS):

@@ -132,7 +132,7 @@ def test_rate_drives_in_an_environment_that_a_factory_makes(capsys):
 
 @pytest.mark.parametrize(("arguments", "text"), [
     (["pytest_pafot:Highway"], "--world: expected for rate an environment, which makes ordinary traffic itself, "),
-    ([f"{__name__}:fails"], "fails', which returns <function fails"),
+    ([f"{__name__}:fails"], "fails' returns pafot.Highway(...), pafot.World(...) or "),
     ([f"{__name__}:wrapped"], "wrapped', which raises TypeError: wrapped() missing 1 required"),
     ([f"{__name__}:wraped"], "; did you mean 'tests.optional.test_rate_command:wrapped'?"),
     ([f"{__name__}:planned", "--config", "{}"], "--world: expected the id of an environment with --config, rec"),

@@ -62,20 +62,6 @@ import policies
 def test_gap(run):
     assert not run.collision
 """
-OWN = """
-class Own:
-    speed_limit, longest_run, to_dict, lasts = 26.8, 6.0, dict, None
-
-    def rollout(self, scenario, ads_factory):
-        inner = pafot.Highway(lanes=3)
-        return (inner.lasting(self.lasts) if self.lasts else inner).rollout(scenario, ads_factory)
-"""
-LASTING = """
-    def lasting(self, seconds):
-        longer = Own()
-        longer.lasts = seconds
-        return longer
-"""
 
 
 @pytest.fixture
@@ -271,33 +257,6 @@ def test_reference_is_driven_on_as_well(saved, now, before, label, reference):
     result = replay(saved, now, f"--pafot-against=policies:{before}")
     result.stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
     assert f"against policies:{before}, which {reference}" in " ".join(result.stdout.str().split())
-
-
-@pytest.mark.parametrize(("more", "label"), [("", "passes"), (LASTING, "still failing")])
-def test_own_world_is_driven_on_if_it_goes_on(project, more, label):
-    project.write(OWN + more + TEST.replace("WORLD", "Own()"))
-    filed(project, {"kind": "own", "class": "Own", "data": {}})
-    replay(project, "slow").stdout.fnmatch_lines([f"replayed 1 saved scenario: 1 {label}"])
-
-
-BY = "    def lasting(self, seconds):\n        "
-NOT = "not driven on past the file's end: Own.lasting"
-OTHER = f"{NOT}: expected the same world, received one in which the run begins otherwise"
-
-
-@pytest.mark.parametrize(("lasting", "told"), [
-    (f"{BY}raise RuntimeError('no road')", f"{NOT}(16): expected a world, received RuntimeError: no road; "),
-    (f"{BY}return None", f"{NOT}(16): expected a world, received None; correct or remove lasting"),
-    (f"{BY}return pafot.Highway(lanes=4, headway=1.9).lasting(seconds)", OTHER),
-    (f"{BY}return pafot.Highway(lanes=3, duration=3.0)", OTHER),
-])  # fmt: skip
-def test_wrong_lasting_is_named_and_changes_no_label(project, lasting, told):
-    project.write(OWN + lasting + "\n" + TEST.replace("WORLD", "Own()"))
-    filed(project, {"kind": "own", "class": "Own", "data": {}})
-    result = replay(project, "slow")
-    result.assert_outcomes(passed=1, skipped=1)
-    result.stdout.fnmatch_lines(["replayed 1 saved scenario: 1 passes"])
-    assert told in " ".join(result.stdout.str().split())
 
 
 def test_property_that_a_test_records_is_that_of_the_file(saved):

@@ -78,18 +78,24 @@ def test_search(run):
     result = project.run()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
-        ["*expected the fixture pafot_world*'highway-v0', which has no rollout, *; did you mean pafot.World(*-v0*)[?]"]
+        ["*expected the fixture pafot_world to give pafot.High*'highway-v0'; did you mean pafot.World(*-v0*)[?]"]
     )
 
 
 INVALID = """
-from dataclasses import replace
 from hypothesis import given, settings, strategies
-from pytest_pafot.model.trace import Outcome
 
-class Touching(pafot.Highway):
-    def rollout(self, *arguments, **named):
-        return replace(super().rollout(*arguments, **named), outcome=Outcome.INVALID)
+class Standing(pafot.Simulator):
+    def start(self, vehicles, seed):
+        self.cars, self.ticks = [[each.x, each.y, each.heading, each.speed] for each in vehicles], 0
+
+    def step(self, controls):
+        self.ticks += 1
+        if self.ticks < 5:
+            self.cars = [[each.x, each.y, each.heading, each.speed] for each in controls]
+
+    def states(self):
+        return self.cars
 
 def simulated(simulate, world):
     scenario = pafot.Scenario(npcs=((pafot.PositionInstruction(2, 5.0),),), gene_seconds=5)
@@ -97,7 +103,7 @@ def simulated(simulate, world):
 
 def test_by_hand(pafot_simulate):
     for _ in range(3):
-        assert not simulated(pafot_simulate, Touching(duration=1.0)).collision
+        assert not simulated(pafot_simulate, pafot.SimulatorWorld(Standing, duration=5.0)).collision
 
 def test_valid(pafot_simulate):
     assert not simulated(pafot_simulate, pafot.Highway(duration=1.0)).collision
@@ -105,7 +111,7 @@ def test_valid(pafot_simulate):
 @settings(max_examples=2, deadline=None)
 @given(number=strategies.integers())
 def test_generated(pafot_simulate, number):
-    assert not simulated(pafot_simulate, Touching(duration=1.0)).collision
+    assert not simulated(pafot_simulate, pafot.SimulatorWorld(Standing, duration=5.0)).collision
 """
 
 

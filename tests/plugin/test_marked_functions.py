@@ -202,7 +202,10 @@ WRONG = [
     ("today='a'", "*this applies to the whole session; give --pafot-today on the command line*"),
     ("blame='npc'", "*(blame=...): expected one of any, ego, received 'npc'; use blame='ego'*"),
     ("ads=3", "*(ads=...): expected the name of a fixture or a factory*received 3*"),
-    ("world=pafot.Highway", "*(world=...): expected a world such as pafot.Highway(...), received <class*"),
+    (
+        "world=pafot.Highway",
+        "*(world=...): expected pafot.Highway(...), pafot.World(...)*received <class*; call it: Highway(...)",
+    ),
     ("lanes=3", "*(lanes=...): expected an argument of a search*; write world=pafot.Highway(lanes=...)*"),
     ("generations=0", "*(generations=0): expected at least 1, since 0 searches nothing*"),
     ("shrink_rollouts=-1", "*(shrink_rollouts=...): expected a whole number, at least 0, received -1*"),

@@ -329,3 +329,43 @@ def test_a_search_finds_no_accepted_flaky_failure_again(project, by_chance):
     assert project.contents == before
     over = project.run("--pafot-today=2027-02-01", "test_it.py::test_brakes[search]", runs=8)
     assert over.ret == pytest.ExitCode.TESTS_FAILED
+
+
+SIMULATOR = """
+import math
+import os
+import pytest_pafot as pafot
+
+class Toy(pafot.Simulator):
+    hz = 15
+
+    def start(self, vehicles, seed):
+        self.cars, self.tick = [[each.x, each.y, each.heading, each.speed] for each in vehicles], 0
+
+    def step(self, controls):
+        self.tick += 1
+        self.cars = [[each.x, each.y, each.heading, each.speed] for each in controls]
+        if self.tick >= int(os.environ["JUMPS_AT"]):
+            self.cars[1][0] += 49.0
+
+    def states(self):
+        return self.cars
+
+@pafot.search(ads=lambda: lambda seen: (0.0, 0.0), world=pafot.SimulatorWorld(Toy), shrink_rollouts=0)
+def test_drives(run):
+    assert not run.collision
+"""
+"""A search in a simulator in which a vehicle jumps from a tick on."""
+
+
+def test_replay_in_which_a_simulator_lets_a_vehicle_jump_fails_even_if_its_failure_is_accepted(project, monkeypatch):
+    project.pytester.makepyfile(test_it=SIMULATOR)
+    monkeypatch.setenv("JUMPS_AT", "10000")
+    project.run_once("--pafot-stop-after=1", runs=20)
+    monkeypatch.setenv("JUMPS_AT", "20")
+    told = ["the replay says nothing about the ADS: Toy.states, tick 20: NPC 0 moved *"]
+    project.run(runs=0).stdout.fnmatch_lines(told)
+    edited(project, "found: ", "xfail: {reason: known, until: 2999-12-31}\nfound: ")
+    result = project.run(runs=0)
+    result.assert_outcomes(failed=1, skipped=1)
+    result.stdout.fnmatch_lines(told)

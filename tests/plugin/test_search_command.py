@@ -78,18 +78,27 @@ def short(seconds):
     return pafot.World("mine-v0", duration=float(seconds), wrappers=[lambda env: gymnasium.ObservationWrapper(env)])
 
 
-class Road:
-    speed_limit, longest_run = 20.0, 10.0
-    rollout = pafot.Highway().rollout
+class Road(pafot.Simulator):
+    speed_limit = 20.0
 
-    def to_dict(self):
-        return {}
+    def start(self, vehicles, seed):
+        self.rows = [each[:4] for each in vehicles]
+
+    def step(self, controls):
+        self.rows = [(each.x, each.y, each.heading, each.speed) for each in controls]
+
+    def states(self):
+        return self.rows
+
+
+def road():
+    return pafot.SimulatorWorld(Road, duration=10.0)
 """
 
 
 @pytest.mark.processes
 @pytest.mark.parametrize(("policy", "world", "argument"), [
-    ("a_planner:Planner", "worlds:Road", ', world="worlds:Road"'),
+    ("a_planner:Planner", "worlds:road", ', world="worlds:road"'),
     ("a_planner:Planner@planner", "worlds:mine-v0", ", world=pafot.World('mine-v0', planner_hz=5)"),
 ])  # fmt: skip
 def test_search_command_drives_in_a_world_of_the_user(here, policy, world, argument):

@@ -239,20 +239,20 @@ MESSAGES = {
     "ads=lambda: later": ["an ADS is an ordinary function, without `async` and `yield`"],
     "world='highway-v9'": ["expected a registered environment, received 'highway-v9'; *; did you mean 'highway-v0'?"],
     "world='builtins:print'": [
-        "received 'builtins:print', which returns None, which has no rollout, * return a world, such as pafot.World("
+        "the factory 'builtins:print' returns pafot.Highway(*, received None; return a world, such as pafot.World("
     ],
     "world='operator:neg'": [
         "which raises TypeError: * takes exactly one argument (0 given); its argument is a text in the reference: *"
     ],
     "world=pafot.Highway": ["; call it: Highway(...)"],
     "world=Road()": [
-        "or your own world with rollout, to_dict, speed_limit, longest_run, ",
-        "which has no speed_limit, longest_run",
+        "expected pafot.Highway(...), pafot.World(...) or pafot.SimulatorWorld(...), received *Road object at *",
+        "; a simulator of your own is a class derived from pafot.Simulator, in a pafot.SimulatorWorld",
     ],
     "world=gymnasium.make('highway-v0', config={'lanes_count': 3})": [
         "; did you mean pafot.World('highway-v0', config=...)?"
     ],
-    "world=gymnasium.make('CartPole-v1')": ['; write a world of your own around * (page "A simulator of your own")'],
+    "world=gymnasium.make('CartPole-v1')": ["; a simulator of your own is a class derived from *"],
     "worlds=five": ["(worlds=...): did you mean 'world'? Expected one of ads, against, *, received 'worlds'"],
 }
 

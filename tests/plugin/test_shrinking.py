@@ -235,13 +235,14 @@ def test_brakes(run):
 """)
     result = run(project)
     result.stdout.fnmatch_lines([
-        "Flaky: running it again gave a different run; fails in 5 of 10 runs.",
+        "Flaky: running it again gave a different run: speed of the ego differs by 0.2 m/s after 0.0667 s; the policy "
+        "had decided otherwise; fails in 5 of 10 runs.",
         "The policy probably draws from a generator of its own: seed it in its factory, or * predict(..., "
         "deterministic=True)).",
         "  hardest-brake-*: 1 run (new, flaky).",
     ])  # fmt: skip
     finding = load(project.only_file)
-    assert finding.flaky == "running it again gave a different run"
+    assert finding.flaky.startswith("running it again gave a different run: speed of the ego differs by 0.2 m/s")
     assert finding.rate == FailureRate(failing=5)
     assert finding.shrunk is None
 

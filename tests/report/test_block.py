@@ -15,7 +15,7 @@ from pytest_pafot.findings.sighting import NOT_REPEATED, Alike
 from pytest_pafot.findings.verdict import CHECK_FAILED, PROCESS_CRASH, Severity
 from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
-from pytest_pafot.model.trace import Outcome
+from pytest_pafot.model.trace import SURVIVES, Outcome
 from pytest_pafot.report.terminal import DRAWS, DRAWS_IN_WRAPPERS, ROOM, block_lines, found_line
 from pytest_pafot.support.text import wrapped_to
 from tests.findings.builders import plain_finding, sighting
@@ -135,6 +135,8 @@ def test_a_failure_that_goes_beyond_an_accepted_one_says_so():
 @table(("world", "flaky", "advice"), [
     ({}, NOT_REPEATED, DRAWS),
     ({"wrappers": ["t.py::wrap"]}, NOT_REPEATED, DRAWS_IN_WRAPPERS),
+    ({}, f"{NOT_REPEATED}: x of NPC 1 differs; the policy had decided otherwise", DRAWS),
+    ({}, f"{NOT_REPEATED}: x of NPC 1 differs; {SURVIVES}", "it does not repeat, so it is not simplified"),
     ({}, "another reason", "it does not repeat, so it is not simplified"),
 ])  # fmt: skip
 def test_a_flaky_failure_comes_with_what_to_do(world, flaky, advice):

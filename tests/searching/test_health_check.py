@@ -99,9 +99,23 @@ def test_an_error_in_what_ends_episodes_is_named_with_what_to_do(make_evaluation
     failed = {"outcome": Outcome.INVALID, "ended": "GoalEnv._is_terminated failed: KeyError: 'goal'"}
     (first, *_) = health_of(make_evaluation, (4, failed)).warnings()
     assert first == (
-        "4 simulated scenarios tested nothing; most often GoalEnv._is_terminated failed: KeyError: 'goal'; correct it, "
-        'or write ends="duration" in the world'
+        "4 of 4 simulated scenarios tested nothing; most often GoalEnv._is_terminated failed: KeyError: 'goal'; "
+        'correct it, or write ends="duration" in the world'
     )
+
+
+def test_more_than_a_quarter_of_runs_that_a_simulator_made_invalid_tested_too_little(make_evaluation):
+    jumps = [
+        {"outcome": Outcome.INVALID, "ended": f"Jumps.states, tick {tick}: NPC 0 moved 50.5 m in a tick"}
+        for tick in (60, 61)
+    ]
+    warning = "2 of {} simulated scenarios tested nothing; such as by Jumps.states, tick 60: NPC 0 moved 50.5 m in a"
+    for others, tested_too_little in ((6, False), (5, True)):
+        health = health_of(make_evaluation, (others, {}), *[(1, each) for each in jumps])
+        (told,) = health.warnings()
+        assert told.startswith(warning.format(others + 2))
+        assert told.endswith("; correct it")
+        assert health.vacuous is tested_too_little
 
 
 def test_more_than_a_quarter_invalid_runs_warns(make_evaluation):

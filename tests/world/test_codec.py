@@ -114,9 +114,9 @@ def test_tuples_and_arrays_become_lists_with_equal_meaning():
 
 @table(("data", "message"), [
     (None, "world: expected a mapping, received None"),
-    ({}, "world.kind: expected one of gym, highway, sumo, received None"),
-    ({"kind": "carla"}, "world.kind: expected one of gym, highway, sumo, received 'carla'"),
-    *(({"kind": kind, "data": {"lanes": 3}}, f"world.kind: expected one of gym, highway, sumo, received {kind!r}")
+    ({}, "world.kind: expected one of gym, highway, metadrive, sumo, received None"),
+    ({"kind": "carla"}, "world.kind: expected one of gym, highway, metadrive, sumo, received 'carla'"),
+    *(({"kind": kind, "data": {"lanes": 3}}, f"one of gym, highway, metadrive, sumo, received {kind!r}")
       for kind in ("rings", "tests.world.test_codec:Ring", "os:system", "", None)),
     ({"kind": "sumo"}, "world (kind sumo): expected the field data, received none"),
     ({"kind": "sumo", "lanes": 3}, "world (kind sumo): expected the field data, received lanes"),

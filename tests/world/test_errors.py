@@ -188,7 +188,7 @@ def test_environment_does_not_change_highway_env_vehicle_classes():
 
 
 def test_environment_of_another_library_is_refused():
-    with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv); write a world"):
+    with raises("highway-env's AbstractEnv, received 'CartPole-v1' (CartPoleEnv); write a pafot.Simulator"):
         World("CartPole-v1").check()
 
 
@@ -203,7 +203,7 @@ def test_unknown_environment_id_lists_the_straight_roads_and_suggests_one_that_a
     message = str(caught.value)
     roads = "highway-env's straight roads are highway-fast-v0, highway-v0; import the"
     assert f"received {env_id!r}; {roads}" in message
-    assert 'around a simulator of another kind (page "A simulator of your own")' in message
+    assert 'write a pafot.Simulator around it, for pafot.SimulatorWorld (page "A simulator of your own")' in message
     assert meant is ... or ("did you mean" in message) == (meant is not None)
     assert not isinstance(meant, str) or f"did you mean {meant!r}?" in message
 

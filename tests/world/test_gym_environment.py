@@ -1036,7 +1036,7 @@ def test_option_that_ends_episodes_is_named_where_the_duration_ends_runs():
 
 
 @table(("kind", "planner_hz", "names"), [
-    ({"drives_itself": False}, None, [CONNECTED, "other_vehicles_type"]),
+    ({"drives_itself": False}, None, [CONNECTED]),  # an observation may look for vehicles of that class
     ({"drives_itself": False}, 5, [CONNECTED, "other_vehicles_type"]),
     ({"drives_itself": True}, None, ["other_vehicles_type"]),  # an IDMVehicle looks there
     ({"drives_itself": False, "simulates": True}, None, []),  # what it simulates has vehicles of that class

@@ -15,7 +15,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import LANE, SPEED, Outcome, X
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world import Highway, World, from_dict
-from pytest_pafot.world.guard.own_worlds import base_world
 from tests.helpers.world_cases import EGOS, chains, constant_speed
 
 DURATION = 4.0
@@ -136,10 +135,3 @@ def test_longer_world_survives_copies_and_shows_its_duration():
         Highway(lasts=-1.0)
     with pytest.raises(WorldError, match="lasts"):
         from_dict({**Highway().to_dict(), "lasts": 20.0})
-
-
-def test_world_with_another_rollout_does_not_last_by_an_inherited_method():
-    own = type("Own", (Highway,), {"rollout": lambda self, scenario, ads: None})
-    around = type("Around", (), {"__getattr__": lambda self, name: getattr(Highway(), name)})
-    named = type("Named", (Highway,), {})
-    assert [base_world(world()).can_go_on for world in (own, around, named)] == [False, False, True]

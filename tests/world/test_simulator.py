@@ -5,11 +5,14 @@ import multiprocessing
 import os
 import pickle
 import random
+import re
 import subprocess
 import sys
 import time
 import warnings
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -19,12 +22,16 @@ from pytest_pafot import (
     Drive,
     Highway,
     LaneInstruction,
+    Perception,
     PositionInstruction,
     Scenario,
     Simulator,
     SimulatorWorld,
     explore,
 )
+from pytest_pafot.corpus.reader import parsed
+from pytest_pafot.corpus.writer import text_of
+from pytest_pafot.findings.decisions import is_si
 from pytest_pafot.model.trace import Outcome
 from pytest_pafot.support.errors import AdsFactoryError
 from pytest_pafot.support.process import installed_versions
@@ -58,9 +65,13 @@ class Bicycle(Simulator):
         self.cars = []
         for each in vehicles:
             heading = self.angle(each.heading)
-            back = each.length / 2 if self.says("at_front") else 0.0
+            back = self.ahead(each.length)
             x, y = self.way(heading)
             self.cars.append([each.x - back * x, each.y - back * y, heading, each.speed])
+
+    def ahead(self, length):
+        """Return how far ahead of the centre the places are that it states."""
+        return {"front": length / 2, "rear axle": -1.4}.get(self.says("reference"), 0.0)
 
     def way(self, heading):
         """Return where a heading points, along x and y."""
@@ -86,7 +97,7 @@ class Bicycle(Simulator):
     def states(self):
         rows = []
         for (x, y, heading, speed), length in zip(self.cars, self.lengths, strict=True):
-            ahead = length / 2 if self.says("at_front") else 0.0
+            ahead = self.ahead(length)
             along_x, along_y = self.way(heading)
             stated = math.degrees(heading) % 360.0 if self.says("degrees") else heading
             rows.append([x + ahead * along_x, y + ahead * along_y, stated, speed])
@@ -166,12 +177,15 @@ FOOT, KMH = 0.3048, 1 / 3.6
 @table("flags", {
     "y to the left": {"y_is_left": True},
     "degrees": {"degrees": True},
-    "front bumper": {"at_front": True},
+    "front bumper": {"reference": "front"},
+    "rear axle": {"reference": "rear axle", "rear_axle_offset": 1.4},
     "feet and km/h": {"metres": FOOT, "metres_per_second": KMH, "lane_width": LANE / FOOT, "speed_limit": 96.48},
     "a compass": {"y_is_left": True, "headings": "y to x"},
     "x to the north, a compass": {"y_is_left": True, "headings": "x to -y"},
     "x backwards": {"y_is_left": True, "headings": "-x to y", "degrees": True},
-    "all, as SUMO states them": {"y_is_left": True, "degrees": True, "headings": "y to x", "at_front": True},
+    "all, as SUMO states them": {"y_is_left": True, "degrees": True, "headings": "y to x", "reference": "front"},
+    "rear axle and a compass": {"y_is_left": True, "headings": "y to x", "reference": "rear axle",
+                                "rear_axle_offset": 1.4},
 }.values())  # fmt: skip
 def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
     world = SimulatorWorld(type("Other", (Bicycle,), flags), duration=20.0)
@@ -179,6 +193,12 @@ def test_run_is_that_of_a_highway_in_other_units_and_axes(flags):
         there, here = world.rollout(scenario, swerving), HIGHWAY.rollout(scenario, swerving)
         assert (there.outcome, there.ticks) == (here.outcome, here.ticks)
         assert there.states == pytest.approx(here.states, abs=1e-6)
+
+
+def test_places_of_objects_are_those_of_their_centres_whatever_those_of_vehicles_are():
+    given = {"obstacles": ((450.0, 4.0, 0.2, 2.0, 1.0),)}
+    for stated in ({}, {"reference": "front"}, {"reference": "rear axle", "rear_axle_offset": 1.4}):
+        assert SimulatorWorld(type("Other", (Bicycle,), given | stated)).rules.obstacles == given["obstacles"]
 
 
 @table("begin", {
@@ -323,6 +343,87 @@ def test_lanes_from_the_right_or_that_overlap_are_refused():
         assert error.value.received.startswith(received)
 
 
+# Ticks, which may be no whole number per second.
+
+
+class Ticks(Bicycle):
+    """The same in ticks of 30 ms, with headings that turn around once per tick."""
+
+    dt, hz = 0.03, 1 / 0.03
+
+    def states(self):
+        return [(*row[:2], row[2] + 2 * math.pi * round(row[0] / self.dt), row[3]) for row in super().states()]
+
+
+@table(("members", "rates"), {
+    "a whole hz": ({"hz": 10}, (10, 5)),
+    "a whole hz as a float": ({"hz": np.float64(10.0)}, (10, 5)),
+    "a whole hz without a divisor near 5": ({"hz": 33}, (33, 11)),
+    "dt of a whole hz": ({"hz": 20.0, "dt": 0.05}, (20, 5)),
+    "dt of no whole hz": ({"hz": 1 / 0.03, "dt": 0.03}, (pytest.approx(100 / 3), pytest.approx(100 / 18))),
+    "hz that is not whole": ({"hz": 33.3}, (33.3, pytest.approx(5.55))),
+}.values())  # fmt: skip
+def test_rates_are_whole_numbers_wherever_they_are_whole(members, rates):
+    world = broken(**members)
+    assert (world.physics_hz, world.rules.ads_hz) == rates
+    assert [type(each) is int for each in (world.physics_hz, world.rules.ads_hz)] == [type(e) is int for e in rates]
+
+
+def test_hz_of_a_simulator_that_states_dt_follows_from_it():
+    class Stating(Simulator):
+        dt = 0.04
+
+    assert (Simulator.hz, Stating.hz) == (15, 25.0)
+
+
+@table(("members", "ads_hz", "message"), {
+    "both": ({"hz": 20, "dt": 0.03}, None, r"Broken.dt: expected 1 / hz = 0.05 s, received 0.03 s; state one of both"),
+    "milliseconds": ({"hz": 33.3, "dt": 30}, None, r"Broken.dt: expected a number from 0.001 to 0.2, in seconds, rec"),
+    "too fast": ({"hz": 2000.0}, None, r"Broken.hz: expected a number from 5 to 1000, received 2000"),
+    "a text": ({"hz": "15"}, None, r"Broken.hz: expected a number from 5 to 1000, received '15'"),
+    "decisions between ticks": ({"hz": 1 / 0.03}, 10.0, r"ads_hz: expected Broken's 33.3333 ticks per second divided "
+                                r"by a whole number, received 10; the nearest: 11.1111 and 8.33333"),
+    "more decisions than ticks": ({"hz": 15}, 20, r"received 20; the nearest: 15$"),
+    "decisions between ticks of a whole hz": ({"hz": 15}, 4, r"received 4; the nearest: 5 and 3.75"),
+    "no rear axle": ({"reference": "rear axle"}, None, r"Broken.rear_axle_offset: expected the distance .*, received "
+                     r'None; with reference = "rear axle", write such as rear_axle_offset = 1.4'),
+    "a rear axle of a centre": ({"rear_axle_offset": 1.4}, None, r"rear_axle_offset: expected none with reference = "
+                                r"'centre', received 1.4; write reference = \"rear axle\", or leave it out"),
+    "a negative offset": ({"reference": "rear axle", "rear_axle_offset": -1.4}, None, r"from 0.1 to 20 \[m\]"),
+    "another point": ({"reference": "rear_axle"}, None,
+                      r"Broken.reference: expected one of 'centre', 'front', 'rear axle', received 'rear_axle'"),
+}.values())  # fmt: skip
+def test_rates_and_points_that_do_not_fit_are_refused_with_what_does(members, ads_hz, message):
+    world = replace(broken(**members), ads_hz=ads_hz)
+    with pytest.raises(WorldError, match=message):
+        world.check()
+
+
+@table("lanes", [Ticks.lanes, [[(x, 4.0 * lane) for x in range(0, 900, 100)] for lane in range(3)], Ring.lanes])
+def test_search_in_ticks_of_30_ms_saves_files_that_replay_to_the_bit(lanes):
+    world = SimulatorWorld(type("Ticks", (Ticks,), {"lanes": lanes}), duration=20.0)
+    found = explore(lambda: lambda _: (0.0, 0.0), holds=holds, world=world, runs=6, seed=1)
+    assert {row["gene_seconds"] for row in found.runs} <= {2.01, 3.0, 3.99}
+    assert found.findings
+    for each, sighting in zip(found.findings, found.sightings, strict=True):
+        saved = parsed(Path(f"{each.id}.pafot.yaml"), text_of(each).encode())
+        assert (saved.scenario, saved.world) == (each.scenario, each.world)
+        again = named(saved.world, world).rollout(saved.scenario, lambda: lambda _: (0.0, 0.0))
+        assert again.states.tobytes() == sighting.run.trace.states.tobytes()
+        assert again.ticks == round(saved.expect.time / 0.03)
+        assert [*again.decision_ticks][:3] == [0, 6, 12]
+        assert each.flaky is None
+
+
+def test_durations_of_genes_are_rounded_to_whole_ticks_of_30_ms_only():
+    ticks, plain = SimulatorWorld(Ticks, duration=60.0), SimulatorWorld(Bicycle, duration=60.0)
+    for world, seconds in ((ticks, (9.99, 2.01, 13.98)), (plain, (10.0, 2.0, 14.0))):
+        space = world.space({"genes": 7})
+        assert (space.gene_seconds, world.space({"gene_seconds": 2.0}).gene_seconds) == seconds[:2]
+        assert space.sliced(5).gene_seconds == seconds[2]
+        assert ("tick" in space.plain) is (world is ticks)
+
+
 # A simulator in which a control takes effect late.
 
 
@@ -392,7 +493,7 @@ def raising(self, controls):
 
 
 @table(("members", "message"), {
-    "no ticks": ({"hz": 0}, r"Broken.hz: expected a whole number from 5"),
+    "no ticks": ({"hz": 0}, r"Broken.hz: expected a number from 5 to 1000, received 0"),
     "a number as a lane": ({"lanes": (1, 2)}, r"Broken.lanes\[0\]: expected x and y of two points"),
     "points twice": ({"lanes": (((0, 0), (9, 0), (9, 0)),)}, r"Broken.lanes\[0\]\[2\]: .* the point before it"),
     "a narrow lane": ({"lane_width": 0.4}, r"Broken.lane_width: expected a number from 2 to 10"),
@@ -423,7 +524,8 @@ def test_what_a_simulator_states_wrongly_is_refused_by_its_name(members, message
 
 
 @pytest.mark.parametrize(
-    ("name", "write"), [("from_north", 'headings = "y to x"'), ("speed_limits", "speed_limit"), ("atfront", "at_front")]
+    ("name", "write"),
+    [("from_north", 'headings = "y to x"'), ("speed_limits", "speed_limit"), ("at_front", 'reference = "front"')],
 )
 def test_a_statement_under_a_wrong_name_is_refused_with_the_right_one(name, write):
     """Each name is in this file once, as it would be in a user's class."""
@@ -549,7 +651,7 @@ def test_runs_use_one_simulator_after_the_other_until_one_fails():
         world.rollout(scenarios()[0], Slowing)
     world.take_over(world.rollout(scenarios()[0], Slowing), 3, "careful-human")
     assert (len(Counted.made), Counted.closed) == (1, [])
-    world._simulators._free[0].states = lambda: None
+    world.simulators._free[0].states = lambda: None
     with pytest.raises(WorldError):
         world.rollout(scenarios()[0], Slowing)
     assert Counted.closed == ["own"]
@@ -653,7 +755,7 @@ def test_file_names_the_class_of_a_simulator_and_what_it_states():
     assert (data["data"]["physics_hz"], data["data"]["lanes"], data["data"]["duration"]) == (15, 4, 2.0)
     assert is_code(data)
     assert named(data, world) is world
-    with pytest.raises(WorldError, match="a world of the class Counted"):
+    with pytest.raises(WorldError, match="a simulator of the class Counted"):
         named(data, TOY)
 
 
@@ -665,3 +767,168 @@ def test_the_packages_of_a_simulator_are_among_the_versions():
     assert SimulatorWorld(Bicycle).packages == ()
     assert SimulatorWorld(partial(Packaged)).packages == ("pytest",)
     assert installed_versions(SimulatorWorld(Packaged).packages)["pytest"] == pytest.__version__
+
+
+# Policies with observations and actions of the simulator's own.
+
+
+class Pedals(Bicycle):
+    """A simulator whose policy sees the gaps ahead and acts by steering and throttle from -1 to 1."""
+
+    native = True
+
+    def start(self, vehicles, seed):
+        super().start(vehicles, seed)
+        self.got = []
+
+    def observe(self, hidden=None):
+        x, y, _, speed = self.cars[0]
+        shown = [each for number, each in enumerate(self.cars[1:]) if number != hidden]
+        gaps = [other[0] - x for other in shown if abs(other[1] - y) < 2.0 and other[0] > x]
+        return np.array([speed, min(gaps, default=99.0)], dtype=np.float32)
+
+    def check_action(self, action):
+        checked = np.asarray(action, dtype=np.float32)
+        if checked.shape != (2,) or not (np.abs(checked) <= 1.0).all():
+            raise ValueError(f"expected steering and throttle, from -1 to 1, received {action!r:.60}")
+        return checked
+
+    def step(self, controls):
+        self.got.append(controls)
+        super().step(controls)
+
+    def wheels(self, control):
+        return super().wheels(control) if control.action is None else 0.5 * float(control.action[0])
+
+    def gas(self, control):
+        return super().gas(control) if control.action is None else 6.0 * float(control.action[1])
+
+
+class Blind(Pedals):
+    """The same, but no vehicle can be hidden from its policy."""
+
+    def observe(self):
+        return super().observe()
+
+
+class Following:
+    """A policy that uses its array again, and brakes too late."""
+
+    def __init__(self):
+        self.action = np.zeros(2, dtype=np.float32)
+
+    def __call__(self, seen):
+        speed, gap = seen
+        self.action[1] = -0.5 if gap < 12.0 else float(np.clip((26.0 - speed) / 6.0, -1.0, 1.0))
+        return self.action
+
+
+PEDALS = SimulatorWorld(Pedals, duration=20.0)
+SLOWER = Scenario(npcs=((PositionInstruction(2, 8.0),) * 2,), gene_seconds=5.0)
+
+
+def test_policy_of_a_native_simulator_sees_and_does_what_the_simulator_says():
+    seen = []
+
+    def policy():
+        following = Following()
+        return lambda observation: (seen.append(observation), following(observation))[1]
+
+    trace, got = PEDALS.rollout(SLOWER, policy), PEDALS.simulators._free[0].got
+    assert trace.collision is not None
+    assert seen[0].tolist() == [22.0, pytest.approx(trace.states[0, 1, 0] - trace.states[0, 0, 0])]
+    assert np.array_equal(trace.actions, [controls[0].action for controls in got[::3]])
+    assert len(trace.actions) == len(seen)
+    assert trace.states[1:, 0, 3] == pytest.approx(22.0 + np.cumsum([6.0 * c[0].action[1] for c in got]) / 15, abs=1e-5)
+    assert {(c[0].acceleration, c[0].steering, c[1].action) for c in got} == {(0.0, 0.0, None)}
+    assert min(controls[1].acceleration for controls in got) < -1.0
+
+
+def same_native(one, other):
+    return one.states.tobytes() == other.states.tobytes() and np.array_equal(one.actions, other.actions)
+
+
+def test_run_of_a_native_policy_repeats_by_its_decisions_to_the_bit():
+    trace = PEDALS.rollout(SLOWER, Following)
+    assert same_native(PEDALS.rollout(SLOWER, Following), trace)
+    again = PEDALS.rollout(trace.executed, lambda: pytest.fail, decisions=trace.actions)
+    assert same_native(again, trace)
+    resumed = PEDALS.rollout(trace.executed, Following, decisions=trace.actions[:9])
+    assert same_native(resumed, trace)
+
+
+def test_careful_driver_takes_over_from_a_native_policy_by_acceleration_and_steering():
+    trace = PEDALS.rollout(SLOWER, Following)
+    for tick in (0, 20, 31):
+        taken = PEDALS.take_over(trace, tick, "careful-human")
+        got = [controls[0] for controls in PEDALS.simulators._free[0].got]
+        assert np.array_equal(taken.states[: tick + 1], trace.states[: tick + 1])
+        assert [each.action is None for each in got] == [number >= tick for number in range(len(got))]
+        assert min(each.acceleration for each in got[tick:]) < -2.0
+        assert taken.collision is None
+    reference = PEDALS.rollout_reference(SLOWER, "careful-human")
+    assert same(reference, TOY.rollout_reference(SLOWER, "careful-human"))
+
+
+def answering(value):
+    return lambda: lambda seen: value
+
+
+@table(("action", "message"), {
+    "no return": (None, "expected an action for Pedals.step, received None; is a `return` missing?"),
+    "too much": ((0.0, 3.0), "expected steering and throttle, from -1 to 1, received (0.0, 3.0)"),
+    "no numbers": ("left", "could not convert string to float: 'left'"),
+    "an object": (Following, "Pedals.check_action(<class 'tests.world.test_simulator.Following'>): TypeError: float() "
+                             "argument must be a string or a real number, not 'type'"),
+}.values())  # fmt: skip
+def test_what_is_no_action_of_a_native_simulator_is_an_error_of_the_policy(action, message):
+    error = PEDALS.rollout(SLOWER, answering(action)).error
+    assert (error.kind, error.message, error.tick) == ("BadAction", message, 0)
+
+
+def test_simulator_that_accepts_all_actions_still_refuses_none():
+    plain = SimulatorWorld(type("Plain", (Pedals,), {"check_action": Simulator.check_action}), duration=2.0)
+    assert plain.rollout(SLOWER, answering(None)).error.message.startswith("expected an action for Plain.step, ")
+    pair = plain.rollout(SLOWER, answering((0.0, -0.5)))
+    assert pair.actions[0] == (0.0, -0.5)
+    assert not is_si(pair.actions[0])
+    assert plain.take_over(pair, 20, "careful-human").states[:21].tobytes() == pair.states[:21].tobytes()
+
+
+@table(("members", "error", "message"), {
+    "check_action without a return": ({"check_action": lambda self, action: None}, WorldError,
+        r"Odd.check_action: expected that it returns the action, received None; is a `return` missing in it\?"),
+    "observe that fails": ({"observe": raising}, TypeError, "missing 1 required positional argument"),
+    "no observe": ({"observe": Simulator.observe}, WorldError, "Odd.observe: expected one, because native is True"),
+    "native as a number": ({"native": 1}, WorldError, "Odd.native: expected True or False, received 1"),
+}.values())  # fmt: skip
+def test_native_simulator_that_is_wrong_is_no_error_of_the_policy(members, error, message):
+    with pytest.raises(error, match=message):
+        SimulatorWorld(type("Odd", (Pedals,), members), duration=2.0).rollout(SLOWER, Following)
+
+
+def test_policy_of_a_native_simulator_has_no_imperfect_sight():
+    with pytest.raises(AdsFactoryError, match="a policy for the observations of an environment"):
+        PEDALS.rollout(SLOWER, Perception(Following, latency=0.5))
+
+
+def test_decision_of_a_native_policy_that_hangs_ends_the_run():
+    def hangs(seen):
+        while True:
+            pass
+
+    trace = SimulatorWorld(Pedals, hang_limit=0.1).rollout(SLOWER, lambda: hangs)
+    assert (trace.outcome, trace.error.tick) == (Outcome.HANG, 0)
+
+
+@table(("simulator", "told"), {
+    "a vehicle can be hidden": (Pedals, r"the policy saw NPC 0 .* ahead, .*, and answered \[0, .*with NPC 0 hidden \["),
+    "no vehicle can be hidden": (Blind, r"^At .* s NPC 0 was .* m ahead, .* slower, and the policy answered \[0, "),
+}.values())  # fmt: skip
+def test_finding_of_a_native_policy_has_a_takeover_a_moment_and_decisions(simulator, told):
+    world = SimulatorWorld(simulator, duration=20.0)
+    found = explore(Following, holds=holds, world=world, runs=20, seed=1)
+    assert found.findings
+    first = found.findings[0]
+    assert first.expect.takeover
+    assert re.search(told, str(found.sightings[0].moment))

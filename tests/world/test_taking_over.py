@@ -1,7 +1,5 @@
 """A reference driver takes over in the middle of a recorded run: before that, everything is as recorded."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation
@@ -14,9 +12,9 @@ from pytest_pafot.model.instructions import CrossingInstruction, PositionInstruc
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import ACCELERATION, SPEED
 from pytest_pafot.support.errors import DriverError
-from pytest_pafot.world import Highway, World, WorldError
-from pytest_pafot.world.guard.own_worlds import base_world
+from pytest_pafot.world import Highway, SimulatorWorld, World, WorldError
 from pytest_pafot.world.reference_drivers import REFERENCES
+from tests.helpers.puppets import Puppets
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.tables import table
 from tests.helpers.world_cases import changing_lanes, weaving
@@ -112,57 +110,27 @@ def test_careful_driver_avoids_a_collision_in_a_zone_until_shortly_before_the_eg
     assert 0 < run.collision.time - latest(run.trace, run.take_over) < entered
 
 
-class Own:
-    """A user's own world; the tests derive worlds with other abilities from it."""
+class Jams(Puppets):
+    """A simulator that raises at a tick that only a longer run has."""
 
-    def rollout(self, scenario, ads_factory):
-        return HIGHWAY.rollout(scenario, ads_factory)
+    def start(self, vehicles, seed):
+        super().start(vehicles, seed)
+        self.ticks = 0
 
-
-class Takes(Own):
-    def take_over(self, trace, tick, name):
-        return HIGHWAY.take_over(trace, tick, name)
-
-
-class Declares(Takes):
-    takes_over = ("careful-human",)
+    def step(self, controls):
+        super().step(controls)
+        self.ticks += 1
+        if self.ticks > 75:
+            raise KeyError("jammed")
 
 
-class Others(Takes):
-    takes_over = ("calm",)
-
-
-class Slower(Highway):
-    def rollout(self, scenario, ads_factory):
-        return super().rollout(replace(scenario, ego_speed=scenario.ego_speed - 5.0), ads_factory)
-
-
-class Reviewed(Slower):
-    def take_over(self, trace, tick, name):
-        return self.rollout(trace.scenario, changing_lanes)
-
-
-@table(("world", "can"), [
-    (HIGHWAY, True), (Own(), False), (Takes(), False), (Declares(), True), (Others(), False), (Slower(), False),
-    (Reviewed(), True),
-])  # fmt: skip
-def test_careful_driver_takes_over_where_the_world_declares_it_for_its_own_runs(world, can):
-    run = base_world(world).run_of(HIGHWAY.rollout(BRAKES, changing_lanes))
-    assert (run.take_over is not None) is can
-
-
-@table(("method", "given", "error"), [
-    ("take_over", lambda self, trace, tick, name: {}[name], "KeyError: 'careful-human'"),
-    ("take_over", lambda self, trace, tick, name: None, "TypeError: expected a pafot.Trace, received None"),
-    ("lasting", lambda self, seconds: {}[seconds], "KeyError: 14.0"),
-    ("lasting", lambda self, seconds: None, "TypeError: expected a world, received None"),
-])  # fmt: skip
-def test_error_of_a_world_names_its_class_and_what_it_could_not_do(method, given, error):
-    world = type("Broken", (Declares,), {method: given})()
-    run = base_world(world).run_of(HIGHWAY.rollout(BRAKES, weaving))
-    what = "take_over with the driver 'careful-human'" if method == "take_over" else "lasting"
-    with pytest.raises(DriverError, match=f"^the world Broken could not run {what}: {error}$"):
-        run.take_over(run.trace, 3) if method == "take_over" else run.take_over.lasting(14.0)
+def test_error_of_a_simulator_while_a_driver_takes_over_names_the_driver():
+    world = SimulatorWorld(Jams)
+    short = Scenario(npcs=[[PositionInstruction(2, 10.0)]], ego_lane=1, ego_speed=22.0, gene_seconds=5.0)
+    run = world.run_of(world.rollout(short, lambda: lambda seen: (0.0, 0.0)))
+    told = "^the world SimulatorWorld could not run take_over with the driver 'careful-human': KeyError: 'jammed'"
+    with pytest.raises(DriverError, match=told):
+        run.take_over.lasting(14.0)(run.trace, 3)
 
 
 def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
@@ -171,4 +139,3 @@ def test_driver_that_takes_over_is_driven_on_in_the_longer_world():
     usual, longer = (each(run.trace, 15) for each in (run.take_over, run.take_over.lasting(14.0)))
     assert (usual.duration, longer.duration) == (2.0, 14.0)
     assert longer.states[: len(usual.states)].tobytes() == usual.states.tobytes()
-    assert base_world(Declares()).run_of(run.trace).take_over.lasting(14.0) is None

@@ -26,6 +26,7 @@ from pytest_pafot.model.vehicle_type import CAR, MOTORCYCLE, TRUCK, VAN
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.searching import sample
 from pytest_pafot.world import Highway, World, WorldError
+from tests.helpers.limits import limits
 from tests.helpers.road_cases import ROADS, space_of, violations, world_of
 from tests.helpers.stages import mostly_oracle
 from tests.helpers.world_cases import idm
@@ -79,7 +80,6 @@ def test_own_limits_hold_on_every_road(env_id):
 
 
 def test_own_limits_hold_on_ways_that_cross():
-    limits = pytest.importorskip("pytest_pafot.testing.traces").limits
     world, rng = world_of("intersection-v0"), np.random.default_rng(8)
     space, crossing = replace(space_of(world, npcs=3, traffic="hostile"), crossings=world.crossings), set()
     for _ in range(12):
@@ -176,7 +176,6 @@ def test_an_ego_does_no_more_than_its_vehicle_can(kind, ads):
 
 @pytest.mark.parametrize("env_id", mostly_oracle(ROADS, "merge-v1", "intersection-v0"))
 def test_an_ego_of_any_size_drives_on_every_road(env_id):
-    limits = pytest.importorskip("pytest_pafot.testing.traces").limits
     plain = world_of(env_id, duration=6.0)
     for kind in filter(plain.can_drive, (VAN, MOTORCYCLE)):
         world, rng = replace(plain, ego=kind), np.random.default_rng(6)

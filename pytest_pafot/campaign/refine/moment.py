@@ -5,11 +5,9 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
-
-import numpy as np
 
 from pytest_pafot.campaign.bench import Bench
 from pytest_pafot.campaign.events import Phase, Refining
@@ -22,11 +20,12 @@ from pytest_pafot.findings.decisions import (
     Moment,
     deciding,
     differ,
-    is_si,
+    is_planners,
     moved_over,
     parts_of,
     placed,
     seen_of,
+    text_of_any,
     told_parts,
     vehicle_of,
 )
@@ -35,10 +34,9 @@ from pytest_pafot.findings.sighting import Seen
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import RequestError
 from pytest_pafot.support.references import source_files
-from pytest_pafot.world import codec
 from pytest_pafot.world.driving.conditions import Conditions, Parted, differing, parting, shown
 from pytest_pafot.world.driving.policy import Aside, Policy, Question, beside, changed, without
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.kernel.action import checked_si_action, possible_acceleration, possible_steering
 from pytest_pafot.world.kernel.observation import Observation
 
@@ -69,11 +67,12 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
 
     The finding's run is driven again by its recorded actions. Fresh policies decide beside it, with all that the policy
     saw and without a vehicle. Nothing can be hidden from a vehicle class, which reads the road itself, from a policy
-    that has the environment, or in a world that is not built in. Nothing is said of a policy that decides otherwise
-    when it sees the same. With a reference, it is the first decision that differs from the reference's.
+    that has the environment, or in a world that is not built in. In a simulator of the user's that can hide no vehicle,
+    only the decision is told. Nothing is said of a policy that decides otherwise when it sees the same. With a
+    reference, it is the first decision that differs from the reference's.
     """
     harness, run, expect = bench.harness, sighting.run, sighting.finding.expect
-    if run is None or not harness.policy.only_observes or not codec.is_built_in(harness.world):
+    if run is None or not harness.policy.only_observes:
         return sighting
     if harness.against is not None and (moment := _first_difference(run.trace, state, bench)) is not None:
         return replace(sighting, moment=moment)
@@ -85,9 +84,11 @@ def with_moment(sighting: Seen, state: State, bench: Bench) -> Refining[Seen]:
     # The policy must decide in the recorded run as it did, or a difference would not be due to the vehicle.
     if whole is None or any(differ(action, whole.of(each)) for each, action in enumerate(trace.actions)):
         return sighting
-    without_it = yield from ask(npc, Question(number=number))
-    if without_it is None:
-        return sighting
+    without_it = None
+    if harness.world.hides:
+        without_it = yield from ask(npc, Question(number=number))
+        if without_it is None:
+            return sighting
     moment = yield from _moment_of(trace, npc, number, whole, without_it, ask)
     return replace(sighting, moment=moment)
 
@@ -185,13 +186,15 @@ def _decided_aside(
     harness, record, scenario = bench.harness, bench.record, trace.executed
     space, isolate = harness.world.action_space, harness.request.settings.isolate
     check = partial(checked_si_action, lanes=MANY) if space is None else partial(checked_action, space=space)
+    question = question if harness.world.hides or question is None else replace(question, is_noted=False)
     aside = Aside()
     factory = beside(harness.policy.factory, trace.actions, check, aside, question)
     job = replace(harness.job(), policy=Policy(factory if npc is None else without(factory, npc)))
     try:
         with refusals(), runner_for(job, record, isolate=isolate) as runner:
             if isolate:  # the other process notes what is decided in a copy
-                aside = cast("Aside", runner.once(scenario, lambda *run: (rollout_of(job.world)(*run), aside)[1]))
+                drive = partial(GENERATORS.run, job.world.rollout)
+                aside = cast("Aside", runner.once(scenario, lambda *run: (drive(*run), aside)[1]))
             else:
                 runner.once(scenario)
             return aside
@@ -203,9 +206,14 @@ def _decided_aside(
         record.clear()
 
 
-def _moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside, ask: Ask) -> Refining[Moment]:
+def _moment_of(
+    trace: Trace, npc: int, number: int, whole: Aside, without_it: Aside | None, ask: Ask
+) -> Refining[Moment]:
     """Return what a policy saw, answered and would have answered at a decision."""
     seen, action = whole.at, whole.of(number)
+    time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
+    if without_it is None:
+        return Moment(time=time, npc=npc, was=seen_of(trace, npc, number), action=text_of(action))
     is_planner = isinstance(seen, Observation)
     where = ""
     if is_planner and npc in seen.ids:
@@ -215,7 +223,7 @@ def _moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: As
     elif is_planner and (crossing := [each for each in seen.crossing if each.id == npc]):
         (way,), own = crossing, (0.0, seen.ego.length, seen.ego.width)
         where = placed(way.ahead, way.right, way.speed - seen.ego.speed, own, (way.heading, way.length, way.width))
-    elif is_planner or pickle.dumps(seen) == pickle.dumps(without_it.at):
+    elif is_planner or _pickled(seen) == _pickled(without_it.at):
         where = "nowhere"
     else:
         where = seen_of(trace, npc, number)
@@ -241,13 +249,19 @@ def _moment_of(trace: Trace, npc: int, number: int, whole: Aside, without_it: As
         elif _is_other(action, answer):
             otherwise = f"{words} {text_of(answer, action)}"
             break
-    time = round(trace.decision_ticks[number] / trace.physics_hz, 3)
     return Moment(time=time, npc=npc, seen=where, action=text_of(action), hidden=hidden, otherwise=otherwise)
+
+
+def _pickled(seen: Any) -> Any:
+    try:
+        return pickle.dumps(seen)
+    except Exception:  # noqa: BLE001  (a simulator may let its policy see anything)
+        return seen
 
 
 def _is_other(action: Any, other: Any) -> bool:
     """Return whether an action is another decision, and not a little more or less of the same."""
-    if type(action) is not type(other) or not (is_si(action) or is_dataclass(action)):
+    if type(action) is not type(other) or not is_planners(action):
         return differ(action, other)
     here, there = parts_of(action), parts_of(other)
 
@@ -283,8 +297,8 @@ def text_of(action: Any, other: Any = None) -> str:
     """Describe an action; of a planner's, the parts in which it differs from another action, or from defaults."""
     if action is None:
         return "no decision"
-    if not (is_si(action) or is_dataclass(action)):
-        return f"{action.tolist() if isinstance(action, (np.ndarray, np.generic)) else action!r}"[:80]
+    if not is_planners(action):
+        return text_of_any(action)[:80]
     parts, shown = parts_of(action), []
     for name in told_parts(action, other):
         least, form = PARTS.get(name, (0.0, "{}"))

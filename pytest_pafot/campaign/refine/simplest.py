@@ -23,7 +23,6 @@ from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.model.trace import SPEED, Trace
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.support.errors import OutOfTime
-from pytest_pafot.world import codec
 from pytest_pafot.world.driving.policy import repeating
 from pytest_pafot.world.guard.hang_guard import runs_end_in
 
@@ -264,7 +263,7 @@ def simplest_of(
 def _repeats_collision(sighting: Seen, harness: Harness) -> Trace | None:
     """Return the run of a collision that another run with the same decisions of the ADS repeats here; else None."""
     trace = None if sighting.run is None else sighting.run.trace
-    is_sure = not sighting.is_flaky and sighting.finding.rate is None and codec.is_built_in(harness.world)
+    is_sure = not sighting.is_flaky and sighting.finding.rate is None
     return trace if is_sure and trace is not None and trace.collision is not None and trace.actions else None
 
 

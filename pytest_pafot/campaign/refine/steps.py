@@ -13,7 +13,7 @@ from pytest_pafot.campaign.events import Note, Phase, Refining
 from pytest_pafot.campaign.harness import headline
 from pytest_pafot.campaign.refine.moment import with_conditions, with_moment
 from pytest_pafot.campaign.refine.simplest import Simplest, Turn, check_limits, failure_rate, shows, simplest_of
-from pytest_pafot.campaign.results import State, fingerprint
+from pytest_pafot.campaign.results import State
 from pytest_pafot.campaign.store import Store, lose
 from pytest_pafot.execution.pool import ProcessLostError
 from pytest_pafot.findings.finding import Expect, ending
@@ -151,7 +151,7 @@ def _confirmed(
         differs = "the reference failed when it ran again" if verdict.kind == "common" else otherwise
     else:
         is_confirmed = scenario == sighting.finding.scenario and not sighting.unshrunk
-        again = "" if is_confirmed else bench.confirm(scenario, fingerprint(run.trace))[-1]
+        again = "" if is_confirmed else bench.confirm(scenario, run.trace)[-1]
         if again is None:
             raise OutOfTime
         differs = again
@@ -163,7 +163,7 @@ def _confirmed(
 def _examined(sighting: Seen, state: State, bench: Bench, store: Store) -> Refining[None]:
     """Examine a finding, and report what each step learns, unless the time ends before.
 
-    No error ends the search here, because a user's world may not expect scenarios other than those of a search.
+    No error ends the search here, because a user's simulator may not expect scenarios other than those of a search.
     """
     __tracebackhide__ = True
     for about, step in EXAMINATIONS.items():

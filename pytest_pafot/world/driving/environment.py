@@ -21,13 +21,22 @@ from pytest_pafot.model.trace import AdsError
 from pytest_pafot.support.errors import BadAction, WorldError
 from pytest_pafot.support.text import shown
 from pytest_pafot.world.driving.policy import Unseeing
-from pytest_pafot.world.driving.vehicles import Car, CompiledRoad, EgosRegulatedRoad, compiled_network
+from pytest_pafot.world.driving.vehicles import (
+    CompiledRoad,
+    EgosRegulatedRoad,
+    StockVehicle,
+    Traffic,
+    TrafficClass,
+    compiled_network,
+    is_regulated,
+)
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.action import hint_at
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.lane_network import FEATURES, Network, Table
 from pytest_pafot.world.kernel.loop import EgoDriver
 from pytest_pafot.world.kernel.places import Places
+from pytest_pafot.world.plausible import Plausibility
 from pytest_pafot.world.roads.road import Pose, StraightRoad
 from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.stock import AbstractLane, Road, RoadObject, Vehicle, class_from_path, observation
@@ -219,6 +228,11 @@ class FastTable:
         self._roads = env.road.network
         self._lanes = {lane: number for number, lane in enumerate(self._roads.lanes_list())}
 
+    def reads_poses_alone(self, traffic: Any) -> bool:
+        """Return whether it reads only the positions, headings and speeds of other vehicles, which are of a class."""
+        of_lanes = {"cos_d", "sin_d", "long_off", "lat_off", "ang_off"}
+        return of_lanes.isdisjoint(self._stock.features) and _is_plain(traffic, Vehicle)
+
     def __call__(self) -> Any:
         """Return the observation."""
         road, stock, exit_lane, objects = self._env.road, self._stock, -1, []
@@ -305,44 +319,68 @@ class ObjectDriver(GuardedDriver):
         guard: the guard of its code.
         every: the number of physics ticks between decisions.
         ego: the ego in the loop; by default a body that follows the vehicle.
+        traffic: the class of which its code sees the NPCs; by default one without goals.
     """
 
-    def __init__(self, vehicle: Any, road: Any, guard: HangGuard, every: int = 1, ego: Body | None = None) -> None:
+    def __init__(
+        self,
+        vehicle: Any,
+        road: Any,
+        guard: HangGuard,
+        every: int = 1,
+        ego: Body | None = None,
+        traffic: TrafficClass | None = None,
+    ) -> None:
         super().__init__(ego or body_of(vehicle), every, guard)
         self.vehicle = vehicle
         self.road = road
+        self._class = traffic or TrafficClass(StockVehicle)
+        self.traffic: Any = None  # on the road from `show` on, if it is called
         self._regulated = road if isinstance(road, EgosRegulatedRoad) else None
+        self._plausibility: Plausibility | None = None
         self._tick = 0
 
     def show(self, places: Places, road: RoadOfGrid) -> None:
         """Put the ego on its road, and the NPCs as it sees them; ``road`` is the road in the grid's coordinates."""
-        cars = [Car(self.road, body) for body in places.vehicles[1:]]
-        foresee(cars, places, road)
-        self.road.vehicles = [self.vehicle, *cars]
+        self.traffic = Traffic(self._class, self.road, self.vehicle, places, road)
+        if self._class.seen is StockVehicle or is_regulated(self.vehicle):
+            foresee(self.traffic.vehicles, places, road)
 
-    def show_ego(self) -> None:
-        """Let the vehicle of highway-env be where the ego is, which it is if it moves itself."""
+    def show_all(self, *, is_lean: bool = False) -> None:
+        """Let the vehicles of highway-env be where those of the run are; the ego moves itself."""
+        if self.traffic is not None:
+            self.traffic.show(is_lean=is_lean)
 
     def decided(self, tick: int) -> Any:
         """Call the vehicle's own ``act``."""
+        self.show_all()
         self.vehicle.act()
 
     def step(self, dt: float) -> AdsError | None:
-        """Move the vehicle by its class, which may be the user's code, and return its error, or None."""
+        """Move the vehicle by its class, which may be the user's code, and return its error, or None.
+
+        Raises:
+            Implausible: if it moves as no vehicle moves.
+        """
         self._tick += 1
-        guard = self.guard
+        guard, ego = self.guard, self.ego
+        if self._plausibility is None:
+            self._plausibility = Plausibility([(ego.x, ego.y, ego.heading, ego.speed)], dt)
         try:
             try:
+                self.show_all(is_lean=True)  # with the new controls of the NPCs, which are where they were
                 guard.decision_starts()
                 if self._regulated is not None:
                     self._regulated.regulate(dt)
                 self.vehicle.step(dt)
-                follow(self.ego, self.vehicle)
+                follow(ego, self.vehicle)
             finally:
                 guard.decision_ends()
             guard.raise_swallowed()
         except UNFIT as error:
             return error_of(error, self._tick - 1, guard)
+        state, name = (ego.x, ego.y, ego.heading, ego.speed), type(self.vehicle).__name__
+        self._plausibility.check([state], f"{name}.step", [ego.acceleration])
         return None
 
 
@@ -354,6 +392,7 @@ class PolicyDriver(ObjectDriver):
         env: the environment with the road and the ego of the run.
         guard: the guard of the ADS's decisions.
         every: the number of physics ticks between decisions.
+        traffic: the class of which the environment's code sees the NPCs.
         view: a second environment, in which the ADS may simulate ahead; it shows the state of the run before each
             decision.
         ego: the ego in the loop; by default a body that follows the environment's vehicle.
@@ -365,15 +404,17 @@ class PolicyDriver(ObjectDriver):
         env: Any,
         guard: HangGuard,
         every: int,
+        traffic: TrafficClass,
         view: View | None = None,
         ego: Body | None = None,
     ) -> None:
         check_action_space(env.action_space)
-        super().__init__(env.vehicle, env.road, guard, every, ego)
+        super().__init__(env.vehicle, env.road, guard, every, ego, traffic)
         self.env = env
         self._ads = ads
         self._observe = hide(env, ads.npc) if isinstance(ads, Unseeing) else observer(env)
         self._view = view
+        self.reads_poses_alone = False  # of the NPCs in a decision
 
     def decided(self, tick: int) -> Any:
         """Observe, call the ADS, and check and apply its action."""
@@ -382,6 +423,7 @@ class PolicyDriver(ObjectDriver):
     def observe(self, tick: int) -> Any:
         """Return the ADS's observation at the current tick."""
         env = self.env
+        self.show_all(is_lean=self.reads_poses_alone)
         env.steps = tick
         env.time = tick / env.config["simulation_frequency"]
         if self._view is not None:
@@ -395,14 +437,15 @@ class PolicyDriver(ObjectDriver):
         return checked
 
     def actuate(self) -> None:
-        """Apply the low-level control of highway-env's controlled vehicles."""
+        """Apply the low-level control of highway-env's controlled vehicles, whose class may look at the others."""
+        self.traffic.show()
         self.vehicle.act()
 
 
 class ModelPolicyDriver(PolicyDriver):
     """A driver whose ego the kernel moves, as highway-env's vehicle classes of its actions would.
 
-    The environment's vehicle gets the state of the ego before anything reads it, which is once a decision.
+    The environment's vehicles get the states of the run before anything reads them, which is once a decision.
     """
 
     def __init__(
@@ -411,21 +454,21 @@ class ModelPolicyDriver(PolicyDriver):
         env: Any,
         guard: HangGuard,
         every: int,
+        traffic: TrafficClass,
         view: View | None,
         lanes: StraightRoad | Network,
     ) -> None:
         self._compiled = CompiledRoad(env.road, lanes)
         self._model = self._compiled.vehicle(env.vehicle)
-        super().__init__(ads, env, guard, every, view, self._model)
+        super().__init__(ads, env, guard, every, traffic, view, self._model)
+        is_stock = type(env.action_type).__module__.startswith("highway_env.")
+        is_fast = isinstance(self._observe, FastTable) and self._observe.reads_poses_alone(traffic.seen)
+        self.reads_poses_alone = is_stock and is_fast
 
-    def show_ego(self) -> None:
-        """Let the environment's vehicle be where the ego is."""
+    def show_all(self, *, is_lean: bool = False) -> None:
+        """Let the vehicles of the environment be where those of the run are."""
         self._compiled.show(self.vehicle, self._model)
-
-    def observe(self, tick: int) -> Any:
-        """Return the ADS's observation at the current tick."""
-        self.show_ego()
-        return super().observe(tick)
+        super().show_all(is_lean=is_lean)
 
     def _applied(self, action: Any) -> Any:
         """Check an action, let the environment interpret it, and return the checked action."""

@@ -497,11 +497,13 @@ class Question:
     Attributes:
         number: the number of the decision.
         instead: what it sees there instead; None for what there is to see.
+        is_noted: False if what it sees need not be noted, which may be anything of a simulator.
         conditions: what records the conditions that it evaluates there; None if nothing does.
     """
 
     number: int
     instead: Any = None
+    is_noted: bool = True
     conditions: Conditions | None = None
 
 
@@ -522,7 +524,7 @@ class Shadow(Around):
             aside.answers.append(self._actions[number])
             return self._actions[number]
         if question is not None and number == question.number:
-            aside.at = copy.deepcopy(observation)  # the ADS may write into it
+            aside.at = copy.deepcopy(observation) if question.is_noted else None  # the ADS may write into it
             observation = observation if question.instead is None else question.instead
             if question.conditions is not None:
                 recording = question.conditions.recorded(self._ads, aside.conditions)
@@ -577,6 +579,13 @@ class Unseeing(Around):
             seen = changed(seen, self.npc, None) if self.npc in seen.ids else seen
             seen = seen.replace(crossing=tuple([each for each in seen.crossing if each.id != self.npc]))
         return self._ads(seen)
+
+
+def check_by(ads: Any, check: Check) -> None:
+    """Give the check of a run's actions to an ADS that decides beside the run, if it is one."""
+    shadow = ads._ads if isinstance(ads, Unseeing) else ads
+    if isinstance(shadow, Shadow):
+        shadow._check = check
 
 
 def without(factory: AdsFactory, npc: int) -> AdsFactory:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import types
+from collections.abc import Mapping
+from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,10 +17,13 @@ from highway_env.vehicle.objects import Landmark
 from pytest_pafot.model.trace import Lane
 from pytest_pafot.world.driving.policy import CONSTANTS, idm_model
 from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.kernel.crossing import CrossingNpc
+from pytest_pafot.world.kernel.director import Npc
 from pytest_pafot.world.kernel.idm import EgosRoadRules, GoalVehicle, NetworkVehicle, StaticObstacle
 from pytest_pafot.world.kernel.lane_network import Network
 from pytest_pafot.world.kernel.places import Places
-from pytest_pafot.world.roads.network import NetworkRoad
+from pytest_pafot.world.roads.network import STEP, NetworkRoad
+from pytest_pafot.world.roads.road import Road as RoadOfGrid
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.run_config import Rules
 from pytest_pafot.world.stock import (
@@ -23,11 +31,12 @@ from pytest_pafot.world.stock import (
     ControlledVehicle,
     MDPVehicle,
     RegulatedRoad,
-    Road,
     RoadNetwork,
     SineLane,
     StraightLane,
     Vehicle,
+    class_from_path,
+    not_zero,
 )
 
 KINDS = (StraightLane, SineLane, CircularLane)
@@ -117,104 +126,195 @@ class EgosRegulatedRoad(RegulatedRoad):  # type: ignore[misc]
         self.vehicles = everybody
 
 
-class Car(Vehicle):  # type: ignore[misc]
-    """An NPC as highway-env's code sees it: a view of its body, which the loop moves.
+class StockVehicle(Vehicle):  # type: ignore[misc]
+    """A highway-env vehicle with highway-env's own physics, lane search and shape, and without goals.
 
-    ``target_speed`` is its current speed. highway-env's IDM uses it as the desired speed of a follower, and an observer
-    can know no more about an NPC.
+    An ego that is a vehicle class sees the NPCs as such vehicles. ``target_speed`` is the current speed. highway-env's
+    IDM uses it as the desired speed of a follower, and an observer can know no more about an NPC. Nothing else can set
+    it, because the director drives.
     """
-
-    def __init__(self, road: Road, body: Body) -> None:
-        self.body = body
-        self.LENGTH, self.WIDTH = body.length, body.width
-        self._seen: Any = None
-        self._found: Any = None  # the pose at which the lane was found, and the lane's index
-        super().__init__(road, (body.x, body.y), body.heading, body.speed)
-        self.check_collisions = False
-
-    def __copy__(self) -> Car:
-        """Return a view of a body of its own, because an imperfect sight shows NPCs elsewhere."""
-        own = Body(self.body.length, self.body.width)
-        own.place(self.body.x, self.body.y, self.body.heading, self.body.speed)
-        own.acceleration, own.steering = self.body.acceleration, self.body.steering
-        copied = Car.__new__(Car)
-        copied.__dict__.update(self.__dict__, body=own)
-        return copied
-
-    @property
-    def position(self) -> Any:
-        """The world coordinates [m], as an array made on demand."""
-        body, seen = self.body, self._seen
-        if seen is None or seen[0] != body.x or seen[1] != body.y:
-            self._seen = seen = np.array([body.x, body.y])
-        return seen
-
-    @position.setter
-    def position(self, value: Any) -> None:
-        self.body.x, self.body.y = float(value[0]), float(value[1])
-
-    @property
-    def heading(self) -> float:
-        """The heading [rad]."""
-        return self.body.heading
-
-    @heading.setter
-    def heading(self, value: float) -> None:
-        self.body.heading = float(value)
-
-    @property
-    def speed(self) -> float:
-        """The speed [m/s]."""
-        return self.body.speed
-
-    @speed.setter
-    def speed(self, value: float) -> None:
-        self.body.speed = float(value)
-
-    @property
-    def lane_index(self) -> tuple[str, str, int]:
-        """The index of the closest lane in highway-env, found on demand."""
-        pose = self.body.x, self.body.y, self.body.heading
-        if self._found is None or self._found[0] != pose:
-            self._found = pose, self.road.network.get_closest_lane_index(self.position, pose[2])
-        index: tuple[str, str, int] = self._found[1]
-        return index
-
-    @lane_index.setter
-    def lane_index(self, value: object) -> None:
-        """Ignore the lane that highway-env sets, because it follows from the place."""
-
-    @property
-    def lane(self) -> StraightLane:
-        """The closest lane."""
-        return self.road.network.get_lane(self.lane_index)
-
-    @lane.setter
-    def lane(self, value: StraightLane) -> None:
-        """Ignore the lane that highway-env sets, because it follows from the place."""
 
     @property
     def target_speed(self) -> float:
-        """The current speed [m/s], which highway-env's IDM takes for the vehicle's desired speed."""
-        return self.body.speed
+        """The current speed [m/s], which stands in for the desired speed."""
+        return float(self.speed)
 
-    @property
-    def action(self) -> dict[str, float]:
-        """The controls as a dict, as in highway-env."""
-        return {"steering": self.body.steering, "acceleration": self.body.acceleration}
+    @target_speed.setter
+    def target_speed(self, speed: float) -> None:
+        """Ignore the desired speed that an environment's own code gives its traffic."""
 
-    @action.setter
-    def action(self, value: dict[str, float]) -> None:
-        self.body.steering, self.body.acceleration = float(value["steering"]), float(value["acceleration"])
+    def control(self, acceleration: float, steering: float) -> None:
+        """Set acceleration [m/s^2] and steering angle [rad] through the vehicle's own ``act``."""
+        super().act({"steering": steering, "acceleration": acceleration})
 
-    def act(self, action: Any = None) -> None:
-        """Hold the current controls, or set the controls in ``action``, which highway-env's predictions pass."""
-        if action:
-            self.action = action
 
-    def step(self, dt: float) -> None:
-        """Do one step of highway-env's kinematic bicycle model [s], as its predictions of copies ask for."""
-        self.body.step(dt)
+STATE = ("position", "heading", "speed", "action", "lane", "lane_index", "target_lane_index", "target_speed")
+"""The attributes of a vehicle of an environment's own traffic that a run sets."""
+
+
+def _copied(held: Any, protocol: Any) -> Any:
+    """Let copies of a held vehicle move, such as those in which a planner simulates: they are of its own class."""
+    kind, seen = type(held), type(held).__base__
+    made: Any = object.__reduce_ex__(held, protocol)
+    make, given, *others = made
+    return (seen if make is kind else make), tuple([seen if each is kind else each for each in given]), *others
+
+
+HELD: Mapping[str, Any] = MappingProxyType(
+    {
+        "speed": property(lambda self: vars(self)["speed"], lambda self, _: None),
+        "heading": property(lambda self: vars(self)["heading"], lambda self, _: None),
+        "position": property(lambda self: vars(self)["position"].copy(), lambda self, _: None),
+        "__reduce_ex__": _copied,
+    }
+)
+"""What makes a vehicle one that the code of an environment can read and copy, but not move."""
+MOVED: Mapping[str, Any] = MappingProxyType(
+    {
+        **{name: vars(Vehicle)[name] for name in ("act", "step", "clip_actions", "on_state_update")},
+        "handle_collisions": Vehicle.handle_collisions,
+        # Properties, because a vehicle may have others of its own.
+        "MAX_SPEED": property(lambda self: Vehicle.MAX_SPEED),
+        "MIN_SPEED": property(lambda self: Vehicle.MIN_SPEED),
+        "check_collisions": property(lambda self: False, lambda self, _: None),
+    }
+)
+"""What makes a vehicle keep the controls that it was given, whatever its own class does, and look for no contacts."""
+
+
+class TrafficClass:
+    """The class of an environment's own traffic, of which the NPCs are where the environment's code sees them.
+
+    Args:
+        seen: the class.
+        constants: those of its constants that the environment has set.
+    """
+
+    def __init__(self, seen: Any, constants: Mapping[str, Any] = MappingProxyType({})) -> None:
+        self.seen, self.constants = seen, constants
+        self.is_controlled = issubclass(seen, ControlledVehicle)
+
+    @cached_property
+    def held(self) -> Any:
+        """The class derived from it that its vehicles have during a reset."""
+        return self._with(HELD)
+
+    @cached_property
+    def moved(self) -> Any:
+        """The class derived from it that its vehicles have during a step of the road."""
+        return self._with(MOVED)
+
+    def __reduce__(self) -> Any:
+        return TrafficClass, (self.seen, dict(self.constants))
+
+    def _with(self, own: Mapping[str, Any]) -> Any:
+        body = {"__slots__": (), "__module__": self.seen.__module__, **own}
+        return types.new_class(self.seen.__name__, (self.seen,), exec_body=lambda names: names.update(body))
+
+
+def traffic_class(given: Any, road: Any, changed: Mapping[Any, Mapping[str, Any]]) -> TrafficClass:
+    """Return the class that ``config["other_vehicles_type"]`` names, after a try of it next to the ego on a road.
+
+    ``changed`` has the constants of classes that the environment has set, by class.
+
+    Raises:
+        Exception: if there is no such class, or if its vehicles cannot be put where the NPCs are; the message says why.
+    """
+    seen: Any = given if isinstance(given, type) else class_from_path(given)
+    if not (isinstance(seen, type) and issubclass(seen, Vehicle)):
+        raise TypeError(f"{given!r:.100} is no class of vehicles that derives from highway-env's Vehicle")
+    if own := [name for name in STATE if inspect.isdatadescriptor(inspect.getattr_static(seen, name, None))]:
+        raise TypeError(f"{seen.__name__} computes {', '.join(own)} itself, which the run has to set")
+    ego = road.vehicles[0]
+    pose = np.array(ego.position), float(ego.heading), float(ego.speed)
+    made = seen(road, *pose)
+    plain = next(each for each in (IDMVehicle, ControlledVehicle, Vehicle) if issubclass(seen, each))(road, *pose)
+    if lacking := [name for name in vars(plain) if not hasattr(made, name)]:
+        raise TypeError(f"{seen.__name__}.__init__ leaves out {', '.join(lacking)}")
+    for name in vars(plain).keys() & STATE:
+        setattr(made, name, getattr(made, name))
+    constants = dict[str, Any]()
+    for each in reversed(seen.__mro__):
+        constants = {name: value for name, value in constants.items() if name not in vars(each)}
+        constants |= changed.get(each, {})
+    traffic = TrafficClass(seen, constants)
+    for each in (traffic.held, traffic.moved, seen):
+        made.__class__ = each
+    return traffic
+
+
+class Traffic:
+    """The NPCs of a run as the code of an environment sees them: vehicles of the class of its own traffic.
+
+    The run moves them. They have the attributes that their class gives them at their starts, and besides their motion,
+    they show the lane to which an NPC steers and the speed of its instruction as ``target_lane_index`` and
+    ``target_speed``. They have routes if the environment plans one for its ego, or on its road with rules for all.
+
+    Args:
+        traffic: their class.
+        stock_road: the road of highway-env, on which they are put next to the ego.
+        ego: the ego as a vehicle of highway-env.
+        places: the vehicles and where they are on the road.
+        road: the road in the grid's coordinates.
+
+    Attributes:
+        vehicles: the vehicles, in the order of the NPCs.
+    """
+
+    def __init__(self, traffic: TrafficClass, stock_road: Any, ego: Any, places: Places, road: RoadOfGrid) -> None:
+        self.vehicles: list[Any] = []
+        self._network, self._road = stock_road.network, road
+        self._bodies, self._npcs = places.vehicles[1:], places.bodies[1:]
+        self._is_controlled = traffic.is_controlled
+        stock_road.vehicles = [ego]
+        route, is_regulated = getattr(ego, "route", None), isinstance(stock_road, RegulatedRoad)
+        for body, npc in zip(self._bodies, self._npcs, strict=True):
+            made = traffic.seen(stock_road, np.array([body.x, body.y]), body.heading, body.speed)
+            vars(made).update(traffic.constants, LENGTH=body.length, WIDTH=body.width)
+            made.diagonal = np.hypot(body.length, body.width)
+            made.check_collisions = traffic.seen is not StockVehicle  # which moves by itself, and must not crash
+            self.vehicles.append(made)
+            stock_road.vehicles.append(made)  # one by one, as an environment does, because a class may look for others
+            if self._is_controlled and isinstance(npc, CrossingNpc) and (route or is_regulated):
+                *end, heading = npc.track.pose((len(npc.track.parts) - 1) * STEP)
+                made.plan_route_to(self._network.get_closest_lane_index(np.array(end), heading)[1])
+            elif self._is_controlled and route:
+                made.plan_route_to(route[-1][1])
+        self.show()
+
+    def show(self, *, is_lean: bool = False) -> None:
+        """Put the vehicles where the NPCs are now; if ``is_lean``, without lanes and targets, which take longer."""
+        for each, body in zip(self.vehicles, self._bodies, strict=True):
+            each.position = np.array([body.x, body.y])
+            each.heading, each.speed = body.heading, body.speed
+            each.action = {"steering": body.steering, "acceleration": body.acceleration}
+            if not is_lean:
+                each.lane_index = self._network.get_closest_lane_index(each.position, each.heading)
+                each.lane = self._network.get_lane(each.lane_index)
+        if not is_lean:
+            self.show_targets()
+
+    def show_targets(self) -> None:
+        """Let the vehicles show what the NPCs do now; their lanes must be known."""
+        for each, npc in zip(self.vehicles if self._is_controlled else (), self._npcs, strict=False):
+            lane, each.target_lane_index = each.lane_index, each.lane_index
+            # An NPC that is to stop has no speed of exactly 0, by which environments divide, as merge-v0 does.
+            each.target_speed = float(not_zero(_target_speed(npc)))
+            if isinstance(npc, Npc) and npc.executed and npc.heading_for != npc.lane:
+                x, y, heading = self._road.position(npc.x, npc.heading_for)
+                each.target_lane_index = self._network.get_closest_lane_index(np.array([x, y]), heading)
+            passed = [step[:2] for step in each.route or ()]
+            if lane[:2] in passed:
+                each.route = each.route[passed.index(lane[:2]) :]
+
+
+def _target_speed(npc: Any) -> float:
+    """Return the speed of an NPC's current instruction, or the one that it keeps after its last [m/s]."""
+    if isinstance(npc, CrossingNpc):
+        return float(npc.wanted)
+    if not npc.executed:
+        return float(npc.chain[0].speed)
+    return float(npc.target_speed if npc.kept_lane < 0 and npc.shift_lane < 0 else npc.kept_speed)
 
 
 def straight_network(lanes: int, length: float, lane_width: float, speed_limit: float) -> RoadNetwork:

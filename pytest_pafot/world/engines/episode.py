@@ -22,8 +22,8 @@ from pytest_pafot.world.driving.environment import (
     observer,
 )
 from pytest_pafot.world.driving.policy import Ads, AdsFactory, ImperfectSensor, Policy, give_route
-from pytest_pafot.world.driving.vehicles import straight_road
-from pytest_pafot.world.engines.gym_replay import StockVehicle, end_of, stand_in
+from pytest_pafot.world.driving.vehicles import StockVehicle, straight_road
+from pytest_pafot.world.engines.gym_replay import end_of, stand_in
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, closing, error_of
 from pytest_pafot.world.gym_environment import ENDS, EnvironmentGuard, vehicle_classes_kept
 from pytest_pafot.world.gym_world import World
@@ -31,6 +31,7 @@ from pytest_pafot.world.kernel.bodies import COLUMNS, Body
 from pytest_pafot.world.kernel.loop import PlannerDriver
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.limits import PLANNER_HZ
+from pytest_pafot.world.plausible import Plausibility
 
 Watch = Callable[[], set[str]]
 """A function that returns what the ego has done in an episode until now: ``crashed``, ``moved`` or both."""
@@ -107,8 +108,12 @@ def drive_episode(world: World, factory: AdsFactory, seed: int, *, is_planner: b
 
 
 def _watching(env: Any) -> Watch:
-    """Watch the ego of an environment, also within each step, before the environment or a wrapper may reset it."""
+    """Watch the ego of an environment, also within each step, before the environment or a wrapper may reset it.
+
+    An ego that moves as no vehicle does ends the episode with an error, unless it has crashed before.
+    """
     start, simulate, done = tuple(env.vehicle.position), env._simulate, set[str]()
+    road_step, known = env.road.step, dict[str, Any]()
 
     def watch() -> set[str]:
         now = {"crashed": env.vehicle.crashed, "moved": tuple(env.vehicle.position) != start}
@@ -119,7 +124,20 @@ def _watching(env: Any) -> Watch:
         simulate(*given, **named)
         watch()
 
+    def pose_of(ego: Any) -> tuple[float, ...]:
+        return *map(float, ego.position), float(ego.heading), float(ego.speed)
+
+    def stepped(dt: float) -> None:
+        ego = env.vehicle
+        if known.get("ego") is not ego:
+            known.update(ego=ego, plausibility=Plausibility([pose_of(ego)], dt))
+        road_step(dt)
+        if "crashed" not in watch():
+            name, acceleration = type(env).__name__, float(ego.action["acceleration"])
+            known["plausibility"].check([pose_of(ego)], f"{name}.step", [acceleration])
+
     stand_in(env, "_simulate", simulated)
+    stand_in(env.road, "step", stepped)
     return watch
 
 

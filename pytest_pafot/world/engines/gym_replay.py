@@ -16,7 +16,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from types import MethodType
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -38,7 +38,7 @@ from pytest_pafot.world.driving.environment import (
     hide,
 )
 from pytest_pafot.world.driving.policy import Ads, Policy, Unseeing
-from pytest_pafot.world.driving.vehicles import is_regulated
+from pytest_pafot.world.driving.vehicles import StockVehicle, Traffic, TrafficClass, is_regulated
 from pytest_pafot.world.engines.policies import give_speeds, put_ego, put_policys_ego, showing, usual_class
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, planner_driver, vehicle_of
 from pytest_pafot.world.guard.hang_guard import UNFIT, AdsHang, HangGuard, WorldHang, closing, error_of, let_through
@@ -55,44 +55,12 @@ from pytest_pafot.world.gym_environment import (
 from pytest_pafot.world.kernel.bodies import Body
 from pytest_pafot.world.kernel.loop import EgoDriver, Loop, PlannerDriver
 from pytest_pafot.world.limits import ADS_HZ, check_divides, whole_within
+from pytest_pafot.world.plausible import Implausible, Plausibility
 from pytest_pafot.world.run_config import Rules
-from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork, Vehicle
+from pytest_pafot.world.stock import AbstractEnv, RegulatedRoad, RoadNetwork
 
 TRAFFIC_HOOKS = ("_spawn_vehicle", "_clear_vehicles")
 """The methods with which highway-env's intersections change their traffic after each step."""
-
-
-class StockVehicle(Vehicle):  # type: ignore[misc]
-    """A highway-env vehicle with highway-env's own physics, lane search and shape.
-
-    ``target_speed`` is its current speed, which highway-env's IDM then assumes to be the desired speed of a
-    follower. Nothing else can set it, because the director drives.
-    """
-
-    @property
-    def target_speed(self) -> float:
-        """The current speed [m/s], which stands in for the desired speed."""
-        return float(self.speed)
-
-    @target_speed.setter
-    def target_speed(self, speed: float) -> None:
-        """Ignore the desired speed that an environment's own code gives its traffic."""
-
-    def control(self, acceleration: float, steering: float) -> None:
-        """Set acceleration [m/s^2] and steering angle [rad] through the vehicle's own ``act``."""
-        super().act({"steering": steering, "acceleration": acceleration})
-
-
-class _HeldVehicle(StockVehicle):
-    """An NPC that the code of an environment can read and copy, but not move."""
-
-    speed = property(lambda self: vars(self)["speed"], lambda self, _: None)
-    heading = property(lambda self: vars(self)["heading"], lambda self, _: None)
-    position = property(lambda self: vars(self)["position"].copy(), lambda self, _: None)
-
-    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
-        """Let copies move, such as those in which a planner simulates."""
-        return object.__new__, (StockVehicle,), vars(self)
 
 
 class StockPolicy(GuardedDriver):
@@ -126,16 +94,16 @@ class StockPolicy(GuardedDriver):
         if isinstance(ads, Unseeing):
             hide(outer.unwrapped, ads.npc)
 
-    def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any]) -> None:
+    def begin(self, around: EnvironmentGuard, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> None:
         """Reset the environment for its first observation, but leave all vehicles at the scenario's start.
 
-        ``objects`` are those that the environment's ``_reset`` has put on the road.
+        ``objects`` and ``hold`` are as for :func:`_reset_in_place`.
 
         Raises:
             WorldHang: if the environment, or a wrapper, does not return in time.
         """
         with around.call():
-            self._see(lambda: _reset_in_place(self.outer, seed, objects))
+            self._see(lambda: _reset_in_place(self.outer, seed, objects, hold))
 
     def decided(self, tick: int) -> Any:
         """Call the ADS, and return its checked action, which the environment applies in the next step."""
@@ -174,10 +142,11 @@ class StockPolicy(GuardedDriver):
         self.outer.unwrapped.vehicle.act()
 
 
-def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any]) -> tuple[Any, ...]:
+def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any], hold: Callable[[], None]) -> tuple[Any, ...]:
     """Reset an environment and its wrappers, but leave all vehicles where they are, and return the result.
 
-    ``objects`` are those that the environment's ``_reset`` has put on the road.
+    ``objects`` are those that the environment's ``_reset`` has put on the road. ``hold`` lets no more code move NPCs.
+    It is called before a ``reset`` of the user's own, and after highway-env's own.
     """
     plain = outer.unwrapped
 
@@ -186,8 +155,15 @@ def _reset_in_place(outer: Any, seed: int, objects: Sequence[Any]) -> tuple[Any,
         if type(plain.vehicle) is usual_class(plain.action_type):  # a reset may have drawn the speeds
             give_speeds(plain.vehicle, getattr(plain.action_type, "target_speeds", None))
 
+    def in_place_of_highway_envs(options: Mapping[str, Any] | None = None, **_: Any) -> tuple[Any, dict[str, Any]]:
+        result = _reset_result(plain, seed, options)
+        hold()
+        return result
+
     if type(plain).reset is AbstractEnv.reset:
-        plain.reset = lambda options=None, **_: _reset_result(plain, seed, options)
+        plain.reset = in_place_of_highway_envs
+    else:
+        hold()
     plain._reset = in_place_of_the_reset
     plain.action_space.seed(seed)
     try:
@@ -223,7 +199,7 @@ def replay_highway(rules: Rules, scenario: Scenario, policy: Policy) -> Trace:
     env.road.network = RoadNetwork.straight_road_network(lanes, length=lane.length, speed_limit=lane.speed_limit)
     ads = policy.make()
     with closing(ads.given, rules.hang_limit):
-        return _si_run(rules, scenario, env, ads, None)
+        return _si_run(rules, scenario, env, ads)
 
 
 def replay_environment(
@@ -235,7 +211,7 @@ def replay_environment(
     """
     outer, route = environment.make(), environment.route
     env, objects = _reset(outer, scenario, environment)
-    view = None
+    view, traffic = None, environment.traffic if rules.ends or not (is_planner or policy.drives_itself) else None
     if not (is_planner or policy.drives_itself):
         put_policys_ego(environment, env, rules, scenario)
     if policy.simulates:
@@ -248,18 +224,19 @@ def replay_environment(
         view = View(environment.make().unwrapped, env)
     ads = policy.make() if view is None else policy.make(env=view.env)
     if ads.drives_itself:
-        return _si_run(rules, scenario, env, ads, route)
+        return _si_run(rules, scenario, env, ads, route, traffic)
     with closing(ads.given, rules.hang_limit):
         if is_planner:
-            return _si_run(rules, scenario, env, ads, route)
+            return _si_run(rules, scenario, env, ads, route, traffic)
         seen, ego, guard = (
             env if environment.wrappers is None else outer,
             body_of(env.vehicle),
             HangGuard(rules.hang_limit),
         )
-        driver = StockPolicy(ads.policy, seen, ego, rules.physics_hz // rules.ads_hz, guard, view)
+        driver = StockPolicy(ads.policy, seen, ego, rules.every, guard, view)
         limit = environment.step_limit if environment.wrappers is None else None  # else wrappers count themselves
-        return _Loop(VehiclesOfRun(rules, scenario, ego, lambda: env.road), env, driver, guard, objects, limit).run()
+        vehicles = VehiclesOfRun(rules, scenario, ego, lambda: env.road)
+        return _Loop(vehicles, env, driver, guard, traffic, objects, limit).run()
 
 
 def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = None) -> tuple[Any, list[Any]]:
@@ -288,7 +265,14 @@ def _reset(outer: Any, scenario: Scenario, environment: GymEnvironment | None = 
     return env, objects
 
 
-def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[Any, ...] | None) -> Trace:
+def _si_run(
+    rules: Rules,
+    scenario: Scenario,
+    env: Any,
+    ads: Ads,
+    route: tuple[Any, ...] | None = None,
+    traffic: TrafficClass | None = None,
+) -> Trace:
     """Simulate a run of an ego that does not use the environment's observations and actions.
 
     Observations, rewards and infos are disabled. Observations would take longer than all the rest, and some
@@ -307,7 +291,7 @@ def _si_run(rules: Rules, scenario: Scenario, env: Any, ads: Ads, route: tuple[A
     else:
         driver = planner_driver(vehicles, ads.decides, guard, ads.sight)
     env.observation_type.observe = env._reward = env._info = _nothing
-    return _Loop(vehicles, env, driver, guard).run()
+    return _Loop(vehicles, env, driver, guard, traffic).run()
 
 
 class EpisodeEnds(OwnEnds):
@@ -320,6 +304,7 @@ class EpisodeEnds(OwnEnds):
 
     def __init__(
         self,
+        environment: GymEnvironment,
         outer: Any,
         objects: Sequence[Any],
         rules: Rules,
@@ -328,6 +313,7 @@ class EpisodeEnds(OwnEnds):
         guard: HangGuard,
     ) -> None:
         super().__init__(outer.unwrapped, ENDS, rules, guard)
+        self._environment = environment
         self._outer, self._loop, self._last = outer, vehicles.loop, rules.ticks(scenario)
         self._around = EnvironmentGuard(rules.hang_limit)
         self._begin: Callable[[], None] = partial(self._reset, objects, scenario.seed, vehicles)
@@ -338,8 +324,8 @@ class EpisodeEnds(OwnEnds):
     def _reset(self, objects: Sequence[Any], seed: int, vehicles: VehiclesOfRun) -> None:
         """Begin the episode, and let the run take the place of the environment's simulation from here on."""
         outer, env = self._outer, self._env
-        _reset_in_place(outer, seed, objects)
-        self._put = showing(env, vehicles)
+        _reset_in_place(outer, seed, objects, _nothing)
+        self._put = showing(self._environment, env, vehicles)
         stand_in(env, "_simulate", self._simulate)
         for name in ENDS:
             stand_in(env, name, partial(self._says, name))
@@ -394,7 +380,7 @@ def episode_beside(
     outer = environment.make()
     env, objects = _reset(outer, scenario, environment)
     put_policys_ego(environment, env, rules, scenario)
-    return EpisodeEnds(outer, objects, rules, scenario, vehicles, guard)
+    return EpisodeEnds(environment, outer, objects, rules, scenario, vehicles, guard)
 
 
 def stand_in(env: Any, name: str, call: Callable[..., Any]) -> None:
@@ -444,6 +430,7 @@ class _Loop:
         env: Any,
         driver: EgoDriver,
         guard: HangGuard,
+        traffic: TrafficClass | None = None,
         objects: Sequence[Any] = (),
         step_limit: int | None = None,
     ) -> None:
@@ -452,15 +439,17 @@ class _Loop:
         self._hz = vehicles.rules.ads_hz
         self._step_limit = step_limit
         self._bodies = vehicles.vehicles
-        self._vehicles = [env.vehicle]
-        for body in self._bodies[1:]:
-            npc = StockVehicle(env.road, [body.x, body.y], body.heading, body.speed)
-            npc.check_collisions = False
-            npc.LENGTH, npc.WIDTH = body.length, body.width
-            npc.diagonal = np.hypot(body.length, body.width)
-            self._vehicles.append(npc)
+        self._plausibility = Plausibility(self._states(), 1.0 / vehicles.rules.physics_hz)
+        vehicles.plausibility = self._plausibility
+        common = env.road, env.vehicle, vehicles.places, vehicles.rules.road
+        self._class = traffic or TrafficClass(StockVehicle)
+        self._traffic = Traffic(self._class, *common)
+        self._vehicles = [env.vehicle, *self._traffic.vehicles]
+        if not isinstance(driver, StockPolicy):  # a vehicle class sees NPCs without goals
+            self._vehicles[1:] = Traffic(TrafficClass(StockVehicle), *common).vehicles
         self._find_contacts_alone()
-        foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)
+        if not isinstance(driver, StockPolicy) or is_regulated(env.vehicle):
+            foresee(self._vehicles[1:], vehicles.places, vehicles.rules.road)
         env.road.vehicles = list(self._vehicles)  # the environment's own code may change its list
         self._last = vehicles.rules.ticks(vehicles.scenario)
         self._asked: list[int] = []
@@ -510,9 +499,9 @@ class _Loop:
     def _drive(self) -> None:
         driver, loop, around = self._driver, self._run.loop, self._around
         if isinstance(driver, StockPolicy):
-            self._make_npcs(_HeldVehicle)  # some environments slow their traffic down in `reset`
-            driver.begin(around, self._run.scenario.seed, self._objects)
-            self._make_npcs(StockVehicle)
+            hold = partial(self._make_npcs, "held")  # some environments slow their traffic down in `reset`
+            driver.begin(around, self._run.scenario.seed, self._objects, hold)
+            self._make_npcs("seen")
             self._hz = self._rate()
             self._check_vehicles("reset")
             self._check_objects()
@@ -550,7 +539,10 @@ class _Loop:
             elif not driver.is_over and not ends.has_failed:  # a wrapper goes on
                 ends.ended = ""
         elif run.loop.tick % ends.every == 0:
+            road, self._env.road.vehicles = self._env.road, [self._env.vehicle, *self._traffic.vehicles]
+            self._traffic.show()
             ends.ask(run.loop.tick)
+            road.vehicles = list(self._vehicles)
         run.ended, run.has_failed = ends.ended, ends.has_failed
 
     def _rate(self) -> int:
@@ -567,13 +559,13 @@ class _Loop:
                 field=name, expected=f"{ticks}, as after a reset with seed 0", received=f"{received!r:.100}", fix=fix
             )
         hz = whole_within("config.policy_frequency", config["policy_frequency"], *ADS_HZ)
-        check_divides((name, ticks), ("config.policy_frequency", hz))
+        check_divides((name, int(ticks)), ("config.policy_frequency", hz))
         return hz
 
-    def _make_npcs(self, vehicle_class: type[StockVehicle]) -> None:
-        """Let all NPCs be of a class."""
-        for npc in self._vehicles[1:]:
-            npc.__class__ = vehicle_class
+    def _make_npcs(self, name: Literal["seen", "held", "moved"]) -> None:
+        """Let all NPCs of a policy's run be of a class of the environment's traffic."""
+        for npc in self._vehicles[1:] if isinstance(self._driver, StockPolicy) else ():
+            npc.__class__ = getattr(self._class, name)
 
     def _find_contacts_alone(self) -> None:
         """Turn off highway-env's own check of contacts with fixed objects, which would push the ego back."""
@@ -648,7 +640,8 @@ class _Loop:
         An ``act`` of the user's own is called for what it does to the ego.
         """
         driver, (vehicle, *npcs), (ego, *bodies) = self._driver, self._vehicles, self._bodies
-        self._make_npcs(StockVehicle)  # a `reset` may call the environment's `step`
+        # A `reset`, in which they are held, may call the environment's `step`; a road's own `act` may call theirs.
+        self._make_npcs("seen" if self._road_act is None else "moved")
         if self._road_act is not None and isinstance(driver, StockPolicy):
             self._road_act()
         else:
@@ -664,13 +657,17 @@ class _Loop:
             self._moved = self._moved or self._moved_npc()
             self._run.loop.command()
             for npc, body in zip(npcs, bodies, strict=True):
-                npc.control(body.acceleration, body.steering)
+                npc.action = {"steering": body.steering, "acceleration": body.acceleration}
 
     def _step(self, dt: float) -> None:
         """Call ``Road.step``; then record and test for contact, unless the run has already ended."""
         loop = self._run.loop
         try:
-            self._road_step(dt)
+            self._make_npcs("moved")
+            try:
+                self._road_step(dt)
+            finally:
+                self._make_npcs("seen")
             if self._is_over:
                 return
             for vehicle, body in zip(self._vehicles, self._bodies, strict=True):
@@ -681,7 +678,19 @@ class _Loop:
             failed = error_of(error, loop.tick, self._guard)
             self._error = self._error if self._is_over else failed
             return
+        try:
+            if not self._moved:  # else the environment is refused after its step
+                accelerations = [body.acceleration for body in self._bodies]
+                self._plausibility.check(self._states(), f"{self._who}.step", accelerations)
+        except Implausible as fault:  # the environment goes on to the end of its step, but not the run
+            self._run.ended, self._run.has_failed = str(fault), True
+            return
         loop.moved()
+        if isinstance(self._driver, StockPolicy):
+            self._traffic.show_targets()
+
+    def _states(self) -> list[tuple[float, float, float, float]]:
+        return [(body.x, body.y, body.heading, body.speed) for body in self._bodies]
 
     @property
     def _is_over(self) -> bool:

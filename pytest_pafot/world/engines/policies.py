@@ -20,7 +20,7 @@ from pytest_pafot.model.trace import Trace
 from pytest_pafot.support.errors import WorldError
 from pytest_pafot.world.driving.environment import ModelPolicyDriver, ObjectDriver, PolicyDriver, View, copies_on
 from pytest_pafot.world.driving.policy import Policy, idm_model
-from pytest_pafot.world.driving.vehicles import Car, CompiledRoad, EgosRegulatedRoad, egos_rules, obstacles_on
+from pytest_pafot.world.driving.vehicles import CompiledRoad, EgosRegulatedRoad, Traffic, egos_rules, obstacles_on
 from pytest_pafot.world.engines.run import OwnEnds, VehiclesOfRun, built_as, vehicle_of
 from pytest_pafot.world.guard.hang_guard import HangGuard, closing
 from pytest_pafot.world.gym_environment import PLAIN, GymEnvironment
@@ -69,19 +69,19 @@ def rollout(
             if idm_model(given) is None or lanes is None or has_more:
                 if rules.ends:
                     put_ego(env, ego)
-                return _driven(rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
+                return _driven(environment, rules, scenario, ObjectDriver(ego, env.road, guard), env, own_ends)
             model = CompiledRoad(env.road, lanes).vehicle(ego)
             vehicles = VehiclesOfRun(rules, scenario, model, lambda: env.road)
             others = [*vehicles.vehicles[1:], *obstacles_on(env.road)]
             model_driver = ModelDriver(model, others, egos_rules(env.road, model, vehicles.places, rules, lanes))
             return vehicles.drive(model_driver, guard, own_ends(rules, scenario, vehicles, guard))
-        every = rules.physics_hz // rules.ads_hz
+        every = rules.every
         is_known = type(env.vehicle) in (MDPVehicle, Vehicle) and getattr(env.action_type, "speed_range", None) is None
         if is_known and lanes is not None:  # the kernel moves the ego
-            driver: PolicyDriver = ModelPolicyDriver(ads.policy, env, guard, every, view, lanes)
+            driver: PolicyDriver = ModelPolicyDriver(ads.policy, env, guard, every, environment.traffic, view, lanes)
         else:
-            driver = PolicyDriver(ads.policy, env, guard, every, view)
-        return _driven(rules, scenario, driver, env)
+            driver = PolicyDriver(ads.policy, env, guard, every, environment.traffic, view)
+        return _driven(environment, rules, scenario, driver, env)
 
 
 def ends_beside(
@@ -92,15 +92,16 @@ def ends_beside(
         return None
     env = _env_of(environment, scenario)
     put_policys_ego(environment, env, rules, scenario)
-    return OwnEnds(env, rules.ends, rules, guard, showing(env, vehicles))
+    return OwnEnds(env, rules.ends, rules, guard, showing(environment, env, vehicles))
 
 
-def showing(env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
-    """Put the vehicles of a run into an environment, and return what moves its ego to where that of the run is."""
-    ego, (body, *npcs) = env.vehicle, vehicles.vehicles
-    env.road.vehicles = [ego, *(Car(env.road, npc) for npc in npcs)]
+def showing(environment: GymEnvironment, env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
+    """Put the vehicles of a run into an environment, and return what moves them to where those of the run are."""
+    ego, body = env.vehicle, vehicles.vehicles[0]
+    traffic = Traffic(environment.traffic, env.road, ego, vehicles.places, vehicles.rules.road)
 
     def show() -> None:
+        traffic.show()
         ego.position, ego.heading, ego.speed = np.array([body.x, body.y]), body.heading, body.speed
         ego.action = {"steering": body.steering, "acceleration": body.acceleration}
         ego.on_state_update()
@@ -109,6 +110,7 @@ def showing(env: Any, vehicles: VehiclesOfRun) -> Callable[[], None]:
 
 
 def _driven(
+    environment: GymEnvironment,
     rules: Rules,
     scenario: Scenario,
     driver: ObjectDriver,
@@ -118,9 +120,16 @@ def _driven(
     """Drive a run whose ego highway-env's code moves; ``own_ends`` is as in :func:`rollout`, None for a policy."""
     vehicles = VehiclesOfRun(rules, scenario, driver.ego, lambda: driver.road)
     driver.show(vehicles.places, rules.road)
-    ends = OwnEnds(env, rules.ends, rules, driver.guard, driver.show_ego) if rules.ends else None
+    ends = None
     if own_ends is not None and rules.ends_in_steps:
         ends = own_ends(rules, scenario, vehicles, driver.guard)
+    elif own_ends is not None and rules.ends:
+        # The ego sees NPCs without goals, and the ends see them as the environment's own traffic on a copy of the road.
+        env.road = copy.copy(env.road)
+        traffic = Traffic(environment.traffic, env.road, env.vehicle, vehicles.places, rules.road)
+        ends = OwnEnds(env, rules.ends, rules, driver.guard, traffic.show)
+    elif rules.ends:
+        ends = OwnEnds(env, rules.ends, rules, driver.guard, driver.show_all)
     return vehicles.drive(driver, driver.guard, ends)
 
 

@@ -29,7 +29,8 @@ from pytest_pafot.world.driving.policy import ads_and_sight, give_route, idm_mod
 from pytest_pafot.world.guard.hang_guard import UNFIT, HangGuard, error_of
 from pytest_pafot.world.kernel.bodies import COLUMNS, Body, Box, depth, overlap, side_hit
 from pytest_pafot.world.kernel.idm import GoalVehicle
-from pytest_pafot.world.kernel.loop import EgoDriver, GivenDriver, Loop, ModelDriver, PlannerDriver
+from pytest_pafot.world.kernel.loop import EgoDriver, Loop, ModelDriver, PlannerDriver
+from pytest_pafot.world.plausible import Implausible, Plausibility
 from pytest_pafot.world.roads.road import StraightRoad
 from pytest_pafot.world.run_config import Rules, starts_of
 
@@ -51,11 +52,13 @@ class VehiclesOfRun:
         loop: the loop, at tick 0.
         sizes: length and width of each vehicle [m].
         ended: what of the environment's own has ended the run, see :class:`pytest_pafot.model.trace.Trace`.
-        has_failed: true if that raised an error.
+        has_failed: true if that raised an error, or moved a vehicle as none moves.
+        plausibility: the check of what a user's code moves; None if it moves nothing.
     """
 
     ended = ""
     has_failed = False
+    plausibility: Plausibility | None = None
 
     def __init__(self, rules: Rules, scenario: Scenario, ego: Body, stock_road: Callable[[], Any]) -> None:
         self.rules = rules
@@ -87,6 +90,9 @@ class VehiclesOfRun:
     def trace(self, driver: EgoDriver, error: AdsError | None = None) -> Trace:
         """Return the trace up to the current tick, given the ego's driver and the ADS's error that ended the run."""
         loop, places, count = self.loop, self.places, len(self.sizes)
+        has_touched = loop.ego_touched or loop.npcs_touched
+        if self.plausibility is not None and self.plausibility.doubt and not has_touched:
+            self.ended, self.has_failed, error = self.plausibility.doubt, True, None
         shape = (loop.tick + 1, count, COLUMNS)
         rows = np.frombuffer(self.rows, count=shape[0] * count * COLUMNS)
         # Read-only, and without a copy if the run has filled the whole buffer.
@@ -103,11 +109,11 @@ class VehiclesOfRun:
         outcome = Outcome.SAFE if off_road_tick is None else Outcome.OFF_ROAD
         if error is not None:
             outcome = Outcome.HANG if error.interrupted else Outcome.ADS_ERROR
-        elif loop.is_over:
-            touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
-            outcome = touched if loop.ego_touched or loop.npcs_touched else places.left or outcome
         elif self.has_failed:
             outcome = Outcome.INVALID
+        elif loop.is_over:
+            touched = Outcome.COLLISION if loop.ego_touched else Outcome.INVALID
+            outcome = touched if has_touched else places.left or outcome
         elif loop.tick == self.rules.step_limit:
             self.ended = f"max_episode_steps={loop.tick // self.rules.step_ticks}"
         return Trace(
@@ -190,7 +196,11 @@ class VehiclesOfRun:
         ticks = self.rules.ticks(self.scenario)
         try:
             with guard:
-                error = self.loop.run(driver, ticks) if ends is None else self._run_to_ends(driver, ticks, ends)
+                error = None
+                try:
+                    error = self.loop.run(driver, ticks) if ends is None else self._run_to_ends(driver, ticks, ends)
+                except Implausible as fault:
+                    self.ended, self.has_failed = str(fault), True
                 return self.trace(driver, error)
         finally:
             self.close()
@@ -238,7 +248,7 @@ class OwnEnds:
         self._env, self._guard, self._show = env, guard, show
         self._methods = {name: getattr(env, name) for name in names}
         self._longest = max(rules.duration, rules.lasts or 0.0)
-        self._hz = rules.physics_hz // self.every
+        self._hz = round(rules.physics_hz / self.every)
         self._time = 0.0
 
     def step(self, move: Callable[[], AdsError | None], loop: Loop) -> AdsError | None:
@@ -304,7 +314,7 @@ def planner_run(
     *,
     decisions: Sequence[Any] = (),
     body: Body | None = None,
-) -> tuple[VehiclesOfRun, GivenDriver]:
+) -> tuple[VehiclesOfRun, PlannerDriver]:
     """Begin a run of a planner in SI units, on any road.
 
     Args:
@@ -324,26 +334,23 @@ def planner_run(
 
 def planner_driver(
     vehicles: VehiclesOfRun,
-    ads: Callable[[Any], Any] | None,
+    ads: Callable[[Any], Any],
     guard: HangGuard,
     sight: Sight | None,
     decisions: Sequence[Any] = (),
     *,
     rules: Rules | None = None,
-) -> GivenDriver:
+) -> PlannerDriver:
     """Return the driver of an ego for a planner in SI units; the arguments are those of :func:`planner_run`.
 
-    ``ads`` is None if the decisions are passed in, and ``sight`` for perfect sight. ``rules`` may have another rate of
-    decisions than those of the run.
+    ``sight`` is None for perfect sight. ``rules`` may have another rate of decisions than those of the run.
     """
     rules, scenario, road = rules or vehicles.rules, vehicles.scenario, vehicles.rules.road
-    every = rules.physics_hz // rules.ads_hz
-    sensor = road.sensor(vehicles.places, vehicles.rows, scenario, (rules.physics_hz, every), sight, rules.ego)
+    rates = rules.physics_hz, rules.every
+    sensor = road.sensor(vehicles.places, vehicles.rows, scenario, rates, sight, rules.ego)
     common: dict[str, Any] = {"lanes": road.lane_count, "lane_width": road.lane_width}
-    common |= {"every": every, "dt": 1 / rules.physics_hz, "kind": rules.ego if rules.ego.has_limits else None}
+    common |= {"every": rules.every, "dt": 1 / rules.physics_hz, "kind": rules.ego if rules.ego.has_limits else None}
     ego, place = vehicles.vehicles[0], vehicles.places.bodies[0]
-    if ads is None:
-        return GivenDriver(ego, place, sensor, **common)
     return PlannerDriver(ads, guard, decisions, ego, place, sensor, **common)
 
 

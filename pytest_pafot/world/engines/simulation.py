@@ -8,6 +8,7 @@ decides, observes, records and compares is the same as in the other worlds, and 
 from __future__ import annotations
 
 import atexit
+import copy
 import math
 import weakref
 from abc import ABC, abstractmethod
@@ -21,11 +22,15 @@ from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pytest_pafot.support.errors import WorldError
+from pytest_pafot.model.trace import AdsError
+from pytest_pafot.support.errors import BadAction, WorldError
+from pytest_pafot.world.driving.policy import Unseeing, check_by
 from pytest_pafot.world.engines.run import VehiclesOfRun
 from pytest_pafot.world.guard.hang_guard import AdsHang, HangGuard, call_close, patience_with_world
 from pytest_pafot.world.kernel.bodies import Body
-from pytest_pafot.world.kernel.loop import GivenDriver
+from pytest_pafot.world.kernel.loop import EgoDriver, PlannerDriver
+from pytest_pafot.world.kernel.observation import Sensor
+from pytest_pafot.world.plausible import Implausible, Plausibility, named
 
 CLOSING = 10.0
 """The time that ``close`` of a simulator may take [s]."""
@@ -41,6 +46,7 @@ Headings = Literal[
 ]  # fmt: skip
 HEADINGS = dict(zip(get_args(Headings), product(range(4), (1, -1)), strict=True))
 """The quarter turn at which headings are 0, and 1 if they grow as from x to y, by what :class:`Simulator` states."""
+Reference = Literal["centre", "front", "rear axle"]
 PUT = (("x", 0.02), ("y", 0.02), ("heading", 0.01), ("speed", 0.5))
 """The same as :data:`STARTS` for an NPC that is put in the state of its control."""
 
@@ -72,6 +78,8 @@ class Control(NamedTuple):
         acceleration: in the simulator's speeds per second.
         steering: the angle of the front wheels; it turns the vehicle in the direction in which headings grow.
         x, y, heading, speed: the state at the end of the tick by the package's own kinematic bicycle model.
+        action: the ego's last action, if the simulator is ``native`` and the policy drives. ``acceleration`` and
+            ``steering`` are then 0. None if they count: for NPCs, and while a reference driver drives.
     """
 
     acceleration: float
@@ -80,6 +88,15 @@ class Control(NamedTuple):
     y: float
     heading: float
     speed: float
+    action: Any = None
+
+
+class _Hz:
+    """The ticks per second of a simulator that states none: those of its ``dt``, else 15."""
+
+    def __get__(self, simulator: Any, of: Any = None) -> float:
+        dt = (of if simulator is None else simulator).dt
+        return 15 if dt is None else 1 / dt
 
 
 class Simulator(ABC):
@@ -89,7 +106,8 @@ class Simulator(ABC):
     simulator's own units and axes, which the class attributes state.
 
     Attributes:
-        hz: ticks per second, a whole number.
+        dt: the duration of a tick [s], 0.001 to 0.2; None if ``hz`` states it.
+        hz: ticks per second, 5 to 1000; 15, unless ``dt`` states another duration.
         lanes: the number of parallel straight lanes; the centre of lane 0, the leftmost, is the x axis. Or the centre
             lines of all lanes from the left, each with the places of at least two points, in the direction of driving.
         lane_width: None for 4 m.
@@ -97,19 +115,26 @@ class Simulator(ABC):
         length: that of the road if ``lanes`` is a number; None if it never ends.
         start_lane, start_speed, start_at: on a road that is not straight, the lane in which the ego starts, its speed,
             None for 22 m/s or the limit, and its place along this lane; None for the first one with room behind it.
-        obstacles: fixed objects: x, y, heading, length and width of each.
+        obstacles: fixed objects: x and y of the centre, heading, length and width of each.
         y_is_left: True if y grows to the left of a vehicle that drives along x.
         headings: the axis along which headings are 0, and the one along which they are a quarter turn: ``"x to y"``;
             ``"y to x"`` for a compass, if x leads to the east and y to the north; or with a minus, ``"x to -y"``.
         degrees: True if angles are in degrees.
-        at_front: True if the place of a vehicle is the middle of its front; else it is the centre of its box.
+        reference: the point of a vehicle whose place ``x`` and ``y`` are: the ``"centre"`` of its box, the middle of
+            its ``"front"``, or the middle of its ``"rear axle"``.
+        rear_axle_offset: with ``"rear axle"``, its distance behind the centre of the box, for all vehicles, always
+            in metres [m].
         metres: the length of the simulator's unit of length [m].
         metres_per_second: the simulator's unit of speed [m/s]; ``1 / 3.6`` for km/h.
         moves_ego_only: True if :meth:`step` puts all NPCs in the states of their controls.
         packages: names of installed packages whose versions change runs, for saved files.
+        one_at_a_time: True if a process can have only one of it, such as where an engine is global. No two runs are
+            then open at once in a process.
+        native: True if the policy gets what :meth:`observe` returns, and its answers are actions for :meth:`step`.
     """
 
-    hz: int = 15
+    dt: float | None = None
+    hz: float = _Hz()  # type: ignore[assignment]
     lanes: int | Sequence[Any] = 4
     lane_width: float | None = None
     speed_limit: float | None = None
@@ -121,11 +146,14 @@ class Simulator(ABC):
     y_is_left: ClassVar[bool] = False
     headings: ClassVar[Headings] = "x to y"
     degrees: ClassVar[bool] = False
-    at_front: ClassVar[bool] = False
+    reference: ClassVar[Reference] = "centre"
+    rear_axle_offset: float | None = None
     metres: ClassVar[float] = 1.0
     metres_per_second: ClassVar[float] = 1.0
     moves_ego_only: bool = False
     packages: ClassVar[tuple[str, ...]] = ()
+    one_at_a_time: ClassVar[bool] = False
+    native: bool = False
 
     @abstractmethod
     def start(self, vehicles: Sequence[Vehicle], seed: int) -> None:
@@ -138,6 +166,26 @@ class Simulator(ABC):
     @abstractmethod
     def states(self) -> Any:
         """Return x, y, heading and speed of each vehicle, the ego first; shape [vehicles, 4]."""
+
+    def observe(self) -> Any:
+        """Return what the policy of a ``native`` simulator gets. It is called before each decision.
+
+        It may have a parameter ``hidden``: the index of an NPC, from 0, that the policy shall not see, or None. Only
+        then can a report say whether the policy's answer depends on a vehicle.
+        """
+        raise NotImplementedError
+
+    def check_action(self, action: Any) -> Any:
+        """Return an action of the policy of a ``native`` simulator as it is recorded, and as :meth:`step` gets it.
+
+        Raises:
+            ValueError: for what is no action; here for None only. This ends the run as an error of the policy.
+        """
+        if action is None:
+            raise ValueError(
+                f"expected an action for {type(self).__name__}.step, received None; is a `return` missing?"
+            )
+        return action
 
     def close(self) -> None:  # noqa: B027  (most simulators hold nothing)
         """Release what the simulator holds, such as a process. The object is not used afterwards.
@@ -166,7 +214,8 @@ class Frame:
         self.zero, self.turn = self.side * zero * math.pi / 2, self.side * sense
         self.angle = math.pi / 180 if simulator.degrees else 1.0
         self.metres, self.speed = float(simulator.metres), float(simulator.metres_per_second)
-        self.at_front = bool(simulator.at_front)
+        # The point of reference is a share of the length ahead of the centre, or a distance behind it.
+        self._share, self._behind = 0.5 * (simulator.reference == "front"), simulator.rear_axle_offset or 0.0
         x, y, heading = origin
         self._x, self._y, self._heading = x, y, heading
         self._cos, self._sin = math.cos(heading), math.sin(heading)
@@ -184,17 +233,17 @@ class Frame:
         x, y = self.point(row[0], row[1])
         heading = self.turn * self.angle * row[2] + self.zero - self._heading
         heading -= 2.0 * math.pi * round((heading - near) / (2.0 * math.pi))
-        if self.at_front:
-            x -= length / 2.0 * math.cos(heading)
-            y -= length / 2.0 * math.sin(heading)
+        if ahead := self._share * length - self._behind:
+            x -= ahead * math.cos(heading)
+            y -= ahead * math.sin(heading)
         return x, y, heading, row[3] * self.speed
 
     def stated(self, body: Any) -> tuple[float, float, float, float]:
         """Return x, y, heading and speed of a body as the simulator states them, the inverse of :meth:`state`."""
         x, y, heading = body.x, body.y, body.heading
-        if self.at_front:
-            x += body.length / 2.0 * math.cos(heading)
-            y += body.length / 2.0 * math.sin(heading)
+        if ahead := self._share * body.length - self._behind:
+            x += ahead * math.cos(heading)
+            y += ahead * math.sin(heading)
         x, y = x * self._cos - y * self._sin + self._x, y * self._cos + x * self._sin + self._y
         turned = self.turn * (heading + self._heading - self.zero) / self.angle
         if self.zero:
@@ -215,12 +264,12 @@ class RepeatedBody(Body):
 
     def __init__(self, length: float, width: float, actions: Sequence[Any], until: int) -> None:
         super().__init__(length, width)
-        self._actions = iter(actions)
+        self.actions = actions
         self._until = until
         self._tick = 0
         self._steering = 0.0
-        self.repeats: GivenDriver | None = None
-        """The driver of its decisions, which needs the other vehicles of the run."""
+        self.repeats: EgoDriver | None = None
+        """The driver that has its decisions, which needs the other vehicles of the run."""
 
     def step(self, dt: float) -> None:
         """Move for a tick [s]."""
@@ -228,12 +277,94 @@ class RepeatedBody(Body):
         if driver is not None and self._tick < self._until:
             self.steering = self._steering  # it holds, but the driver that takes over has set its own
             if self._tick % driver.every == 0:
-                driver.observe(self._tick)
-                driver.take(next(self._actions), 0.0)
+                driver.decide(self._tick)
             driver.actuate()
             self._steering = self.steering
         self._tick += 1
         super().step(dt)
+
+
+class OwnUnits(tuple[Any, ...]):
+    """A tuple as the action of a native policy, whose numbers are not acceleration and steering in SI units."""
+
+    __slots__ = ()
+
+
+class Observed(Sensor):
+    """The maker of a native policy's observations, which has the last one."""
+
+    seen: Any = None
+
+    def observation(self, tick: int) -> Any:
+        """Return what the simulator has observed."""
+        return self.seen
+
+
+class NativeDriver(PlannerDriver):
+    """The driver of an ego whose policy gets what a simulator observes, and answers with actions of the simulator.
+
+    Args:
+        vehicles: the vehicles of the run, whose loop gets the simulation before the run begins.
+        ads: the policy.
+        guard: the guard of its decisions.
+        decisions: the first decisions, which replace calls of the policy; they have been checked before.
+        every: the number of physics ticks between decisions.
+    """
+
+    def __init__(
+        self, vehicles: VehiclesOfRun, ads: Any, guard: HangGuard, decisions: Sequence[Any], every: int
+    ) -> None:
+        self._loop, self._checked_before, self._observed = vehicles.loop, decisions, Observed()
+        self._action: Any = None
+        self._hidden = ads.npc if isinstance(ads, Unseeing) else None
+        check_by(ads, self._checked)
+        ego, place, dt = vehicles.vehicles[0], vehicles.places.bodies[0], 1 / vehicles.rules.physics_hz
+        super().__init__(ads, guard, (), ego, place, self._observed, lanes=0, lane_width=0.0, every=every, dt=dt)
+
+    def decide(self, tick: int) -> AdsError | None:
+        """Observe, and repeat a decision or call the policy. An error of the simulator is none of the policy's."""
+        self._observed.seen = self._loop.simulation.observe(self._hidden)
+        taken = len(self.actions)
+        if taken >= len(self._checked_before):
+            return super().decide(tick)
+        self._take(self._checked_before[taken])
+        return None
+
+    def take(self, action: Any, seconds: float) -> None:
+        """Check and apply a decision that took ``seconds``.
+
+        Raises:
+            BadAction: if it is None, or the simulator does not accept it.
+        """
+        self._take(self._checked(action))
+        self.slowest = max(self.slowest, seconds)
+
+    def _take(self, checked: Any) -> None:
+        self.actions.append(checked)
+        self._action = copy.deepcopy(checked)  # step may write into it
+
+    def _checked(self, action: Any) -> Any:
+        simulator = self._loop.simulation.simulator
+        try:
+            Simulator.check_action(simulator, action)  # which refuses None, whatever the simulator's own does
+            checked = simulator.check_action(action)
+        except ValueError as error:
+            raise BadAction(str(error)) from error
+        except Exception as error:
+            name, kind = type(simulator).__name__, type(error).__name__
+            raise BadAction(f"{name}.check_action({action!r:.100}): {kind}: {error}") from error
+        checked = copy.deepcopy(checked)  # the policy may use its array again
+        return OwnUnits(checked) if type(checked) is tuple else checked
+
+    def actuate(self) -> None:
+        """Pass the action on for a tick, in which the package's own model drives straight ahead."""
+        simulation = self._loop.simulation
+        if self._action is None:
+            place = f"{type(simulation.simulator).__name__}.check_action"
+            fix = "is a `return` missing in it?"
+            raise WorldError(field=place, expected="that it returns the action", received="None", fix=fix)
+        simulation.action = self._action
+        self.ego.acceleration = self.ego.steering = 0.0
 
 
 class Simulation:
@@ -245,6 +376,10 @@ class Simulation:
         vehicles: the vehicles of the run at their starts.
         seed: the seed of the run.
         guard: the guard of the decisions of the run.
+
+    Attributes:
+        simulator: the simulator.
+        action: the action of the ego's policy for the next tick; None if it gets acceleration and steering.
     """
 
     def __init__(
@@ -256,19 +391,22 @@ class Simulation:
         self._guard = guard
         self._tick = 0
         self._hz = vehicles.rules.physics_hz
-        self._simulator: Any = simulators.take()
+        self.simulator: Any = simulators.take()
+        self.action: Any = None
         self._is_sound = False  # until all that it has stated was right
         try:
             self._starts = self._vehicles(vehicles)
             with self._called("start"):
-                self._simulator.start(self._starts, seed)
+                self.simulator.start(self._starts, seed)
             self._rows = self._read()
-            self._check(self._in_run(self._rows), range(len(self._starts)), STARTS, "start")
+            states = self._in_run(self._rows)
+            self._check(states, range(len(self._starts)), STARTS, "start")
         except BaseException:
             self.close()
             raise
         self._speeds = [body.speed for body in self._bodies]
-        self._put = range(1, len(self._bodies) if self._simulator.moves_ego_only else 1)
+        self._plausibility = vehicles.plausibility = Plausibility(states, 1.0 / self._hz)
+        self._put = range(1, len(self._bodies) if self.simulator.moves_ego_only else 1)
         self._is_sound = True
 
     def _vehicles(self, vehicles: VehiclesOfRun) -> list[Vehicle]:
@@ -283,21 +421,34 @@ class Simulation:
         return starts
 
     def move(self) -> None:
-        """Let the simulator do the tick in which the package's own model has just moved all vehicles."""
+        """Let the simulator do the tick in which the package's own model has just moved all vehicles.
+
+        Raises:
+            WorldError: if the first tick shows that units, axes or vehicles are mixed up, or for what are no states.
+            Implausible: if a vehicle does later what no vehicle does, or an NPC is not where it was put.
+        """
         frame, bodies = self._frame, self._bodies
         controls = [
             Control(body.acceleration / frame.speed, frame.turn * body.steering / frame.angle, *frame.stated(body))
             for body in bodies
         ]
+        if self.action is not None:
+            controls[0] = controls[0]._replace(action=self.action)
+            self.action = None
         self._tick += 1
         self._is_sound = False
         with self._called("step"):
-            self._simulator.step(controls)
+            self.simulator.step(controls)
         rows = self._read()
         states = self._in_run(rows)
-        self._check(states, self._put, PUT, "step")
         if self._tick == 1:
+            self._check(states, self._put, PUT, "step")
             self._check_way(rows)
+        self._plausibility.check(states, f"{type(self.simulator).__name__}.states")
+        try:
+            self._check(states, self._put, PUT, "step")
+        except WorldError as error:
+            raise Implausible(str(error)) from None
         for number, (body, state) in enumerate(zip(bodies, states, strict=True)):
             if number in self._put:
                 self._speeds[number] = body.speed
@@ -308,10 +459,18 @@ class Simulation:
             self._speeds[number] = state[3]
         self._is_sound = True
 
+    def observe(self, hidden: int | None = None) -> Any:
+        """Return what the simulator lets its policy see, without an NPC if one is hidden."""
+        self._is_sound = False
+        with self._called("observe"):
+            seen = self.simulator.observe() if hidden is None else self.simulator.observe(hidden=hidden)
+        self._is_sound = True
+        return seen
+
     def _read(self) -> list[list[float]]:
         """Return what the simulator states of all vehicles."""
         with self._called("states"):
-            given = self._simulator.states()
+            given = self.simulator.states()
         count = len(self._bodies)
         try:
             rows = np.asarray(given, dtype=np.float64)
@@ -323,7 +482,7 @@ class Simulation:
             raise WorldError(field=self._place("states"), expected=expected, received=received)
         if not np.isfinite(rows).all():
             number, column = np.argwhere(~np.isfinite(rows))[0].tolist()
-            received = f"{STARTS[column][0]} = {rows[number, column]} of {_named(number)}"
+            received = f"{STARTS[column][0]} = {rows[number, column]} of {named(number)}"
             raise WorldError(field=self._place("states"), expected="finite numbers", received=received)
         stated: list[list[float]] = rows.tolist()
         return stated
@@ -340,7 +499,7 @@ class Simulation:
                 if abs(value - wanted) <= largest:
                     continue
                 place = f"{self._place('states')} after {method}"
-                expected = f"{name} = {wanted:.2f} of {_named(number)}, in m, rad and m/s with y to the right"
+                expected = f"{name} = {wanted:.2f} of {named(number)}, in m, rad and m/s with y to the right"
                 fix = "put each vehicle where it is asked to be, in the order given"
                 if method == "start":
                     received, states_has = _shown(self._starts[number]), _shown(self._rows[number])
@@ -358,14 +517,14 @@ class Simulation:
             most = (STRAYS + min(slips, 1.0)) * math.hypot(*wanted) + FASTEST_CHANGE * dt * dt
             if self._speeds[number] < MOVES or math.dist(way, wanted) <= most:
                 continue
-            expected = f"that {_named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
+            expected = f"that {named(number)} drives {math.hypot(*wanted):.2f} m where its heading points"
             turned = math.degrees(math.atan2(*way[::-1]) - math.atan2(*wanted[::-1]))
             received = f"{math.hypot(*way):.2f} m, {abs((turned + 180.0) % 360.0 - 180.0):.0f} degrees away from it"
             fix = f"do hz, units and axes fit, and does states have what is after the step? {CAUSE}"
             raise WorldError(field=self._place("states"), expected=expected, received=received, fix=fix)
 
     def _place(self, method: str) -> str:
-        return f"{type(self._simulator).__name__}.{method}, tick {self._tick}"
+        return f"{type(self.simulator).__name__}.{method}, tick {self._tick}"
 
     @contextmanager
     def _called(self, method: str) -> Iterator[None]:
@@ -389,7 +548,7 @@ class Simulation:
 
     def close(self) -> None:
         """Give the simulator back, after the run."""
-        simulator, self._simulator = self._simulator, None
+        simulator, self.simulator = self.simulator, None
         if simulator is not None:
             self._simulators.give(simulator, is_sound=self._is_sound)
 
@@ -429,7 +588,13 @@ class Simulators:
         """Return a simulator that no other run uses."""
         if self._process != getpid():  # those of the other process are not closed, because it still uses them
             self.__init__(self._make)  # type: ignore[misc]
-        return self._free.pop() if self._free else self._make()
+        if self._free:
+            return self._free.pop()
+        for each in tuple(self._all):  # of other worlds, whose runs are over
+            alone = [one for one in each._free if one.one_at_a_time]
+            each._free = [one for one in each._free if one not in alone]
+            _close(each._process, alone)
+        return self._make()
 
     def give(self, simulator: Any, *, is_sound: bool = True) -> None:
         """Take a simulator back after its run; one that has failed is closed instead."""
@@ -454,7 +619,3 @@ def _close(process: int, simulators: list[Any]) -> None:
 
 def _shown(values: Sequence[Any]) -> str:
     return ", ".join(f"{name} = {value:.6g}" for (name, _), value in zip(STARTS, values, strict=False))
-
-
-def _named(number: int) -> str:
-    return "the ego" if number == 0 else f"NPC {number - 1}"

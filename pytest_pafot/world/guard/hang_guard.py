@@ -40,9 +40,9 @@ LONGEST_TIMER = 1e6
 SWALLOWING = frozenset({"weakref", "_weakrefset"})
 """The modules whose functions Python calls when an object goes; what these raise is printed, and reaches nobody."""
 WORLD_SHARE, LEAST_FOR_WORLD = 10.0, 60.0
-"""The time that a user's world may take between two decisions, before the first and after the last, and that a method
-of a simulator may take: a multiple of the world's ``hang_limit``, and at least this time [s]. A simulator may need long
-to start, but hardly as long as ten decisions that are too slow."""
+"""The time that a call of an environment's own code may take, and that of a method of a simulator: a multiple of the
+world's ``hang_limit``, and at least this time [s]. A simulator may need long to start, but hardly as long as ten
+decisions that are too slow."""
 DEBUGGERS = frozenset({"bdb", "pydevd"})
 """The modules that have a function on the stack while pdb, or an editor's debugger, waits for its user."""
 
@@ -56,7 +56,7 @@ class LastResort:
         grace: the time for which a decision may ignore interruptions before ``end`` is called [s].
         file: a file descriptor for a traceback. With it, the process also ends if no Python thread has run for the same
             time, for instance because native code holds the interpreter's lock. None if other code handles that case.
-        end_world: a function that ends the process if a user's world hangs itself. None if the process must go on,
+        end_world: a function that ends the process if an environment hangs itself. None if the process must go on,
             because a world may be slow.
     """
 
@@ -310,7 +310,7 @@ class HangGuard:
             return now - self._ignored[1]
 
     def is_stuck(self) -> bool:
-        """Return whether the world hangs and cannot be interrupted. Only a guard of the user's world can know that."""
+        """Return whether the world hangs and cannot be interrupted. Only the guard of an environment can know that."""
         return False
 
     def _interruption(self, now: float, started: float | None) -> type[BaseException] | None:
@@ -324,7 +324,7 @@ class HangGuard:
         why = self._interruption(now, self.started)
         if why is None:  # a signal that arrives late interrupts nothing
             outer = getattr(self._previous, "__self__", None)
-            if isinstance(outer, HangGuard):  # of a user's world, in which a built-in world runs
+            if isinstance(outer, HangGuard):  # of an environment, in which a decision runs
                 outer._received(number, frame)
             return
         if frame is not None and frame.f_globals.get("__name__") in SWALLOWING:  # the next look comes soon

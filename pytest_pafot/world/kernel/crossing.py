@@ -199,7 +199,7 @@ class JunctionDirector(BaseDirector):
         limits: NpcLimits,
         *,
         grid: NetworkDirector | None,
-        physics_hz: int,
+        physics_hz: float,
     ) -> None:
         self._scenario = scenario
         self._junction = junction

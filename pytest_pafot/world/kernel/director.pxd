@@ -37,7 +37,6 @@ cdef class Director(BaseDirector):
     cdef readonly object _scenario
     cdef object _cells
     cdef readonly list _on_grid, _in_lanes
-    cdef int _hz
     cdef readonly double _clearance, _row
     cdef double _lane_width, _far, _aside
     cdef readonly int _tick

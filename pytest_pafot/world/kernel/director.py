@@ -175,7 +175,7 @@ class Director(BaseDirector):
         cells: Sequence[frozenset[Cell]],
         clearance: float,
         ego_length: float,
-        physics_hz: int,
+        physics_hz: float,
     ) -> None:
         kinds = scenario.all_vehicles
         super().__init__(
@@ -187,7 +187,6 @@ class Director(BaseDirector):
         self._scenario = scenario
         self._on_grid = [npc for npc in self.npcs if npc.chain[0].on_grid]
         self._in_lanes = [npc for npc in self.npcs if not npc.chain[0].on_grid]
-        self._hz = physics_hz
         self.skips = False
         self._cells = cells
         self._clearance = clearance

@@ -22,7 +22,8 @@ cdef class Observer(Sensor):
     cdef readonly list sizes
     cdef readonly Lanes lanes
     cdef readonly double speed_limit
-    cdef readonly int physics_hz, every, columns
+    cdef readonly double physics_hz
+    cdef readonly int every, columns
     cdef double _x0, _y0
 
     @cython.locals(row=Py_ssize_t, lane=int)
@@ -61,7 +62,8 @@ cdef class RoadSensor(Sensor):
     cdef Bends _bends
     cdef list _leaning, _zones, _sizes
     cdef tuple _common
-    cdef int _physics_hz, _every
+    cdef double _physics_hz
+    cdef int _every
     cdef object _sight, _seed
     cdef double _drift
 

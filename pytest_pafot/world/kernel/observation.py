@@ -107,7 +107,7 @@ class Observer(Sensor):
         sizes: list[tuple[float, float]],
         lanes: Lanes,
         speed_limit: float,
-        physics_hz: int,
+        physics_hz: float,
         every: int,
         x0: float = 0.0,
         y0: float = 0.0,
@@ -402,7 +402,7 @@ class RoadSensor(Sensor):
         leaning: Sequence[Bends],
         zones: Sequence[Any],
         common: tuple[int, float, float, float],
-        physics_hz: int,
+        physics_hz: float,
         every: int,
         sight: tuple[Sight, int] | None,
     ) -> None:

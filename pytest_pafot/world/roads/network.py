@@ -298,7 +298,7 @@ class NetworkRoad(Road):
         places: Places,
         record: Any,
         scenario: Scenario,
-        rates: tuple[int, int],
+        rates: tuple[float, int],
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:

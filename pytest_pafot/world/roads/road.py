@@ -164,7 +164,7 @@ class Road(ABC):
         places: Places,
         record: Any,
         scenario: Scenario,
-        rates: tuple[int, int],
+        rates: tuple[float, int],
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:
@@ -303,7 +303,7 @@ class StraightRoad(Road):
         places: Places,
         record: Any,
         scenario: Scenario,
-        rates: tuple[int, int],
+        rates: tuple[float, int],
         sight: Sight | None,
         ego: VehicleType,
     ) -> Sensor:

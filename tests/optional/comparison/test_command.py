@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pytest_pafot import World
+from pytest_pafot import SimulatorWorld, World
 from pytest_pafot.__main__ import main
 from pytest_pafot.campaign.request import SLICES
 from pytest_pafot.commands.policy_reference import BAD_USE
@@ -302,8 +302,8 @@ def test_the_help_needs_no_library():
     assert "--algorithms" in done.stdout
 
 
-class Road(export.Road):
-    speed_limit, longest_run = 20.0, 10.0
+def road():
+    return SimulatorWorld(export.Road, duration=10.0)
 
 
 def wrapped():
@@ -318,7 +318,7 @@ def compare_in(world, folder, ads, *arguments):
 @pytest.mark.usefixtures("undrawn")
 def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
     random = ("--algorithms", "random", "--workers")
-    assert compare_in("Road", tmp_path / "own", "constant_speed", *random, "2") == 0
+    assert compare_in("road", tmp_path / "own", "constant_speed", *random, "2") == 0
     assert '"class": "Road"' in (tmp_path / "own" / "report.md").read_text()
     given = (f"{__name__}:of_an_environment", *random, "1", "--duration", "5")
     assert compare_in("wrapped", tmp_path / "wrapped", *given) == 0
@@ -327,8 +327,8 @@ def test_algorithms_are_compared_in_the_world_of_a_factory(tmp_path):
 
 @pytest.mark.parametrize(("options", "told"), [
     (["--duration", "5"], "--duration: expected no such option with --world"),
-    (["--algorithms", "random@5"], "expected no seconds after the @ in a world of your own, received random@5"),
+    (["--algorithms", "random@5"], "expected no seconds after the @ in a simulator of your own, received random@5"),
 ])  # fmt: skip
-def test_what_a_world_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
-    assert compare_in("Road", tmp_path, "constant_speed", *options) == BAD_USE
+def test_what_a_simulator_of_the_users_own_decides_is_no_option(tmp_path, capsys, options, told):
+    assert compare_in("road", tmp_path, "constant_speed", *options) == BAD_USE
     assert told in capsys.readouterr().err

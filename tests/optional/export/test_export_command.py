@@ -12,6 +12,7 @@ from pytest_pafot.__main__ import main
 from pytest_pafot.corpus.writer import text_of
 from pytest_pafot.support.files import write_whole
 from tests.findings.builders import plain_finding
+from tests.helpers.puppets import Puppets
 from tests.optional.export.conftest import FILES
 
 FILE = FILES / "collision-xfail.pafot.yaml"
@@ -29,31 +30,33 @@ def test_export_drives_scenario_and_prints_the_written_files(tmp_path, capsys):
     assert len(path.read_text().splitlines()) == 1 + len(run.trace.sizes) * (run.trace.ticks + 1)
 
 
-class Road:
-    """A world of the user's own, which is code."""
-
-    speed_limit, longest_run = 26.8, 60.0
-    rollout = staticmethod(pafot.Highway().rollout)
-
-    def to_dict(self):
-        return {}
+class Road(Puppets):
+    """A simulator of the user's, which is code."""
 
 
 class OtherRoad(Road):
     pass
 
 
+def road():
+    return pafot.SimulatorWorld(Road)
+
+
+def other_road():
+    return pafot.SimulatorWorld(OtherRoad)
+
+
 def test_world_that_is_code_is_named(tmp_path, capsys):
     path = tmp_path / "front-2-1f3a9c.pafot.yaml"
-    path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {}})))
+    path.write_text(text_of(plain_finding(world={"kind": "own", "class": "Road", "data": {"simulator": {}}})))
     arguments = path, "--to", "csv", "--ads", "constant_speed", "--out", tmp_path
     assert export(*arguments) == 2
     assert "a file contains no code: give the world itself, as in replay(ads, world=...) or by --world\n" in (
         capsys.readouterr().err
     )
-    assert export(*arguments, "--world", f"{__name__}:OtherRoad") == 2
-    assert "received a world of the class OtherRoad; give it by " in capsys.readouterr().err
-    assert export(*arguments, "--world", f"{__name__}:Road") == 0
+    assert export(*arguments, "--world", f"{__name__}:other_road") == 2
+    assert "received a simulator of the class OtherRoad; give it by " in capsys.readouterr().err
+    assert export(*arguments, "--world", f"{__name__}:road") == 0
     assert (tmp_path / "front-2-1f3a9c.csv").exists()
 
 

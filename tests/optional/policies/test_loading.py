@@ -123,6 +123,40 @@ def test_a_policy_of_the_world_drives_in_it():
     assert WORLD.rollout(CUT_IN, Loader()).error is None
 
 
+class Native(pafot.Simulator):
+    """A simulator that shows its policy a table, and takes numbers from 0 to 4."""
+
+    native = True
+
+    def start(self, vehicles, seed):
+        self.cars = [(each.x, each.y, each.heading, each.speed) for each in vehicles]
+        self.taken = []
+
+    def observe(self):
+        return np.full((5, 5), len(self.taken), dtype=np.float32)
+
+    def step(self, controls):
+        self.taken.append(controls[0].action)
+        self.cars = [(each.x, each.y, each.heading, each.speed) for each in controls]
+
+    def states(self):
+        return self.cars
+
+
+class Checking(Loader):
+    check_world = Sb3Policy.check_world
+
+
+def test_a_model_drives_by_what_a_simulator_observes():
+    simulator = Native()
+    trace = pafot.SimulatorWorld(lambda: simulator, duration=1.0).rollout(CUT_IN, Checking())
+    expected = [int(np.arange(1, 26).sum() * tick * 100) % 5 for tick in range(0, 15, 3)]
+    assert trace.error is None
+    assert simulator.taken[::3] == list(trace.actions) == expected
+    with pytest.raises(TypeError, match=r"SimulatorWorld, whose observations are pafot\.Observation"):
+        pafot.SimulatorWorld(type("Plain", (Native,), {"native": False})).rollout(CUT_IN, Checking())
+
+
 def zipped(path, parameters):
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("data", json.dumps(parameters))

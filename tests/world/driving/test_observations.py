@@ -19,8 +19,7 @@ from pytest_pafot.model.instructions import PositionInstruction
 from pytest_pafot.model.scenario import Scenario
 from pytest_pafot.world import World
 from pytest_pafot.world.driving.environment import FastTable, observer
-from pytest_pafot.world.driving.vehicles import Car, SearchedLanes
-from pytest_pafot.world.kernel.bodies import Body
+from pytest_pafot.world.driving.vehicles import SearchedLanes, StockVehicle
 from pytest_pafot.world.kernel.lane_network import FEATURES
 from tests.helpers.c_library import c_library
 from tests.helpers.interpreted import InterpretedWorld
@@ -60,18 +59,12 @@ def environment(env_id):
     return env
 
 
-def car(road, x, y, heading, speed):
-    body = Body(5.0, 2.0)
-    body.place(x, y, heading, speed)
-    return Car(road, body)
-
-
 def placed(kind, road, state):
     lane_share, along, across, angle, speed, route_share = state
     lanes, nodes = road.network.lanes_list(), list(road.network.graph)
     lane = lanes[int(lane_share * len(lanes))]
     position, heading = lane.position(along, across), float(lane.heading_at(along) + angle)
-    made = car(road, *position, heading, speed) if kind is Car else kind(road, position, heading, speed)
+    made = kind(road, position, heading, speed)
     if route_share is not None and hasattr(made, "plan_route_to"):
         made.plan_route_to(nodes[int(route_share * len(nodes))])
     return made
@@ -80,7 +73,9 @@ def placed(kind, road, state):
 def populate(env, ego_class, states, objects=()):
     """Put vehicles of three classes on an environment's road, the ego somewhere among them, and objects."""
     ego = placed(ego_class, env.road, states[0])
-    others = [placed((Car, IDMVehicle, MDPVehicle)[k % 3], env.road, state) for k, state in enumerate(states[1:])]
+    others = [
+        placed((StockVehicle, IDMVehicle, MDPVehicle)[k % 3], env.road, state) for k, state in enumerate(states[1:])
+    ]
     env.road.vehicles = [*others[:2], ego, *others[2:]]
     env.road.vehicles[-1].LENGTH = 12.0
     env.road.objects = [placed((Obstacle, Landmark)[k % 2], env.road, state) for k, state in enumerate(objects)]
@@ -126,7 +121,7 @@ several = st.lists(vehicles, min_size=1, max_size=8)
     config=tables("Kinematics"),
     states=several,
     objects=st.lists(vehicles, max_size=2),
-    ego=st.sampled_from([Car, MDPVehicle, Vehicle]),
+    ego=st.sampled_from([StockVehicle, MDPVehicle, Vehicle]),
 )
 def test_tables_equal_those_of_highway_env(env_id, observers, config, states, objects, ego):
     populate(environment(env_id), ego, states, objects)
@@ -161,8 +156,8 @@ def env():
 
 
 def test_equally_distant_vehicles_come_in_road_order(env):
-    ego = car(env.road, 300.0, 4.0, 0.0, 20.0)
-    env.road.vehicles = [ego, *(car(env.road, 320.0, y, 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
+    ego = StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0)
+    env.road.vehicles = [ego, *(StockVehicle(env.road, (320.0, y), 0.0, 20.0 + y) for y in (8.0, 0.0, 4.0))]
     env.controlled_vehicles = [ego]
     env.observation_type = observation_factory(env, {"type": "Kinematics", "vehicles_count": 3})
     assert observer(env)().tobytes() == env.observation_type.observe().tobytes()
@@ -193,7 +188,7 @@ class Ghost(Vehicle):
 
 
 def test_vehicle_that_describes_itself_is_left_to_highway_env(env):
-    env.road.vehicles = [car(env.road, 300.0, 4.0, 0.0, 20.0), Ghost(env.road, (320.0, 4.0))]
+    env.road.vehicles = [StockVehicle(env.road, (300.0, 4.0), 0.0, 20.0), Ghost(env.road, (320.0, 4.0))]
     env.controlled_vehicles = env.road.vehicles[:1]
     env.observation_type = observation_factory(env, {"type": "Kinematics"})
     fast = observer(env)

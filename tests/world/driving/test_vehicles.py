@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 
 import numpy as np
@@ -12,16 +11,20 @@ from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
-from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pytest_pafot.world import World
-from pytest_pafot.world.driving.vehicles import Car, EgosRegulatedRoad, SearchedLanes, straight_network, straight_road
+from pytest_pafot.world.driving.vehicles import (
+    EgosRegulatedRoad,
+    SearchedLanes,
+    StockVehicle,
+    straight_network,
+    straight_road,
+)
 from pytest_pafot.world.kernel.bodies import Body
 from tests.helpers.stages import mostly_oracle, oracle
 from tests.helpers.tables import table
-from tests.helpers.world_cases import car
 
 controls = st.lists(st.tuples(st.floats(-8, 6), st.floats(-0.78, 0.78)), min_size=1, max_size=12)
 
@@ -111,46 +114,6 @@ def test_invalid_position_gets_closest_lane_of_highway_env(position):
         assert closest == network.get_closest_lane_index(np.array(position), 0.0)
 
 
-@given(st.floats(-1, 1), st.floats(-41, 42), controls, st.sampled_from([5, 15, 50]))
-def test_car_steps_like_a_highway_env_vehicle(heading, speed, steps, physics_hz):
-    road = Road(NETWORKS[0], np_random=np.random.default_rng(0))
-    stock = Vehicle(road, [300.0, 4.0], heading, speed)
-    own = car(Road(SearchedLanes(NETWORKS[0])), [300.0, 4.0], heading, speed)
-    for acceleration, steering in steps:
-        for vehicle in (stock, own):
-            vehicle.act({"acceleration": acceleration, "steering": steering})
-            vehicle.step(1 / physics_hz)
-        state = (*stock.position, stock.heading, stock.speed)
-        assert (*own.position, own.heading, own.speed) == pytest.approx(state, rel=1e-12, abs=1e-12)
-        assert own.action == stock.action
-    assert own.lane_index == stock.lane_index
-    assert own.lane is stock.lane
-
-
-def test_car_shows_where_its_body_is():
-    body = Body(5.0, 2.0)
-    body.place(300.0, 4.5, 0.1, 20.0)
-    own = Car(Road(SearchedLanes(NETWORKS[0])), body)
-    first, lane = own.position, own.lane_index
-    body.place(310.0, 8.5, 0.2, 21.0)
-    body.acceleration, body.steering = 1.0, 0.05
-    assert (first.tolist(), lane[2]) == ([300.0, 4.5], 1)
-    assert (own.position.tolist(), own.lane_index[2]) == ([310.0, 8.5], 2)
-    assert (own.heading, own.speed, own.target_speed) == (0.2, 21.0, 21.0)
-    assert own.action == {"acceleration": 1.0, "steering": 0.05}
-
-
-@table("copied", [copy.copy, copy.deepcopy])
-def test_copy_of_a_car_leaves_its_body_alone(copied):
-    own = car(Road(SearchedLanes(NETWORKS[0])), [300.0, 4.5], 0.1, 20.0)
-    own.act({"acceleration": 1.0, "steering": 0.05})
-    twin = copied(own)
-    twin.step(0.1)
-    twin.act({"acceleration": 2.0, "steering": 0.0})
-    assert (own.body.x, own.speed, own.action["acceleration"]) == (300.0, 20.0, 1.0)
-    assert (twin.body.x > 301.0, twin.speed, twin.action["acceleration"]) == (True, pytest.approx(20.1), 2.0)
-
-
 def crossroads(kind, seed, ego_class):
     """Return an ego and others near the middle of an intersection, and how the others predict their places."""
     rng, network = np.random.default_rng(seed), World("intersection-v0").network
@@ -159,7 +122,7 @@ def crossroads(kind, seed, ego_class):
     for number in range(4):
         lane, at = lanes[(seed + number) % len(lanes)], rng.uniform(70.0, 90.0)
         start = lane.position(at, 0.0), lane.heading_at(at), rng.uniform(6.0, 10.0)
-        vehicle = (car if number else ego_class)(road, *start)
+        vehicle = (StockVehicle if number else ego_class)(road, *start)
         vehicle.check_collisions = False
         road.vehicles.append(vehicle)
     road.vehicles[0].plan_route_to("o1")
@@ -183,21 +146,6 @@ def test_ego_yields_exactly_where_regulated_road_says_so(ego_class):
             assert stock.vehicles[0].target_speed == own.vehicles[0].target_speed
             assert np.array_equal(stock.vehicles[0].position, own.vehicles[0].position)
     assert (told > 0) == (ego_class is IDMVehicle)
-
-
-def test_car_works_as_vehicle_in_highway_env_code():
-    road = Road(SearchedLanes(NETWORKS[0]), np_random=np.random.default_rng(0))
-    own, stock = (each(road, [300.0, 4.5], 0.1, 20.0) for each in (car, Vehicle))
-    for vehicle in (own, stock):
-        vehicle.act({"acceleration": 1.0, "steering": 0.05})
-    assert own.to_dict() == stock.to_dict()
-    assert own.polygon().tolist() == stock.polygon().tolist()
-    assert own.lane_offset.tolist() == stock.lane_offset.tolist()
-    times = np.arange(0.1, 1.0, 0.1)
-    predicted = [np.array(v.predict_trajectory_constant_speed(times)[0]) for v in (own, stock)]
-    assert predicted[0] == pytest.approx(predicted[1], abs=1e-9)
-    own.position = [1.0, 2.0]
-    assert (own.body.x, own.body.y, own.position.tolist()) == (1.0, 2.0, [1.0, 2.0])
 
 
 def test_own_network_has_lanes_of_highway_env():

@@ -23,7 +23,7 @@ from pytest_pafot.model.trace import Outcome, X
 from pytest_pafot.oracle.run import Run
 from pytest_pafot.world import World, WorldError
 from pytest_pafot.world.codec import from_dict
-from pytest_pafot.world.guard.own_worlds import rollout_of
+from pytest_pafot.world.guard.chance import GENERATORS
 from pytest_pafot.world.gym_environment import ENDS, vehicle_classes_kept
 from tests.helpers.world_cases import constant_speed
 
@@ -478,13 +478,13 @@ def test_ends_by_chance_depend_on_the_seed_of_the_scenario_alone(register, given
     register("ending-v0", entry_point=HighwayEnvFast if given else Chance)
     world = World("ending-v0", **given)
     scenario = scenario_in(world)
-    trace, seen = rollout_of(World("ending-v0", ends="duration"))(scenario, idle), []
+    trace, seen = GENERATORS.run(World("ending-v0", ends="duration").rollout, scenario, idle), []
     for seed in (1, 2, 3):
         random.seed(seed)
         np.random.seed(seed)
         by_reference = world.rollout_reference(scenario, "careful-human")
         taken = world.take_over(trace, 10, "careful-human")
-        seen.append((rollout_of(world)(scenario, idle).ticks, by_reference.ticks, taken.ticks))
+        seen.append((GENERATORS.run(world.rollout, scenario, idle).ticks, by_reference.ticks, taken.ticks))
         assert random.random() == random.Random(seed).random()  # given back
     assert len({*seen}) == 1
     assert len({*seen[0]}) == 1

@@ -16,7 +16,6 @@ import pytest
 from pytest_pafot import Highway, PositionInstruction, Scenario
 from pytest_pafot.model.trace import Trace
 from pytest_pafot.world.guard.chance import GENERATORS, _seed_torch
-from pytest_pafot.world.guard.own_worlds import rollout_of
 
 WORLD = Highway(duration=2.0)
 
@@ -26,7 +25,7 @@ def with_seed(seed: int) -> Scenario:
 
 
 def drive(ads: Any, seed: int = 1) -> Trace:
-    return rollout_of(WORLD)(with_seed(seed), ads)
+    return GENERATORS.run(WORLD.rollout, with_seed(seed), ads)
 
 
 def of_python() -> Any:

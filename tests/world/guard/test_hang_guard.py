@@ -317,3 +317,13 @@ with last_resort(LastResort(end=lambda: None, grace=5.0, file=2)), HangGuard(30.
     sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=60)
+
+
+def test_outer_guard_interrupts_inside_an_inner_one():
+    with HangGuard(0.05) as outer, HangGuard(30.0) as inner:
+        outer.decision_starts()
+        inner.decision_starts()
+        with pytest.raises(AdsHang):
+            time.sleep(20)
+        outer.decision_ends()
+        inner.decision_ends()

@@ -13,6 +13,7 @@ import pytest_pafot as pafot
 from pytest_pafot import Highway, LaneInstruction, PositionInstruction, Scenario
 from pytest_pafot.model.trace import HEADING, SPEED
 from pytest_pafot.model.vehicle_type import CAR
+from pytest_pafot.world import codec
 from pytest_pafot.world.kernel.bodies import COLUMNS
 from pytest_pafot.world.kernel.observation import Observer, Sensor
 from pytest_pafot.world.kernel.places import Places
@@ -99,7 +100,8 @@ def test_runs_on_a_turned_road_are_those_on_a_straight_one(speed):
     np.testing.assert_allclose(turned.road.offsets, straight.road.offsets, atol=1e-8)
 
 
-def test_collisions_on_a_turned_road_have_a_responsible_vehicle():
+def test_collisions_on_a_turned_road_have_a_responsible_vehicle(monkeypatch):
+    monkeypatch.setattr(codec, "BUILT_IN", codec.BUILT_IN | {"turned": TurnedHighway})  # as a new kind would be
     found = pafot.explore(lambda: follower, world=TurnedHighway(), holds=lambda run: None, runs=16, seed=1, workers=1)
     assert found.summary.outcomes["collision"]
     assert found.summary.responsibilities["ego"]

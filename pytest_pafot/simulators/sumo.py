@@ -11,20 +11,14 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from pytest_pafot.support.errors import WorldError, install
 from pytest_pafot.world.engines.simulation import Simulator
 from pytest_pafot.world.simulator_world import SimulatorWorld
 
 if TYPE_CHECKING:
-    from pytest_pafot.model.vehicle_type import VehicleName, VehicleType
-    from pytest_pafot.world.limits import NpcLimits
-
-    WorldArguments = TypedDict("WorldArguments", {  # noqa: UP013  (a class is longer)
-        "ads_hz": int | None, "duration": float, "clearance": float, "headway": float, "limits": NpcLimits,
-        "ego": VehicleType | VehicleName, "hang_limit": float,
-    }, total=False)  # fmt: skip
+    from pytest_pafot.world.simulator_world import WorldArguments
 
 LANE_WIDTH = 4.0
 """The width of the lanes of the straight road [m], as in ``pafot.Highway``."""
@@ -78,7 +72,8 @@ class Sumo(Simulator):
         edges: the ids of the edges of the way, in order.
     """
 
-    y_is_left = degrees = at_front = True
+    y_is_left = degrees = True
+    reference = "front"
     headings = "y to x"
     packages = ("libsumo",)
 

@@ -1,0 +1,133 @@
+"""What :mod:`pytest_pafot.simulators.metadrive` changes in MetaDrive. Only with MetaDrive can it be imported."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+from metadrive.component.sensors.lidar import Lidar
+from metadrive.component.vehicle.base_vehicle import BaseVehicle
+from metadrive.component.vehicle.vehicle_type import VaryingDynamicsVehicle
+from metadrive.constants import CollisionGroup
+from metadrive.engine.base_engine import BaseEngine
+from metadrive.engine.engine_utils import close_engine, get_engine
+from metadrive.envs.metadrive_env import MetaDriveEnv
+from metadrive.policy.idm_policy import IDMPolicy
+
+from pytest_pafot.support.errors import WorldError, flag
+
+__all__ = ["Env", "IDMPolicy"]
+
+SPACING = 3.0
+"""The distance between the points of the centre line of a lane [m]."""
+VEHICLES = CollisionGroup.Vehicle.getLowestOnBit()
+"""The group of vehicles in Bullet."""
+
+
+class OrderedLidar(Lidar):  # type: ignore[misc]
+    """A lidar whose objects have an order. MetaDrive's are in sets, in the order of their addresses in memory."""
+
+    def get_surrounding_objects(self, vehicle: Any, radius: int = 50) -> list[Any]:
+        """Return the objects around a vehicle, in the order of their positions."""
+        return sorted(super().get_surrounding_objects(vehicle, radius), key=lambda each: tuple(each.position))
+
+    @staticmethod
+    def get_surrounding_vehicles(detected_objects: Sequence[Any]) -> list[Any]:
+        """Return the vehicles among some objects, in the same order."""
+        return [each for each in detected_objects if isinstance(each, BaseVehicle)]
+
+
+class Engine(BaseEngine):  # type: ignore[misc]
+    """An engine that downloads no models and textures, which only pictures need."""
+
+    @staticmethod
+    def try_pull_asset() -> None:
+        """Do nothing."""
+
+
+class Env(MetaDriveEnv):  # type: ignore[misc]
+    """An environment without pictures and without traffic of its own, in which nothing is left of an earlier run.
+
+    A process has one engine, so a new environment ends an earlier one of this class.
+
+    Args:
+        blocks: the letters of the map.
+        lanes: the number of lanes.
+        sensors: parts of MetaDrive's ``vehicle_config`` about sensors.
+    """
+
+    def __init__(self, blocks: str, lanes: int, sensors: Mapping[str, Any]) -> None:
+        if isinstance(get_engine(), Engine):
+            close_engine()
+        if get_engine() is not None:
+            received = "one that is open"
+            fix = f"call `close` of your own MetaDriveEnv, or search in other processes with {flag('workers', 2)}"
+            raise WorldError(
+                field="pafot.metadrive", expected="no other environment in this process", received=received, fix=fix
+            )
+        super().__init__(
+            {
+                "use_render": False,
+                "image_observation": False,
+                "log_level": logging.ERROR,
+                "force_destroy": True,  # vehicles that are used again keep the state of steering and wheels
+                "sensors": {"lidar": (OrderedLidar,)},
+                "map_config": {"type": "block_sequence", "config": blocks, "lane_num": lanes},
+                "traffic_density": 0.0,
+                "random_spawn_lane_index": False,
+                "num_scenarios": 1,
+                "start_seed": 0,
+                "vehicle_config": {"vehicle_model": "static_default", **sensors},  # the other one's forces are random
+            }
+        )
+        self._own = Engine(self.config)
+        self.setup_engine()
+
+    @property
+    def is_open(self) -> bool:
+        """True until this or another environment is closed, or made."""
+        return get_engine() is self._own
+
+    def begin(self, position: Sequence[float], heading: float, speed: float) -> Any:
+        """Begin anew with the agent at a place [m], with a heading [rad] and a speed [m/s], and return it."""
+        # Not by set_position, because only a new vehicle is told the checkpoints ahead of its place.
+        self.config["agent_configs"]["default_agent"]["spawn_position_heading"] = (tuple(position), heading)
+        self.reset(seed=0)  # 0 is the map; nothing in a run is random
+        # Vehicles pass through each other: the package says who touches whom, and Bullet would push them.
+        self.engine.physics_world.dynamic_world.setGroupCollisionFlag(VEHICLES, VEHICLES, False)
+        velocity = (math.cos(heading), math.sin(heading)), speed
+        self.agent.set_velocity(*velocity)
+        self.engine.step_physics_world()  # positions are those before the last substep, and so there has been one
+        self.agent.set_velocity(*velocity)  # which may have changed it
+        return self.agent
+
+    def lines(self) -> list[list[tuple[float, float]]]:
+        """Return the centre line of each lane along the map, from the left [m]. It ends a run."""
+        self.reset(seed=0)
+        ways = self.agent.navigation.checkpoints
+        graph = self.current_map.road_network.graph
+        lines: list[list[tuple[float, float]]] = []
+        for number in range(len(graph[ways[0]][ways[1]])):
+            lanes = [graph[start][end][number] for start, end in pairwise(ways)]
+            lines.append([_point(lanes[0].position(0.0, 0.0))])
+            for lane in lanes:
+                steps = math.ceil(lane.length / SPACING)
+                for step in range(1, steps + 1):
+                    lines[-1].append(_point(lane.position(lane.length * step / steps, 0.0)))
+        return lines
+
+    def add_other(self, length: float, width: float, position: Sequence[float], heading: float) -> Any:
+        """Return a new vehicle that stays where it is put, until the next run."""
+        size = {"length": length, "width": width, "height": 1.5, "mass": 1100.0}
+        # The traffic manager removes its vehicles at the next reset.
+        spawn = self.engine.traffic_manager.spawn_object
+        other = spawn(VaryingDynamicsVehicle, vehicle_config=size, position=list(position), heading=heading)
+        other.set_static(True)  # else it falls and drives on
+        return other
+
+
+def _point(place: Any) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
